@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from salver.auditing.arm import NOT_CHECKED, arm_status
 from salver.auditing.doubts import CANNOT_TELL, Borne, cannot_tell
 from salver.auditing.motion import AuditedMotion, Doubt, tray_motion
 from salver.auditing.options import DEFAULT, AuditOptions
@@ -201,10 +202,19 @@ class Audit(Shown, Tabular):
         """How far noise and resolution could hide a slide, and up to which frequency (Hz) they hide none."""
         return self._borne[worst].hidden()
 
+    @cached_property
+    def arm(self) -> Status:
+        """Whether the joints keep to their ranges and the arm touches nothing, where their motion is given."""
+        given, arm = self.given, _arm(self.scenario)
+        if not isinstance(given, JointSamples) or arm is None:
+            return NOT_CHECKED
+        return arm_status(given, arm, self.scenario)
+
     @property
     def ok(self) -> bool:
-        """Whether everything holds in the worst case (and so in the nominal one)."""
-        return self.nominal.ok and self.worst.ok
+        """Whether everything holds in the worst case (and so in the nominal one), and nothing is known against it for
+        the arm."""
+        return self.nominal.ok and self.worst.ok and self.arm.ok
 
     @property
     def outcome(self) -> str:
@@ -258,6 +268,7 @@ class Audit(Shown, Tabular):
             "scenario": self.scenario.name,
             "verdict": self.outcome.replace("_", " "),
             "duration": f"{float(np.ptp(self.motion.samples.t)):.4g} s",
+            "arm": self.arm.sentence,
             "nominal": self.nominal.sentence,
             "worst case": self.worst.sentence,
             "speeds in the worst case": self.speeds_worst.sentence,
@@ -282,8 +293,9 @@ class Audit(Shown, Tabular):
         """Everything, for machines."""
         s, margins = self.motion.samples, self.margins
         return {
-            "holds": self.ok,
+            "holds": self.nominal.ok and self.worst.ok,
             "verdict": self.outcome,
+            "arm": {"code": self.arm.code, "ok": self.arm.ok, "sentence": self.arm.sentence},
             "nominal": _status(self.nominal),
             "worst_case": _status(self.worst),
             "margin": {

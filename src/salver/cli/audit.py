@@ -49,7 +49,8 @@ def audit(
     """Say whether what is on the tray holds, slides, tips or spills along a motion, nominally and in the worst case.
 
     Exit code 0: everything holds in the worst case of the scenario's uncertain parameters, for every motion that the
-    samples allow; 3: it does not, or the samples cannot tell; 2: wrong use.
+    samples allow, and the arm touches nothing on the way, where its joints are given; 3: it does not, or the samples
+    cannot tell; 2: wrong use.
 
     A motion of several legs is cut at its longest rests, and each leg judged with what is then on the tray.
 
@@ -95,6 +96,7 @@ def _show(result: Audit, given: str = "", options: str = "") -> None:
     lines = [
         f"{result.source}: {motion.samples.t[-1] - motion.samples.t[0]:.3f} s, {_seen(result)}.",
         *motion.notes,
+        f"Arm: {result.arm.sentence}",
         f"Nominal: {result.nominal.sentence}",
         f"Worst case: {result.worst.sentence}",
         *(

@@ -31,7 +31,6 @@ from salver.trajectory import MotionSamples, SampledReference
 if TYPE_CHECKING:
     from salver.models.arm import ArmModel
 
-UNCHECKED = "Not checked: whether an arm can follow the motion, and whether anything collides."
 HEADLINES = {
     "holds": ("good", "Everything stays where it is, whatever is carried within its ranges"),
     "cannot_tell": ("warning", "It cannot be told whether everything stays"),
@@ -51,8 +50,10 @@ def audit_page(audit: Audit) -> str:
     level, headline = HEADLINES[audit.outcome]
     if audit.outcome == "does_not_hold" and audit.nominal.ok:
         headline = "It holds for the nominal load, and not for everything that it may be"
+    if audit.outcome == "holds" and not audit.arm.ok:
+        level, headline = "bad", "The load would stay where it is, but the arm cannot go this way"
     sentence = audit.worst.sentence if audit.nominal.ok else audit.nominal.sentence
-    answer = Verdict(level, headline, f"{UNCHECKED} {sentence}")
+    answer = Verdict(level, headline, f"{audit.arm.sentence} {sentence}")
     shown = replay(run, arm)
     for variant in shown["variants"]:
         variant["caption"] = "as it was read"
@@ -156,6 +157,7 @@ def _known(audit: Audit) -> Markup:
         ["judged", f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC, by salver {versions()['salver']}"],
         ["for", f"scenario {audit.scenario.name}, digest {audit.scenario.digest}"],
         *(widths or [["ranges", "none: the nominal values alone"]]),
+        ["arm", audit.arm.sentence],
         ["nominal", audit.nominal.sentence],
         ["worst case", audit.worst.sentence],
     ]

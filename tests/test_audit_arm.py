@@ -1,0 +1,89 @@
+"""Audits of joint motions: the arm's limits, and what it would touch."""
+
+import json
+
+import numpy as np
+import pytest
+
+import salver as sv
+from salver.auditing.arm import NOT_CHECKED
+from salver.auditing.verdict import audit_samples
+from salver.models.arm import load_arm
+from salver.motion_files.samples import JointSamples
+
+T = np.linspace(0.0, 3.0, 601)
+BLEND = np.polyval([6, -15, 10, 0, 0, 0], T / T[-1])
+RATE = np.polyval([30, -60, 30, 0, 0], T / T[-1]) / T[-1]
+BEND = np.polyval([120, -180, 60, 0], T / T[-1]) / T[-1] ** 2
+START = np.array([-0.51, -1.2, 2.02, -2.39, 1.571, -1.06])
+LEVEL_DOWN = np.array([0.0, 0.9, 0.0, -0.9, 0.0, 0.0])
+
+
+@pytest.fixture(scope="module")
+def ur10():
+    return sv.load_scenario("ur10-bottle")
+
+
+def columns(scenario, way, since=0.0, told=False):
+    names = load_arm(scenario.arm, scenario.tray).joint_names
+    found = {"t": since + T, **{f"q_{name}": START[j] + way[j] * BLEND for j, name in enumerate(names)}}
+    if told:
+        found |= {f"dq_{name}": way[j] * RATE for j, name in enumerate(names)}
+        found |= {f"ddq_{name}": way[j] * BEND for j, name in enumerate(names)}
+    return found
+
+
+@pytest.mark.parametrize("told", [False, True], ids=["recorded", "with velocities"])
+def test_an_arm_that_goes_into_its_table_is_said_to_whatever_becomes_of_the_load(ur10, told):
+    """The load would ride into the table as safely as anywhere."""
+    found = sv.audit(columns(ur10, LEVEL_DOWN, told=told), ur10)
+    assert found.nominal.ok
+    assert found.worst.ok
+    assert not found.arm.ok
+    assert "touch at" in found.arm.sentence
+    assert not found.ok
+    summary = json.loads(json.dumps(found.summary()))
+    assert summary["holds"]
+    assert summary["arm"] == {"code": found.arm.code, "ok": False, "sentence": found.arm.sentence}
+
+
+def test_the_floor_is_what_the_scenario_says(ur10):
+    """Of a motion that lowers the arm beyond its table, and touches nothing else."""
+    low, nowhere = 0.6 * np.eye(6)[1], ur10.with_changes(surroundings__floor="none")
+    into, free = sv.audit(columns(ur10, low), ur10), sv.audit(columns(nowhere, low), nowhere)
+    assert into.arm.sentence == "wrist_2_link and floor touch at 1.50 s."
+    assert free.arm.ok
+    assert "Not checked" in free.arm.sentence
+    assert "anything around the arm" in free.arm.sentence
+    assert "floor" not in free.arm.sentence
+
+
+def test_a_good_motion_says_first_what_was_not_checked_of_the_arm(ur10):
+    found = sv.audit(columns(ur10, -0.1 * LEVEL_DOWN), ur10)
+    assert found.ok
+    assert found.arm.sentence.startswith("Not checked: how fast the joints move, and their torques")
+    assert "anything around the arm but the floor" in found.arm.sentence
+
+
+def test_joints_out_of_their_range_are_named(ur10):
+    arm = load_arm(ur10.arm, ur10.tray)
+    turned = (arm.limits.q_max[5] + 0.1 - START[5]) * np.eye(6)[5]
+    found = sv.audit(columns(ur10, turned), ur10)
+    assert not found.arm.ok
+    assert found.arm.sentence.startswith(
+        f"wrist_3_joint is at {arm.limits.q_max[5] + 0.1:.4g} rad at 3.00 s, 0.1 rad out"
+    )
+
+
+def test_of_a_motion_of_the_tray_nothing_is_known_of_an_arm(ur10):
+    still = {"t": T, "x": 0.6 + 0 * T, "y": 0.01 * BLEND, "z": 0.4 + 0 * T, "qw": 1 + 0 * T}
+    still |= dict.fromkeys(("qx", "qy", "qz"), 0 * T)
+    assert sv.audit(still, ur10).arm is NOT_CHECKED
+
+
+def test_joints_go_by_their_names(ur10):
+    """In a message they may come in any order."""
+    names = load_arm(ur10.arm, ur10.tray).joint_names
+    q = START + BLEND[:, None] * 0.6 * np.eye(6)[1]
+    turned = JointSamples(T, names[::-1], q[:, ::-1], None, None, "message", commanded=False)
+    assert audit_samples(turned, ur10).arm.sentence == "wrist_2_link and floor touch at 1.50 s."
