@@ -419,7 +419,7 @@ def report(
 
 
 def _no_plan(name: str, given: object) -> Exception:
-    """What a function says that wants a plan, or where one is."""
+    """The sentence for a function that needs a plan and got something else."""
     from salver.errors import ScenarioError
     from salver.planning.plan import Plan
 
@@ -442,5 +442,5 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    """What is public."""
+    """The public names."""
     return sorted(["__version__", *__all__])

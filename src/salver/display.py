@@ -1,4 +1,4 @@
-"""How results show themselves: one line in a console, a small table in a notebook."""
+"""Display of results: one line in a console, a small table in a notebook."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ SHORT = 40  # characters that a value of an outline may take
 
 
 class Shown:
-    """What has something to say about itself: `facts` gives it, in order; the first is the headline."""
+    """A result with facts to display, in order; the first is the headline."""
 
     __slots__ = ()
 

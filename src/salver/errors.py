@@ -1,4 +1,4 @@
-"""What can go wrong, in two kinds.
+"""Errors of two kinds: mistakes of the user, and outcomes of a computation.
 
 A *mistake of the user* (a wrong key, a file of another plan, a robot that is not installed) is an
 exception below `SalverError`; its message is one sentence that names the key or file, the value and
@@ -44,7 +44,7 @@ def reason(error: BaseException) -> str:
 
 @dataclass(frozen=True, repr=False)
 class Status:
-    """How a computation ended.
+    """The outcome of a computation.
 
     code: a short machine-readable word: "optimal", "infeasible", "iteration_limit", ...
     sentence: the same for a person, with figures: which constraint, when, by how much.

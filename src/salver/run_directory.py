@@ -24,7 +24,7 @@ _OF_ALL = ("report.html", "figures", "export", "film.mp4", "film.gif")
 
 
 def leg_number(stem: str) -> int | None:
-    """Which leg of a plan of several a stem names, 1 for "leg1"; None for none."""
+    """Number of the leg that a stem names, 1 for "leg1"; None for none."""
     found = _LEG.fullmatch(stem)
     return None if found is None else int(found[1])
 

@@ -184,7 +184,7 @@ def _sobol(uncertain: UncertainSet, n: int, seed: int, possible: Possible) -> Ar
 
 
 def cube_dimension(uncertain: UncertainSet) -> int:
-    """How many uniform numbers make one point: one more for a ball than for a box."""
+    """Number of uniform numbers that make one point: one more for a ball than for a box."""
     return uncertain.size + (uncertain.kind == "ellipsoid" and uncertain.size > 1)
 
 

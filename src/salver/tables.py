@@ -38,7 +38,7 @@ class Table:
 
 
 class Tabular:
-    """What can be had as a table: `table` gives it."""
+    """A result with a table: `table` gives it."""
 
     __slots__ = ()
 

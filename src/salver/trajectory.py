@@ -41,7 +41,7 @@ class MotionSamples:
         return quat_wxyz_from_matrix(self.R_SB)
 
     def of_frame(self, p_BX: npt.ArrayLike, R_BX: npt.ArrayLike | None = None) -> MotionSamples:
-        """The same motion, told of a frame X that is fixed to B."""
+        """The motion of a frame X that is fixed to B."""
         R_BX = np.eye(3) if R_BX is None else np.asarray(R_BX, dtype=float)
         p_BX = np.asarray(p_BX, dtype=float)
         spin = hat(self.omega_B)

@@ -93,7 +93,7 @@ def _structured(annotation: Any, value: Any) -> Any:
 
 
 def in_words(annotation: Any, metadata: Iterable[Any] = ()) -> str:
-    """What a value of this type is, for a person."""
+    """The values that a type accepts, in words."""
     if isinstance(annotation, FieldInfo):
         return annotation.description or in_words(annotation.annotation, annotation.metadata)
     metadata = list(metadata)

@@ -1,5 +1,5 @@
-"""What a logger, a sensor or software has made of a motion: found in the samples, named with its size, and removed
-where that is sound.
+"""Damage of a recording by logger, sensor or software: found in the samples, named with its size, and removed where
+that is sound.
 
 In order: the unit, samples that repeat the one before, the clock, and places where the samples break off. All of it is
 looked for in the channels as they stand in the file: a pose, or joint positions.
@@ -57,7 +57,7 @@ class Channels:
 
 
 def channels_of(samples: Samples) -> Channels:
-    """What a recording holds, as it stands in the file."""
+    """The channels of a recording as they stand in the file."""
     if isinstance(samples, JointSamples):
         metres = np.full(samples.q.shape[1], REACH)
         return Channels(samples.t, samples.q, metres, REACH * resolution(samples.q), pose=False)
@@ -89,7 +89,7 @@ def _in_metres(channels: Channels, options: AuditOptions) -> Channels:
 
 
 def _without_repeats(channels: Channels, options: AuditOptions) -> Channels:
-    """Of samples that stand still while the motion goes on, the first alone."""
+    """Samples without those that repeat the one before while the motion goes on."""
     t, y = channels.t, channels.y
     moved = np.abs(np.diff(y, axis=0))
     begins = np.flatnonzero(np.append(True, moved.any(axis=1)))  # of runs of equal samples

@@ -1,4 +1,4 @@
-"""What a recording does not say, where it could matter to a load."""
+"""What a recording leaves open where it could matter to a load."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Borne:
         return np.broadcast_to(self.motion.acceleration_error + self.motion.missed, self.reserve.shape)
 
     def hidden(self) -> tuple[Slip, float]:
-        """How far noise and resolution could hide a slide, and up to which frequency (Hz) they hide none."""
+        """Bound on a slide that noise and resolution could hide, and the frequency (Hz) up to which they hide none."""
         return hidden(self.motion, self.reserve, self.rest)
 
     @property
@@ -39,7 +39,7 @@ class Borne:
         return (self.reserve < 0) & (self.reserve + self.error > 0)
 
     def edge(self) -> Doubt:
-        """Where the motion passes what is borne by less than its acceleration is uncertain."""
+        """Where the motion exceeds the reserve by less than its acceleration is uncertain."""
         k = int(np.argmin(self.reserve))
         known = (
             "there are no samples"
@@ -49,8 +49,8 @@ class Borne:
         return "edge", f"at {self.motion.samples.t[k]:.3f} s the motion may or may not be too much: {known}"
 
     def errors(self) -> list[Doubt]:
-        """What may explain that a recording shows too much, that is errors of its samples: what was found in them, and
-        that nothing too much lasts as long as a shake of the highest frequency would make it."""
+        """Errors of the samples that could explain a violation: defects that were found, and that no violation lasts
+        as long as a vibration of the highest frequency."""
         if self.motion.recording is None:
             return []
         t, highest = self.motion.samples.t, max(self.motion.options.highest, DEFAULT.highest)
@@ -67,7 +67,7 @@ class Borne:
         return [*self.motion.suspect, ("brief", f"{clause}: an error of the samples")]
 
     def unseen(self) -> list[Doubt]:
-        """What a recording does not show, where it could slide a load."""
+        """Motion that a recording does not show and that could slide a load."""
         recording, options, t = self.motion.recording, self.motion.options, self.motion.samples.t
         if recording is None:
             return []
@@ -103,7 +103,7 @@ class Borne:
         return doubts
 
     def left_out(self) -> str:
-        """What a verdict that everything holds leaves out or takes for granted; it stands before it."""
+        """Assumptions and omissions of the verdict that everything holds; they stand before it."""
         seen, highest = self.motion.recording, self.motion.options.highest
         if seen is None:
             return ""
@@ -118,8 +118,8 @@ class Borne:
         return "".join(first)
 
     def _ends(self, slowest: tuple[float, float] = (np.inf, np.inf)) -> list[Doubt]:
-        """Of a recording that begins or ends so fast that a load slides whose tray is brought to that speed at once,
-        that it does not show how the tray comes to it. slowest: m/s, it must be as fast there too."""
+        """A recording does not show how the tray reaches a speed at its ends, if a load would slide at a jump to
+        that speed. slowest: m/s, it must be as fast there too."""
         assert self.motion.recording is not None
         words = ("begins", "came before"), ("ends", "comes after")
         fast = [

@@ -29,9 +29,12 @@ Doubt = tuple[str, str]  # a code, and a clause that says what would tell
 
 @dataclass(frozen=True)
 class RecordingQuality:
-    """How a recorded motion was seen. sensor: its noise. rate: Hz. bandwidth: (T,) of the curve, Hz. ends: m/s at which
-    it begins and ends. slowest: m/s, of the slowest instant from which it comes to such a speed within the recording,
-    and of that to which it comes from one. unseen: see `salver.auditing.recorded.Reading`; in s."""
+    """Noise and resolution of a recorded motion.
+
+    sensor: its noise. rate: Hz. bandwidth: (T,) of the curve, Hz. ends: m/s at which it begins and ends. slowest:
+    m/s, of the slowest instant from which it comes to such a speed within the recording, and of that to which it
+    comes from one. unseen: see `salver.auditing.recorded.Reading`; in s.
+    """
 
     sensor: Sensor
     rate: float
@@ -112,7 +115,7 @@ def _in_radians(samples: JointSamples, arm: ArmModel) -> None:
 
 
 def continuous(quat_wxyz: Array) -> Array:
-    """The same rotations (N, 4), each with the sign that is nearer to the one before."""
+    """Rotations (N, 4) with the sign that is nearer to the one before."""
     turned = np.einsum("ij,ij->i", quat_wxyz[1:], quat_wxyz[:-1]) < 0
     return quat_wxyz * np.concatenate([[1.0], np.cumprod(np.where(turned, -1.0, 1.0))])[:, None]
 

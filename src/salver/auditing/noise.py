@@ -1,4 +1,4 @@
-"""What samples hold at which frequencies: the noise of their sensor, its resolution, and what stands out of both.
+"""Noise, resolution and motion of samples by frequency.
 
 Noise is what a sensor adds to every sample anew: white, and the same all along the recording. Its size is the least
 that any band of frequencies holds at most times; whatever rises above that, in any window of time and at any
@@ -61,8 +61,8 @@ class Oscillations:
 
 @dataclass(frozen=True)
 class Spectrum:
-    """What samples (N, d) hold in bands half an octave wide, and above the last: the standard deviation that white
-    noise would have which holds as much.
+    """Power of samples (N, d) in bands half an octave wide, and above the last, as the standard deviation of white
+    noise of that power.
 
     edges: (K,) Hz, the lower ones of all bands but the first. sizes: (K, d), at most times. power: (K, 8, d), squared,
     in eighths of the time. errors: (K,), by how much of themselves sizes err by chance.
@@ -182,7 +182,7 @@ def filtered_at(t: Array, y: Array, drop: float, fewest: int) -> float:
 def standing_out(
     residual: Array, rate: float, level: NoiseLevel, negligible: float, false_alarm: float
 ) -> list[Oscillations]:
-    """What stands out of the noise in residuals (N, d), for every length of windows from the shortest.
+    """Motion in residuals (N, d) beyond the noise, in windows of every length from the shortest.
 
     negligible: of accelerations, unit/s^2, in amplitude: an oscillation below it is let be. false_alarm: probability
     that noise alone stands out somewhere.

@@ -1,4 +1,4 @@
-"""What an audit takes for granted, what it lets be, and how sure it is."""
+"""Options of an audit: its assumptions and its confidence."""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ _CONJUGATE = np.array([1.0, -1.0, -1.0, -1.0])
 
 @dataclass(frozen=True)
 class Sensor:
-    """What is known of the noise: of position (m) and orientation (rad, half the angle, in the frame that turns)."""
+    """Noise of a sensor: of position (m) and orientation (rad, half the angle, in the frame that turns)."""
 
     position: NoiseLevel
     orientation: NoiseLevel
@@ -40,7 +40,7 @@ class Sensor:
 
 @dataclass(frozen=True)
 class Reading:
-    """What samples say of a motion.
+    """A motion as read from samples.
 
     motion: at the instants to be judged. bandwidth (T,): Hz. acceleration_error (T,): m/s^2, by which the
     acceleration may be wrong by noise, and missed (T,), by which a spline so fast falls short of it. unseen: what

@@ -1,4 +1,4 @@
-"""How far a load could slide by what a recording does not show.
+"""Bounds on a slide that a recording does not show.
 
 A shake of amplitude A and frequency f on top of a motion that leaves the reserve r (m/s^2, what would still be borne in
 any direction) slides a load only while A (2 pi f)^2 > r, and then by 2 pi A (1 - r / a)^2 a cycle at most: the sliding
@@ -35,8 +35,8 @@ def per_cycle(amplitude: Array | float, frequency: Array | float, reserve: Array
 
 
 def slide(t: Array, reserve: Array) -> float:
-    """How far the motion itself slides a load, m: Newmark's block, which gains speed while the reserve is negative and
-    loses it after. All to one side."""
+    """Distance (m) by which the motion itself slides a load: Newmark's block, which gains speed while the reserve is
+    negative and loses it after. All to one side."""
     speed = moved = 0.0
     step = np.diff(t)
     if not (reserve < 0).any():

@@ -1,4 +1,4 @@
-"""How much higher sloshing may be than a recorded motion says.
+"""Bounds on sloshing that a recording does not show.
 
 What noise hides is a shake a(t) of amplitude A, N cycles and r times a mode's frequency f_n. Its mass, which hardly
 fades, moves by -a + 2 pi f_n times the integral of sin(2 pi f_n (t - s)) a(s), where the shake begins from rest: by
@@ -30,8 +30,8 @@ _SOFTEST = 0.1  # beyond which no second order says anything
 
 
 def unseen(name: str, parts: Sequence[Slosh], motion: AuditedMotion) -> tuple[Spill, float]:
-    """What a liquid may come to in a recorded motion, from what it comes to in the motion as it is read, parts; and the
-    acceleration, m/s^2, by which its container may be pushed more than is known."""
+    """Bounds of a liquid in a recorded motion, from its parts in the motion as read, and the unknown acceleration
+    (m/s^2) of its container."""
     found, pushed = [], 0.0
     for part in parts:
         away, inclined = _away(part.waves, motion)
@@ -71,7 +71,7 @@ def unmodelled(name: str, parts: Sequence[Slosh], known: Spill, options: AuditOp
 
 
 def softened(name: str, parts: Sequence[Slosh], softening: float) -> Spill:
-    """What a liquid comes to whose waves are slower the higher they are: near resonance they run away.
+    """A liquid whose frequency falls with the height of its waves: near resonance they grow fast.
 
     A wave of amplitude a has the frequency f (1 - c (a / R)^2), c: softening; each round takes the highest crest so far
     for a, and passes the half of that on its way.

@@ -1,4 +1,4 @@
-"""What a campaign is: which plans, how many runs, which samples. Everything a run depends on is in here."""
+"""The definition of a campaign: plans, number of runs, samples. Everything a run depends on is in here."""
 
 from __future__ import annotations
 

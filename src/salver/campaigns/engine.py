@@ -51,7 +51,7 @@ class Campaign(Shown):
     summary: dict[str, Any]
 
     def facts(self) -> dict[str, str]:
-        """What a notebook shows of it."""
+        """Facts that a notebook shows."""
         outcomes = {
             stem: ", ".join(f"{name} {rate['count']} of {rate['of']}" for name, rate in plan["outcomes"].items())
             for stem, plan in self.summary["plans"].items()
@@ -154,7 +154,7 @@ def _has_stops(plan: Plan | MultiLegPlan) -> bool:
 
 
 def _claim(place: Path, definition: Definition) -> dict[str, Any] | None:
-    """What campaign.json already holds, if this campaign may go on from it; SalverError if not."""
+    """The content of campaign.json, if this campaign may continue it; SalverError if not."""
     path = place / SUMMARY
     if not path.is_file():
         return None

@@ -35,7 +35,7 @@ NOT_OF_THE_RUN = ("wall_time", "provenance", "thresholds", "method", "with_arm",
 
 @dataclass(frozen=True)
 class Context:
-    """What a worker needs; it reads the rest from the run directory, once."""
+    """The input of a worker; it reads the rest from the run directory, once."""
 
     directory: Path
     definition: Definition

@@ -124,9 +124,8 @@ def _plan_summary(rows: Sequence[Row], stem: str, directory: Path, folder: str) 
 
 
 def _stops(rows: Sequence[Row]) -> dict[str, Any] | None:
-    """Of stopped runs: how many lost their load (tipped, lifted, off the tray, slipped over 5 mm) and how many kept it
-    beyond a limit of the arm; how long stops took, s; how many finished instead. None for runs that were not stopped.
-    """
+    """Counts of stopped runs: loads lost (tipped, lifted, off the tray, slipped over 5 mm), kept beyond a limit of
+    the arm, finished instead; times of the stops, s. None for runs that were not stopped."""
     stopped = [row for row in rows if _is_number(row.get("stop_at"))]
     if not stopped:
         return None
@@ -147,7 +146,7 @@ LEFT_TUBES = (
 
 
 def _tube(rows: Sequence[Row]) -> dict[str, Any] | None:
-    """How many runs had a cone coefficient outside the plan's first-order tube, and how far it went.
+    """Number of runs with a cone coefficient outside the plan's first-order tube, and the largest excess.
 
     "left" counts excesses over TUBE_TOLERANCE of the tube's largest radius.
     """

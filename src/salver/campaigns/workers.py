@@ -1,4 +1,4 @@
-"""Where runs are made: in this process, in a pool of processes, on a Ray cluster. Records come as runs finish."""
+"""Workers of a campaign: this process, a pool of processes, a Ray cluster. Records come as runs finish."""
 
 from __future__ import annotations
 

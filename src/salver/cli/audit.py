@@ -126,7 +126,7 @@ def _show(result: Audit, given: str = "", options: str = "") -> None:
 
 
 def _seen(result: Audit) -> str:
-    """How the motion is known."""
+    """Quality of the recording in words."""
     motion = result.motion
     recording = motion.recording
     if recording is None:

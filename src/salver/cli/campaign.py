@@ -149,7 +149,7 @@ def _excess(tube: dict[str, Any] | None) -> str:
 
 
 def _share(value: float) -> str:
-    """Of the radius: in per cent, or how many times, where a lost load is far outside."""
+    """A share of the radius: in per cent, or as a multiple where a lost load is far outside."""
     return f"{value:.3g} times" if value >= 10 else f"{100 * value:.3g} % of"
 
 

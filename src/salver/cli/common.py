@@ -1,4 +1,4 @@
-"""What all commands share: exit codes, errors as one sentence, results for people and for machines."""
+"""Common to all commands: exit codes, errors as one sentence, results for people and for machines."""
 
 from __future__ import annotations
 

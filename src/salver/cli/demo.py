@@ -128,7 +128,7 @@ def _head(number: int, text: str) -> None:
 
 
 def _held(summary: dict[str, Any]) -> str:
-    """How often each plan kept its load, for someone who has not read the paper."""
+    """Number of runs in which each plan kept its load, in plain words."""
     held = {stem: plan["outcomes"].get("holds", {"count": 0})["count"] for stem, plan in summary["plans"].items()}
     n = summary["definition"]["n"]
     return " and ".join(f"{count} of {n} runs {_NAMES[stem]}" for stem, count in held.items())

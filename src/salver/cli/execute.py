@@ -177,7 +177,7 @@ def _given(address: str | None) -> str:
 
 
 def _warned(checks: list[Check]) -> bool:
-    """What is missing and not required, before the simulated arm moves."""
+    """Warnings before the simulated arm moves."""
     for check in checks:
         if not check.ok:
             say(f"salver: {check.sentence}")

@@ -91,7 +91,7 @@ def summary(found: Identified) -> dict[str, object]:
 
 
 def _bounds(given: list[str]) -> SensorBounds:
-    """Of NAME=VALUE each."""
+    """Bounds from NAME=VALUE options."""
     from dataclasses import fields
 
     from salver.learning import SensorBounds

@@ -77,7 +77,7 @@ def learn(
 
 
 def _tilted(trip: Trip) -> str:
-    """What the tilts after a trip showed."""
+    """Result of the tilts after a trip."""
     count, moved = len(trip.tilts), 1e3 * max(tilt.moved for tilt in trip.tilts)
     if trip.tilts[-1].found is None:
         return f"A tilt: {trip.tilts[-1].outcome}. Nothing more is tried."

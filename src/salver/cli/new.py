@@ -151,7 +151,7 @@ def _room_for(load: list[float]) -> str:
 
 
 def _liquid(text: str) -> tuple[str, float, str] | None:
-    """What it is, the height to which it is filled, and the range of that."""
+    """Kind of liquid, its fill, and the range of the fill."""
     kind, _, rest = text.strip().partition(" ")
     if kind in ("none", ""):
         return None

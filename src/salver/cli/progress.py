@@ -75,7 +75,7 @@ class Bar:
 
 
 class Lines:
-    """What a command does, as a line every `EVERY` s; none before it says something in words."""
+    """Progress of a command, a line every `EVERY` s."""
 
     def __init__(self, name: str) -> None:
         self._name, self._ended, self._begun = name, threading.Event(), time.monotonic()

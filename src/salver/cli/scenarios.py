@@ -71,6 +71,6 @@ def _objects_in_words(item: Scenario) -> str:
 
 
 def _uncertain_in_words(item: Scenario) -> str:
-    """What is uncertain, parts and axes taken together: "mass, com, friction"."""
+    """The uncertain parameters, parts and axes taken together: "mass, com, friction"."""
     kinds = [parameter.kind for parameter in item.uncertain.parameters]
     return ", ".join(dict.fromkeys(kinds)) or "nothing"

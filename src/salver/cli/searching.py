@@ -59,8 +59,10 @@ def searching(time_limit: float | None = None) -> Iterator[Watch]:
 
 
 def stopping(plan: Planned, keep: Callable[[], object]) -> Planned:
-    """The same plan with its stops, of each leg where there are several; as it is where it is not safe. Interrupted,
-    the plan without them is kept, by `keep`."""
+    """A plan with its stops, leg by leg; an unsafe plan stays as it is.
+
+    Interrupted, the plan without them is kept, by `keep`.
+    """
     from salver.planning.round import MultiLegPlan
     from salver.planning.stops import with_stops
 

@@ -110,7 +110,7 @@ def simulate(
 
 @dataclass(frozen=True)
 class _Asked:
-    """What was asked of runs. run: number in the campaign of `folder`, None for a run that belongs to none."""
+    """Options of the runs. run: number in the campaign of `folder`, None for a run that belongs to none."""
 
     directory: Path
     stem: str
@@ -123,14 +123,14 @@ class _Asked:
     speed: float = 1.0
 
     def stop(self, plan: Plan | MultiLegPlan) -> float | None:
-        """When a run of that plan is asked to stop, s; None for never."""
+        """Instant of the stop request in a run of that plan, s, or None."""
         from salver.campaigns import stop_of_run
 
         return self.stop_at if self.run is None else stop_of_run(self.directory, self.run, plan.duration, self.folder)
 
 
 def _repeated(asked: _Asked) -> _Asked:
-    """The same with the parameters and the seed of a campaign's run."""
+    """Options with the parameters and the seed of a campaign's run."""
     from salver.campaigns import parameters_of_run, read_definition
 
     if asked.parameters:
@@ -193,8 +193,8 @@ def _legs(asked: _Asked, json: bool) -> None:
 
 
 def _write(records: Sequence[SimulationRecord], scenario: Scenario, path: Path, verdict: str) -> None:
-    """What happened, leg after leg, as a motion file; one that says so where the motion is unsafe, or the load was not
-    kept."""
+    """Write the executed motion of all legs as a motion file, which says if the motion is unsafe or the load was
+    lost."""
     from salver.models.arm import load_arm
     from salver.motion_files import MotionSeries, write
     from salver.motion_files.verdict import UNSAFE, one_line
@@ -301,7 +301,7 @@ def _pose(position: float, angle: float) -> str:
 
 
 def sentences(record: SimulationRecord) -> list[str]:
-    """What a person must know about a run besides its figures."""
+    """Sentences about a run beside its figures."""
     summary: Any = record.summary
     told = []
     for item in summary["objects"]:

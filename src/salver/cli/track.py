@@ -51,7 +51,7 @@ def track(
 
 
 def unseen(found: Tracking) -> str:
-    """What the verdict does not cover, in words."""
+    """Limits of the verdict, in words."""
     return f"{UNSEEN}; what shakes faster than {found.done.fastest:.0f} Hz"
 
 

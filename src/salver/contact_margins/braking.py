@@ -1,4 +1,4 @@
-"""What a stop on the path does to the load: a robot's own protective stop, or a soft stop that scales time.
+"""Effect of a stop on the path on the load: a robot's own protective stop, or a soft stop that scales time.
 
 A stop that begins at t and takes T s lets the speed factor fall from 1 to 0 at the rate -1/T, so the arm goes on along
 its path for half of T. What the tray feels meanwhile is w(s, s') of `salver.contact_margins.time_scaling`, in the

@@ -171,7 +171,7 @@ class InterfaceMargins:
 
     @property
     def least_friction(self) -> float:
-        """Of the uncertain set."""
+        """Least friction of the uncertain set."""
         network = self.whole.model.networks[self.network]
         return self.whole.model.payload.least_friction(network.bodies[self.interface.upper])
 

@@ -1,4 +1,4 @@
-"""What margins need of a scenario, whatever the motion: its networks and their rows."""
+"""The part of margins that does not depend on the motion: networks of a scenario and their constraints."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ class MarginModel(Outlined):
         return tuple(self.rows(i, self.uncertain, edge_rows, True) for i in range(len(self.networks)))
 
     def with_only(self, parameter: Parameter) -> MarginModel:
-        """The same with only this parameter uncertain."""
+        """The model with only this parameter uncertain."""
         return replace(self, payload=self.payload.with_only((parameter,)))
 
 

@@ -85,7 +85,7 @@ class SafeSpeeds:
 
     @property
     def verdict(self) -> str:
-        """The same without what was not checked."""
+        """The verdict without the list of what was not checked."""
         tried = f" ({self.tried} speeds were tried)" if self.tried else ""
         if self.every:
             return f"Holds at every speed from 0 to 100 %{tried}."
@@ -280,7 +280,7 @@ def _between(scaled: TimeScaled, still: Array, full: Array) -> float | None:
 
 
 def _edge(scaled: TimeScaled, begin: float, here: Array, end: float, there: Array) -> float:
-    """How far from the square of a factor at which all holds, towards that of another, all of it still holds."""
+    """The largest step from the square of a factor at which all holds, towards another, at which all still holds."""
     failing, way = np.flatnonzero(there < 0), np.sign(end - begin)
     return least_root(
         lambda away, some: scaled.margin(begin + way * away, 0.0, failing[some]),
@@ -319,8 +319,8 @@ def _tried(scaled: TimeScaled) -> tuple[Intervals, float | None, int, tuple[floa
 
 
 def least_root(f: Callable[[float, Indices], Array], low: float, high: float, begin: Array, end: Array) -> float:
-    """Where the first of n concave functions turns negative between low, at which they are begin (n,), none negative,
-    and high, at which they are end (n,), all negative: to 1e-6, on the side where none has; high where there is none.
+    """The first zero of n concave functions between low, where they are begin (n,) >= 0, and high, where they are end
+    (n,) < 0: to 1e-6, on the side where none is negative; high if there is none.
 
     f: of a place, those that are asked for. A function lies above its chord: one whose chord ends beyond a root that is
     known is not asked again, and few are near the least.

@@ -46,7 +46,7 @@ class RowValues:
         return value if self.liquids is None else value + Sloshed.of(rows, self.liquids.nominal).values
 
     def at(self, keep: Indices) -> Self:
-        """The same at some of its instants."""
+        """The values at some of their instants."""
         return replace(
             self,
             t=self.t[keep],

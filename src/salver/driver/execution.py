@@ -38,7 +38,7 @@ MOST_INTERRUPTIONS = 100  # that are taken as one wish to stop
 
 @dataclass(frozen=True)
 class Watchdog:
-    """When to stop. joint_error: rad off the reference. velocity_share: of the maker's limit.
+    """Conditions that stop the arm. joint_error: rad off the reference. velocity_share: of the maker's limit.
 
     late_periods: control periods in a row that were missed.
     at_rest: rad/s; control is not left at more, unless it takes longer than longest_wait, s, after the stop should have
@@ -83,7 +83,9 @@ class Watchdog:
 
 @dataclass(frozen=True)
 class ExecutionLog:
-    """What the loop saw, K periods. t (K,): s, 0 when the motion starts. q, dq, q_wanted (K, n). sent (K, n): commands.
+    """The log of a loop over K periods.
+
+    t (K,): s, 0 when the motion starts. q, dq, q_wanted (K, n). sent (K, n): commands.
 
     woken (K,): s on the clock when the state came. spent (K,): s until the torque was sent. elapsed (K,): s that the
     robot says passed since the last state. bridged (K,): whether the state is the model's, because what the robot
@@ -256,7 +258,7 @@ class Drive:
 
     @property
     def q_wanted(self) -> Array:
-        """Where the arm should be now: what was commanded a lag ago."""
+        """Commanded joint positions a lag ago: where the arm should be now."""
         return self.reference()[0] if self.by_torque else self.late[0][0]
 
     def near(self, stop: Stop, state: ArmState) -> bool:
@@ -276,7 +278,7 @@ class Drive:
         return self.watchdog.complaint(self.arm, sensed.state, self.q_wanted, missed, self.t)
 
     def demand(self, state: ArmState, wish: str) -> Array:
-        """What the controller or the stop asks for; when that fails, what the next stop does."""
+        """Torque of the controller or the stop; if that fails, of the next stop."""
         if wish:
             self.brake(state, wish)
         while True:
@@ -404,7 +406,7 @@ class _Book:
 
 
 def timing(log: ExecutionLog, period: float) -> dict[str, Any]:
-    """How well the loop kept its period. Times in s.
+    """Statistics of the loop's period. Times in s.
 
     jitter: how far the time between two states was from the period. late: the share beyond half a period.
     missed: periods that passed without a torque of ours. step: from state to torque sent.

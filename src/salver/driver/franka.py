@@ -136,8 +136,7 @@ class FrankaRobot:
             raise _said(self._address, error) from None
 
     def _compare(self, q: Array) -> None:
-        """How the torque that the arm adds by itself differs from our model of it: of its own state, when that can be
-        believed. Where it cannot, our model alone tells how it goes on."""
+        """Keep the difference between the torque that the arm adds by itself and our model of it, if it is finite."""
         adds = np.array(self._model.gravity(self._state), dtype=float)
         if np.all(np.isfinite(adds)):
             self._differs = adds - self._arm.gravity(q)
@@ -201,7 +200,7 @@ def _arm_state(state: Any) -> ArmState:
 
 
 def check_franka(plan: Plan, arm: ArmModel) -> list[Check]:
-    """What the Franka Research 3 asks for beyond the Panda, and what its interface cannot do."""
+    """Requirements of the Franka Research 3 beyond the Panda's, and limits of its interface."""
     assert plan.joint is not None
     physics = plan.scenario.physics
     right_arm = plan.scenario.arm is not None and plan.scenario.arm.model == "panda"
@@ -217,7 +216,7 @@ def check_franka(plan: Plan, arm: ArmModel) -> list[Check]:
 
 
 def within_fr3(arm: ArmModel, motion: JointMotion) -> str:
-    """What of a motion the Franka Research 3 would not do, in a sentence; nothing when it would."""
+    """The part of a motion that exceeds the Franka Research 3, in a sentence; empty if none does."""
     return next((check.sentence for check in _within(FR3, arm, looked_at(motion)) if not check.ok), "")
 
 

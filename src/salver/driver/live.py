@@ -54,7 +54,7 @@ TOO_LONG = 10.0  # s after the last wish, at rest, in which the planner may find
 
 
 def commanded(scenario: Scenario, joint: JointMotion) -> Plan:
-    """What was commanded, from rest to rest, as a plan: judged like any motion of the joints, from where it began."""
+    """The commanded motion, from rest to rest, as a plan that is judged like any joint motion."""
     q = joint.q
     assert scenario.arm is not None
     first, arm = scenario.payload.bodies[0], load_arm(scenario.arm, scenario.tray)
@@ -68,7 +68,7 @@ def commanded(scenario: Scenario, joint: JointMotion) -> Plan:
 
 
 class LiveStop(Along):
-    """What is committed to its end, or the soonest stop from it that is ready or found."""
+    """The committed motion to its end, or the soonest stop from it that is ready or found."""
 
     def __init__(self, live: Live, course: LiveCourse, controller: ArmController, loaded: ArmModel, state: ArmState,
                  begun: float) -> None:  # fmt: skip
@@ -135,7 +135,7 @@ class LiveDrive(Drive):
         return last
 
     def noted(self) -> None:
-        """Which motion is followed, when it is another one."""
+        """Note which motion is followed when it changes."""
         live = self.live
         path, since = live.path
         if self.offset is None:
@@ -215,8 +215,8 @@ def run_live_on_franka(
     signals: Signals | None = None,
     confirm: Callable[[list[Check]], bool] = lambda checks: True,
 ) -> Execution:
-    """The same on a Franka arm, from where it stands with the load in its place on the tray, within the limits of the
-    Franka Research 3; of those that change along a joint's range, what is not within them is not committed.
+    """Run a live motion on a Franka, from where it stands with the load in place, within the limits of the Franka
+    Research 3.
 
     Raises what `dry_run_live` does, MissingDependencyError without pylibfranka.
     """
@@ -322,7 +322,7 @@ def _kept(
     realtime: bool,
     began: float,
 ) -> Execution:
-    """What was commanded as a plan, what was done as its log."""
+    """Keep the commanded motion as a plan and the executed one as its log."""
     scenario = resting.scenario
     plan, unjudged = resting, ""
     try:

@@ -1,4 +1,4 @@
-"""What is kept of a run on an arm, come what may."""
+"""The log of a run on an arm."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def summary_of(plan: Plan, robot: Robot, log_: ExecutionLog, checks: list[Check]
 
 
 def arrays_of(arm: ArmModel, log_: ExecutionLog, robot: Robot) -> dict[str, np.ndarray]:
-    """What the joints tell of a run: where the tray was, and how far off where the joints' references had it."""
+    """Arrays of a run from its joints: the tray's motion, and its distance from that of the joints' references."""
     kept = np.arange(0, len(log_.t), max(1, round(1 / (RECORD_RATE * robot.period))))
     q = log_.q[kept]
     (p_SE, R_SE), (p_wanted, R_wanted) = (

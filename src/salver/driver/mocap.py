@@ -208,7 +208,8 @@ def merge(
 
 
 def _displaced(pose: tuple[Array, Array], place: tuple[Array, Array], points_B: Array) -> Array:
-    """How far the corners of a base (m, 3) are from where they would be at another place, (T, m, 3) m, on the tray."""
+    """Displacement (T, m, 3), m, on the tray, of the corners of a base (m, 3) from where another place would put
+    them."""
     p_EB, R_EB = pose
     return p_EB[:, None] + np.einsum("tij,mj->tmi", R_EB, points_B) - (place[0] + points_B @ place[1].T)
 

@@ -1,4 +1,4 @@
-"""What must hold before an arm moves: each check is a sentence, whether it passes or not.
+"""Checks before an arm moves; each is a sentence, whether it passes or not.
 
 What is judged is the very joint motion that will be sent, not what the files say of it: between its samples too, and
 every motion alike. A number that is none, or a comparison with one, is never a pass.
@@ -49,7 +49,7 @@ class Check:
 
 
 def check_plan(plan: Plan, arm: ArmModel, bodies: Sequence[Body], full_speed_only: bool = False) -> list[Check]:
-    """What can be checked without the robot. The plan must have a joint motion.
+    """Checks that need no robot. The plan must have a joint motion.
 
     full_speed_only: whether a plan may be sent that does not keep its load at every speed.
     """
@@ -87,7 +87,7 @@ def check_plan(plan: Plan, arm: ArmModel, bodies: Sequence[Body], full_speed_onl
 
 
 def looked_at(joint: JointMotion) -> JointMotion:
-    """The same motion with more samples: where it is judged."""
+    """The motion with more samples, at which it is judged."""
     pieces = np.maximum(LOOKS, np.ceil(np.diff(joint.t) / LOOK)).astype(int)
     parts = [np.linspace(a, b, n, endpoint=False) for a, b, n in zip(joint.t[:-1], joint.t[1:], pieces, strict=True)]
     t = np.concatenate([*parts, joint.t[-1:]])
@@ -173,7 +173,7 @@ def _arm(motion: JointMotion, arm: ArmModel, bodies: Sequence[Body], plan: Plan)
 
 
 def _object_motion(arm: ArmModel, bodies: Sequence[Body], motion: JointMotion) -> MotionSamples:
-    """Where these joints take the first object, while it stays on its place."""
+    """Motion of the first object along these joints, while it stays in its place."""
     return tray_motion(arm, motion).of_frame(bodies[0].p_EB, bodies[0].R_EB)
 
 
@@ -197,7 +197,7 @@ def _reference(plan: Plan, given: MotionSamples) -> Check:
 
 
 def _contact(plan: Plan, given: MotionSamples) -> Check:
-    """What the joints' own motion asks of every contact, in the worst case of the uncertain set."""
+    """Check of every contact along the joints' own motion, in the worst case of the uncertain set."""
     status = margins(plan.scenario, given).verdict(worst=True)
     return Check("contact", status.ok, status.sentence)
 

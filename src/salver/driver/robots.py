@@ -55,12 +55,12 @@ class Robot(Protocol):
 
     @staticmethod
     def check(plan: Plan, arm: ArmModel) -> list[Check]:
-        """What it asks of a plan beyond the checks of every plan, before it is connected."""
+        """Checks of a plan by this robot, beyond those of every plan, before it is connected."""
         ...
 
     @property
     def source(self) -> str:
-        """What it is, for the log."""
+        """The robot's name in the log."""
         ...
 
     def look(self) -> ArmState:

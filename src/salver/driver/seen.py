@@ -1,4 +1,4 @@
-"""What motion capture can tell of the load: it stayed, it did not, or the recording does not say.
+"""The load in motion capture: it stayed, it did not, or the recording cannot tell.
 
 "Holds" is said only of a recording in which object and tray are seen all along, at rest before the motion, on a clock
 and in a world that fit where the joints put the tray. Every reason against that is a sentence of its own.
@@ -39,7 +39,7 @@ def judge(
     object_name: str,
     tray_name: str,
 ) -> Status:
-    """Of what `mocap.merge` made of the tracks, with the log's own p_SE beside it (arrays of `merged`)."""
+    """Judge merged tracks (`mocap.merge`), with the log's own p_SE beside them (arrays of `merged`)."""
     shift = float(merged["mocap_offset"])
     doubts = [
         f"{name}: {doubt}"

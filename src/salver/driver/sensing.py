@@ -191,7 +191,7 @@ class Senses:
         return np.asarray(np.abs(drift) <= self._plausible.drift)
 
     def _ahead(self, acting: Array, elapsed: float) -> ArmState:
-        """Where the model takes the arm from what was believed."""
+        """The state that the model predicts from the last accepted one."""
         if not self._by_torque:
             return ArmState(self._believed.q + elapsed * acting, acting)
         q, dq = self._believed.q, self._believed.dq

@@ -111,8 +111,10 @@ class SimulatedRobot:
         self._engine.mj_step(self._run.scene.model, data, nstep=self._steps - 1)
 
     def record(self, summary: dict[str, Any], began: float, plan: Plan | None = None) -> SimulationRecord:
-        """What happened to arm and objects, as of any simulation. plan: what was wanted, where that was not known
-        beforehand."""
+        """The record of arm and objects, as of any simulation.
+
+        plan: what was wanted, where that was not known beforehand.
+        """
         from salver.simulation import creep
         from salver.simulation.run import measure
 

@@ -1,4 +1,4 @@
-"""What the load is, from logs of its being carried: ranges that cover the truth, not points."""
+"""The load's parameters from logs of carrying it: ranges that cover the truth, not points."""
 
 from salver.learning.identify import Identified, identify
 from salver.learning.logs import Log, read_log

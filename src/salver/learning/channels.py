@@ -1,4 +1,4 @@
-"""What sensors say of a load: the loaded run less the empty one, channel by channel."""
+"""Sensor channels of a load: the loaded run less the empty one."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from salver.learning.noise import BlockNoise, NoiseLevel, SensorNoise
 
 @dataclass(frozen=True, eq=False)
 class SensedMotion:
-    """Of a log at N instants: tau and wrench beyond what an arm with an empty tray would read, which is model and tray;
-    and what a load adds per unit of phi. links (k, N, n): what joint torques need for each link."""
+    """A log at N instants: torques and wrench beyond those of the model of arm and empty tray, and the contribution
+    of a load per unit of phi. links (k, N, n): what joint torques need for each link."""
 
     t: Array
     samples: int
@@ -53,7 +53,7 @@ class Reading:
 
 
 def differences(motion: SensedMotion, without: SensedMotion, log: Log, empty: Log) -> list[Reading]:
-    """What every sensor says more than along the empty run."""
+    """Readings of every sensor less those of the empty run."""
     found, sensors = list[Reading](), SensorNoise()
 
     def more(values: Array, before: Array) -> Array:

@@ -1,4 +1,4 @@
-"""What makes joints deviate from a plan, fitted to a deviation: each reason with its first and second derivatives.
+"""Causes of joint deviations from a plan, fitted to a deviation, each with its first and second derivatives.
 
 A robot under its own position control answers as a second-order lag z'' + kd z' + rate^2 (z - asked) = 0 with a delay
 and friction, each joint its own (nonlinear least squares). Under salver's computed torque with gains kp, kd all joints

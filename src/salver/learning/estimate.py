@@ -140,8 +140,8 @@ def _whitened(reading: Reading, j: int, effects: Array, prior: tuple[Array, Arra
 
 
 def _denied(errors: Sequence[SystematicError], seen: Array, variance: Array) -> str | None:
-    """What is said of the error that is furthest beyond its bound, if it surely is: by the runs alone, without the
-    prior of its own, it is m / (1 - v) +- (v / (1 - v))^.5 bounds."""
+    """The systematic error that surely exceeds its bound most, in a sentence: by the runs alone, without its prior,
+    it is m / (1 - v) +- (v / (1 - v))^.5 bounds."""
     left = np.maximum(1 - variance, 1e-12)
     beyond = (np.abs(seen) / left - 1) / np.sqrt(variance / left)
     beyond[[error.kind == "filter_time" for error in errors]] = -np.inf  # deviations that are smoothed look like it

@@ -65,7 +65,7 @@ class Information(Objective):
 
     @classmethod
     def of(cls, problem: TransportProblem) -> Information:
-        """Of a scenario's load, with its ranges."""
+        """From a scenario's load with its ranges."""
         body, arm = problem.payload.first, problem.arm
         place = frame_map(body.p_EB, body.R_EB)
         maps = np.array([to_tray(body.p_EB, body.R_EB) @ wrench_map(unit) @ place for unit in np.eye(10)])

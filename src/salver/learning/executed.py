@@ -1,4 +1,4 @@
-"""What the joints did, on the plan's clock: a log with its time shift and its noise taken off.
+"""The executed joint motion on the plan's clock: a log without its time shift and its noise.
 
 Two differentiations of a joint angle turn 20 micro-radians of noise at 1 kHz into tens of rad/s^2. So not the angle is
 smoothed, but the *deviation* from the plan, and of that only what no known reason explains
@@ -30,7 +30,7 @@ from salver.trajectory import JointMotion
 
 @dataclass(frozen=True)
 class TrackingOptions:
-    """What is taken for a log of the plan, and what is looked for in it.
+    """Options of reading a log of a plan.
 
     Attributes:
         astray: share of its way (of 0.3 rad at least) that a joint may be off the plan; doubled, logs of other motions
@@ -83,7 +83,7 @@ class Executed:
         return float(self.t[1] - self.t[0])
 
     def again(self, noisy: Array) -> Executed:
-        """The same with another logged deviation (K, n), smoothed anew."""
+        """The executed motion for another logged deviation (K, n), smoothed anew."""
         off, noise = _most_likely(noisy, self.fits, self.step, (self.slowest, self.fastest))
         q, dq, ddq = self.plan.sample(self.t) + off
         return replace(self, q=q, dq=dq, ddq=ddq, off=off[0], noise=noise, noisy=noisy)
@@ -104,7 +104,8 @@ def read_joints(path: str | Path, arm: ArmModel, topic: str | None = None) -> Jo
 def executed(
     plan: JointMotion, samples: JointSamples, fitted: Fitted = of_lags, options: TrackingOptions | None = None
 ) -> Executed:
-    """What a log (in the arm's order of joints) says was done of a plan. Raises FileFormatError, one sentence."""
+    """The executed motion of a plan from its log (in the arm's order of joints). Raises FileFormatError, one
+    sentence."""
     options = options or TrackingOptions()
     t, q, source = samples.t, samples.q, samples.source
     check_times(t, q, source, plan.q)

@@ -39,7 +39,7 @@ METHOD, SHORT = "tilt", "short tilt"
 
 @dataclass(frozen=True)
 class FrictionOptions:
-    """What may be wrong in a test of friction, and how it is made. All of it is on the safe side of what is proven.
+    """Options of a friction test: its errors and its motion. All of it is on the safe side of what is proven.
 
     Attributes:
         level: deg by which a robot's base may lean; doubled, a slow tilt proves 0.01 less.
@@ -73,8 +73,10 @@ USUAL = FrictionOptions()
 
 @dataclass(frozen=True)
 class Friction:
-    """What a run shows of one load's friction. low: proven by not having slid, at `low_time`; None when nothing is.
-    high: by having slid, at `high_time`, or None. plan: what was carried out.
+    """Range of one load's friction from a run.
+
+    low: proven by not having slid, at `low_time`; None when nothing is. high: by having slid, at `high_time`, or
+    None. plan: what was carried out.
     """
 
     plan: Plan
@@ -85,7 +87,7 @@ class Friction:
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """What was found, of which contact, and under which unknowns."""
+        """The result in sentences: contact, range, and what is unknown."""
         where = f"the base of {self.plan.scenario.payload.first.name} on the tray, as a mean weighted by pressure"
         under = "for every centre of mass and place within the ranges"
         found = (("least", self.low, self.low_time), ("most", self.high, self.high_time))
@@ -192,7 +194,7 @@ def friction(
     level: float | None = None,
     options: FrictionOptions = USUAL,
 ) -> Friction:
-    """What a run of a plan shows of the load's friction.
+    """Friction of the load from a run of a plan.
 
     samples: what the joints did, from rest to rest; None: what was planned, within `options.unseen`. held: s after the
     motion began until which the load surely did not slide; unless given, to the end when `slid` is not given either.

@@ -48,7 +48,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class IdentifyOptions:
-    """What is taken for logs of one rigid load on this arm.
+    """Options of the identification of one rigid load.
 
     Attributes:
         bandwidth: Hz, of what is believed of a measured deviation from the plan; doubled, noise shakes the arm's model.
@@ -141,8 +141,9 @@ class Run:
 
 
 def identify(plan: Plan, loaded: Sequence[Log], empty: Log, bounds: SensorBounds | None = None) -> Identified:
-    """What logs of a plan's motion tell of its load. empty: the same motion with nothing on the tray. bounds: of the
-    sensors' systematic errors.
+    """Identify the load from logs of a plan's motion.
+
+    empty: the same motion with nothing on the tray. bounds: of the sensors' systematic errors.
 
     Raises ScenarioError for a scenario that this cannot be asked of, FileFormatError for logs that do not belong to it
     or show a systematic error beyond its bound, SalverError when the logs contradict the scenario's ranges.
@@ -153,7 +154,7 @@ def identify(plan: Plan, loaded: Sequence[Log], empty: Log, bounds: SensorBounds
 def identify_runs(
     scenario: Scenario, runs: Sequence[Run], within: Scenario | None = None, bounds: SensorBounds | None = None
 ) -> Identified:
-    """What runs of any plans tell of a scenario's load, which stood at the same place in all of them.
+    """Identify a scenario's load from runs of any plans, in which it stood at the same place.
 
     within: a scenario of the same load whose ranges are known to hold it too (the scenario's own unless given): what is
     told lies within these. Raises as `identify` does.
@@ -216,7 +217,7 @@ def _one_rigid_load(scenario: Scenario, runs: Sequence[Run]) -> None:
 
 
 def _felt(scenario: Scenario, runs: Sequence[Run], known: tuple[Array, Array]) -> list[list[Reading]]:
-    """Of each run: what sensors felt of the load.
+    """Sensor channels of each run.
 
     known: what the scenario says of phi, and its spread. Raises FileFormatError for logs that belong to no such run.
     """

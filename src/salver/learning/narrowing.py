@@ -99,7 +99,7 @@ def _not_denied(mass: Range, nominal: Array, ranged: Mask, denied: Ends) -> None
 
 
 def not_shown(ranges: dict[str, Range], sensors: set[str]) -> list[str]:
-    """What this motion does not show, and what would."""
+    """Parameters that this motion does not show, and a motion that would."""
     told, open_ = [], [name for name, r in ranges.items() if r.before[1] > r.before[0] and not r.learnt]
     lacking = [name for name in open_ if name in NAMES]
     if lacking:

@@ -1,4 +1,4 @@
-"""How sensors err: covariances over time, and how large they are in a log.
+"""Noise of sensors: covariances over time, and their size in a log.
 
 Errors of a channel at times d apart have the covariance
 
@@ -31,15 +31,17 @@ class NoiseLevel:
     drift: float
 
     def share(self, told: NoiseLevel, samples: int) -> float:
-        """How many times larger white and coloured noise together are, in a mean over `samples`."""
+        """Ratio of this noise to `told`, white and coloured together, in a mean over `samples`."""
         both = [n.white**2 / samples + n.coloured**2 for n in (self, told)]
         return float(np.sqrt(both[0] / both[1]))
 
 
 @dataclass(frozen=True)
 class SensorNoise:
-    """What is known of sensors' noise before a log. White and coloured noise are looked for between a tenth and 16
-    times as much; drift and times are taken as they are.
+    """Prior knowledge of sensors' noise.
+
+    White and coloured noise are looked for between a tenth and 16 times as much; drift and times are taken as they
+    are.
 
     Attributes:
         torque, force, moment: of joint torques (N m: some 0.1 on a Panda, franka_ros issue 404) and of a wrist sensor.
@@ -65,8 +67,8 @@ class SensorNoise:
 
 @dataclass(frozen=True, eq=False)
 class BlockNoise:
-    """Of N blocks of one log, means over `samples` that end where the next begin: covariances (N, N) of coloured noise
-    and drift per unit; of the former sizes and vectors, of the latter the square root (N, r), with what matters."""
+    """Noise of N blocks of one log, means over `samples` that end where the next begin: covariances (N, N) of
+    coloured noise and drift per unit; sizes and vectors of the former, the square root (N, r) of the latter."""
 
     samples: int
     coloured: Array

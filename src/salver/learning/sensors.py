@@ -82,7 +82,7 @@ class Sensors:
 
 @dataclass(frozen=True)
 class Defects:
-    """How wrong a sensor is beside its noise: sizes, each with a random sign in every channel.
+    """Systematic errors of a sensor: sizes, each with a random sign in every channel.
 
     In all runs: scale: share. cross_talk: share of every other channel, through `LEVER` between forces and torques.
     position (m), tilt (rad): of a wrist sensor from the flange, about each axis. delay: s. bandwidth: Hz of a

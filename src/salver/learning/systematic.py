@@ -22,7 +22,7 @@ AXES = ("x", "y", "z")
 
 @dataclass(frozen=True)
 class SensorBounds:
-    """How far sensors may be wrong beside their noise. All are largest absolute values, not standard deviations.
+    """Bounds of sensors' systematic errors. All are largest absolute values, not standard deviations.
 
     Each log and the empty run are compared, so a bias counts by what it is other than in the empty run. The defaults
     are wide enough for usual sensors; sources are in docs/howto/identify.md.
@@ -85,8 +85,10 @@ class SystematicError:
 
 @dataclass(frozen=True, eq=False)
 class Felt:
-    """What a load makes m channels read at N instants t: values (N, m). slid (2, N, m): what they would read more per
-    m by which it slides along x and y. q (N, n): the arm's posture."""
+    """Readings (N, m) of m channels at N instants t under a load.
+
+    slid (2, N, m): what they would read more per m by which it slides along x and y. q (N, n): the arm's posture.
+    """
 
     t: Array
     q: Array
@@ -99,7 +101,7 @@ class Felt:
 
 
 def wrist_errors(bounds: SensorBounds, felt: Felt) -> Iterator[SystematicError]:
-    """Of a wrist sensor with six channels."""
+    """Systematic errors of a wrist sensor with six channels."""
     channels, values, eye = (*FORCES, *MOMENTS), felt.values, np.eye(6)
     unit = np.array([1.0] * 3 + [bounds.lever] * 3)
     bend = _postures(felt.q)
@@ -124,7 +126,7 @@ def wrist_errors(bounds: SensorBounds, felt: Felt) -> Iterator[SystematicError]:
 
 
 def torque_errors(bounds: SensorBounds, felt: Felt, links: Array) -> Iterator[SystematicError]:
-    """Of torques of n joints. links (k, N, n): what those need for each link."""
+    """Systematic errors of the torques of n joints. links (k, N, n): what those need for each link."""
     n, size = felt.values.shape[1], bounds.torque_scale
     for j in range(n):
         bias = _only(j, n, bounds.torque_bias, felt.values)

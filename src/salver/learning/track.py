@@ -31,7 +31,8 @@ from salver.trajectory import JointMotion
 
 @dataclass(frozen=True, eq=False)
 class Judge:
-    """What judges a motion of an arm with its load: rows of every network, and how a wrong load makes the arm stray."""
+    """Judges a motion of an arm with its load: contact constraints of every network, with the arm's response to
+    parameter errors."""
 
     scenario: Scenario
     arm: ArmModel
@@ -63,7 +64,7 @@ class Judge:
         return motion_terms(self.model, self.arm.tray_id, q, dq, ddq)
 
     def drift(self, t: Array, terms: MotionTerms) -> Drift | None:
-        """How a wrong load changes what the tray feels along a motion."""
+        """Tracking perturbation along a motion."""
         if self.loop is None:
             return None
         rates = np.stack([terms.dq, terms.ddq, np.gradient(terms.ddq, t, axis=0)])
@@ -120,13 +121,15 @@ class Tracking:
 
     @property
     def excess(self) -> float:
-        """What is missing on what was executed, of the weight; 0 when nothing is. Rather too much than too little: two
-        standard deviations of what noise may hide are among it."""
+        """The excess: margin missing on the executed motion, as a share of the weight; 0 if none is.
+
+        Rather too much than too little: two standard deviations of what noise may hide are among it.
+        """
         return max(0.0, self.row + 2 * self.noise)
 
     @property
     def uncertainty(self) -> float:
-        """Of the row: as much again, since smoothing takes away what it does not follow."""
+        """Uncertainty of the excess, doubled, because smoothing also removes real deviation."""
         return 4 * self.noise
 
     @property
@@ -143,7 +146,7 @@ class Tracking:
 
     @cached_property
     def cause(self) -> str:
-        """Which joint, and what it does, in words."""
+        """The joint that causes most of the excess, and how, in words."""
         joint = self.joints[0]
         kind = "lags by" if joint.lag > 0 else "leads by"
         what = f"{kind} {abs(1e3 * joint.lag):.2f} ms against all together"

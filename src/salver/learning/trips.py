@@ -46,7 +46,7 @@ Sensor = Literal["wrist", "torques"]
 
 @dataclass(frozen=True)
 class LearningOptions:
-    """How a load is learnt while it is carried.
+    """Options of learning a load while it is carried.
 
     Attributes:
         rate: samples of the simulated sensors a second.
@@ -144,9 +144,10 @@ def trips(
     tilts: bool = True,
     level: float = USUAL.levelled,
 ) -> Iterator[Trip]:
-    """So many trips with one hidden true load, drawn with the seed; ends early when the load is lost. first: the plan
-    to begin with, of this scenario; unless given it is made. tilts: whether friction is looked for after the first
-    trip, with a robot whose base is level to so many deg.
+    """Trips with one hidden true load that is drawn with the seed; they end early when the load is lost.
+
+    first: the plan to begin with, of this scenario; unless given it is made. tilts: whether friction is looked for
+    after the first trip, with a robot whose base is level to so many deg.
 
     Raises ScenarioError for a scenario without an arm or with several objects, or for which no safe motion is found.
     """
@@ -201,7 +202,7 @@ class _Hidden:
         return values | {"friction": float(self.true[10])}
 
     def carried(self, plan: Plan) -> SimulationRecord:
-        """What becomes of it on the tray."""
+        """Outcome of the load on the tray."""
         physics = plan.scenario.physics
         step = min(physics.timestep, physics.command_period / np.ceil(physics.command_period / LEARNING.timestep))
         stiff = replace(plan, scenario=plan.scenario.with_changes(physics__timestep=float(step)))
@@ -277,7 +278,7 @@ def _empty(plan: Plan, named: dict[str, float]) -> tuple[Plan, dict[str, float]]
 
 
 def _done(plan: Plan, named: dict[str, float], seed: int) -> Done:
-    """What the engine's arm does, `LEARNING.rate` times a second."""
+    """Motion of the engine's arm, `LEARNING.rate` times a second."""
     trace = Experiment(plan).strapped(named, seed)
     ddq = np.gradient(trace.dq, trace.t, axis=0)
     every = max(1, round(1 / (LEARNING.rate * (trace.t[1] - trace.t[0]))))

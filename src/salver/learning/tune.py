@@ -31,7 +31,7 @@ from salver.trajectory import JointMotion
 
 @dataclass(frozen=True)
 class TuningOptions:
-    """How hard a robot is tried before it is refused.
+    """Options of tuning a robot, and limits at which it is refused.
 
     Attributes:
         gain: share of what was missed that is added to the command; at twice the default corrections overshoot.
@@ -71,7 +71,7 @@ class TuningRun:
 
     @property
     def plan(self) -> Plan:
-        """What was told to do."""
+        """The commanded plan."""
         return self.tracking.plan
 
 
@@ -134,7 +134,7 @@ def _done(number: int, seen: Tracking) -> TuningRun:
 
 
 def beyond_limits(plan: Plan) -> str:
-    """Which of the maker's limits the command of a plan oversteps, in words; empty for none, or without a command."""
+    """The maker's limits that a plan's command exceeds, in words; empty if none, or without a command."""
     if plan.command is None or plan.scenario.arm is None:
         return ""
     limits, told = load_arm(plan.scenario.arm, plan.scenario.tray).limits, plan.command

@@ -74,7 +74,7 @@ class KeepLoad(PolicyActionProcessorStep):
 
     @property
     def state(self) -> State:
-        """What became of the policy's wishes."""
+        """Outcome of the policy's requests."""
         return self.live.state
 
     def action(self, action: torch.Tensor) -> torch.Tensor:

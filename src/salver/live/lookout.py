@@ -26,14 +26,16 @@ FINEST = 2e-3  # s between exact looks
 
 @dataclass(frozen=True, eq=False)
 class Sighting:
-    """What is predicted to pass, as of one call of `Live.obstacles`; which one it is tells worlds apart. news: counts
-    the calls that told of something else than had been predicted."""
+    """The moving obstacles of one call of `Live.obstacles`, with a number that tells calls apart.
+
+    news: counts the calls that told of something else than had been predicted.
+    """
 
     obstacles: tuple[Predicted, ...] = ()
     news: int = 0
 
     def then(self, found: Sequence[Predicted], now: float) -> Sighting:
-        """What is seen at live time `now`, s."""
+        """Predicted obstacles at live time `now`, s."""
         before = {one.name: one for one in self.obstacles if one.until >= now}
         same = len(found) == len(before) and all(
             one.name in before and before[one.name].foresaw(one, now) for one in found
@@ -53,8 +55,10 @@ class Near:
 
 @dataclass(frozen=True, eq=False)
 class Outlook:
-    """What is to be expected of a commanded path in a world. near: the first time of each obstacle, in order of time;
-    empty when it keeps clear."""
+    """Clearance of a commanded path from moving obstacles.
+
+    near: the first time of each obstacle, in order of time; empty when it keeps clear.
+    """
 
     sighting: Sighting
     near: tuple[Near, ...] = ()
@@ -64,7 +68,7 @@ class Outlook:
         return not self.near
 
     def sentence(self, now: float) -> str:
-        """What is to be expected from live time `now`, s, on; nothing when nothing is, or it is over."""
+        """The expected passage from live time `now`, s, on, in words; empty if there is none, or it is over."""
         left = [one for one in self.near if now <= one.until]
         if not left:
             return ""
@@ -73,8 +77,8 @@ class Outlook:
 
 
 class Path:
-    """What is commanded, as it is looked at: a motion from live time `since` on, and m by which what stands on the tray
-    may be elsewhere: off (K,) at live times t (K,)."""
+    """A commanded motion to be checked: from live time `since` on, with the uncertainty off (K,), m, of objects on
+    the tray at live times t (K,)."""
 
     def __init__(self, motion: JointMotion, since: float, t: Array, off: Array) -> None:
         self.motion, self.since, self.t, self.off = motion, since, t, off
@@ -112,7 +116,7 @@ class Path:
 
 
 class Lookout:
-    """Of one arm, with work space of its own; threads wait for one another."""
+    """Checks one arm against moving obstacles, with work space of its own; threads wait for one another."""
 
     def __init__(self, problem: TransportProblem) -> None:
         self._movable = None if problem.keep_out is None else Movable(problem.keep_out.parts.apart())
@@ -125,7 +129,7 @@ class Lookout:
         return self._movable is not None
 
     def outlook(self, path: Path, sighting: Sighting, now: float) -> Outlook:
-        """What is to be expected from live time `now`, s, on."""
+        """The expected passage from live time `now`, s, on."""
         obstacles = [one for one in sighting.obstacles if one.until > now]
         if self._movable is None or not obstacles:
             return Outlook(sighting)

@@ -1,4 +1,4 @@
-"""How near a motion came to what limits it, by name, for whoever looks at a live motion's state."""
+"""Margins of a committed motion by the name of each constraint, for the state of a live motion."""
 
 from __future__ import annotations
 
@@ -16,8 +16,11 @@ from salver.planning.fastest.constraints import Clearance, JointLimit, LevelCons
 
 @dataclass(frozen=True, eq=False)
 class ConstraintMargins:
-    """How near a verified motion came to its constraints. t: (N,) live time, s. row: (N,) the largest row there, as a
-    share of what it limits, 0 at the constraint's boundary; what: (N,) which row, an index into names."""
+    """Margins of a verified motion from its constraints.
+
+    t: (N,) live time, s. row: (N,) the largest row there, as a share of what it limits, 0 at the constraint's
+    boundary; what: (N,) which row, an index into names.
+    """
 
     t: Array
     row: Array
@@ -57,7 +60,7 @@ class ConstraintMargins:
 
 
 def _labels(block: Block, problem: TransportProblem) -> Sequence[str]:
-    """What rows of a block are called: by joint, where there is one for each, or by what has to keep apart."""
+    """Names of a block's constraints: by joint if there is one for each, else by the pair that must keep apart."""
     if isinstance(block.of, Clearance):
         parts = block.of.keep_out.parts
         return [f"{block.name} of {parts.names[i]} from {parts.names[j]}" for i, j in parts.pairs]

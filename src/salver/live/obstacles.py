@@ -1,4 +1,4 @@
-"""What moves around the arm: where it is predicted to be, and rows that keep arm, tray and load clear of it in time.
+"""Moving obstacles: their prediction, and constraints that keep arm, tray and load clear of them in time.
 
 A prediction is believed for a while, with an uncertainty that grows. A motion is clear when, at each of its instants
 and then at rest for as long as the prediction lasts, no part of the arm that can move is nearer than is required.
@@ -63,7 +63,7 @@ class Moving:
 
 
 def predicted(seen: Moving, now: float, clock: float | None = None) -> Predicted | Status:
-    """What is predicted at live time `now`, s, when the loop's clock is at `clock`, or why nothing can be."""
+    """Predictions at live time `now`, s, when the loop's clock is at `clock`, or why there is none."""
 
     def refused(what: str) -> Status:
         return Status("refused", f"{what} of the obstacle {seen.name}", False)
@@ -140,7 +140,7 @@ def predicted(seen: Moving, now: float, clock: float | None = None) -> Predicted
 
 @dataclass(frozen=True, eq=False)
 class Predicted:
-    """Where something is at live times: powers (3, 3) of the time since t0, or samples. Believed until `until`, s."""
+    """Predicted position at live times: powers (3, 3) of the time since t0, or samples. Believed until `until`, s."""
 
     name: str
     shape: Any
@@ -158,7 +158,7 @@ class Predicted:
 
     @cached_property
     def _made(self) -> tuple[str, tuple[float, ...]]:
-        """What kind of shape it is, and its sizes."""
+        """Kind and sizes of a shape."""
         shape = self.shape
         kind = type(shape).__name__
         size = {"Sphere": lambda: (shape.radius,), "Capsule": lambda: (shape.radius, 2 * shape.halfLength)}
@@ -180,7 +180,7 @@ class Predicted:
         return where, slope
 
     def moved(self, by: Array) -> Predicted:
-        """The same elsewhere: by (3,), m."""
+        """The prediction displaced by (3,), m."""
         samples = None if self.samples is None else (self.samples[0], self.samples[1] + by)
         return replace(self, powers=self.powers + np.outer([1.0, 0.0, 0.0], by), samples=samples)
 
@@ -261,7 +261,7 @@ class Movable:
         return out
 
     def distance(self, q: Array, row: int, obstacle: Predicted, p: Array) -> float:
-        """Of one part at a posture (n,) from an obstacle at p (3,), m; exact."""
+        """Distance of one part at a posture (n,) from an obstacle at p (3,), m; exact."""
         return self._between(self._place(q)[self.index[row]], row, obstacle, p)
 
     def _between(self, placed: Any, row: int, obstacle: Predicted, p: Array) -> float:
@@ -394,8 +394,8 @@ class MovingClearance(Constraint):
 
 
 def nearest(movable: Movable, obstacles: Sequence[Predicted], q: Array, t: Array) -> tuple[float, float, str]:
-    """How near a motion through postures (N, n) at live times (N,) comes to what is predicted, beyond its uncertainty:
-    m, when, and to which. q may be one posture for all."""
+    """Least distance of a motion through postures (N, n) at live times (N,) from the predicted obstacles, beyond
+    their uncertainty: m, time, obstacle. q may be one posture for all."""
     found = (np.inf, 0.0, "")
     middles = movable.middles(q)
     for obstacle in obstacles:

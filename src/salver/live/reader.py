@@ -1,4 +1,4 @@
-"""What the robot's loop reads: the committed motion at an instant, without waiting, and without making anything new."""
+"""Reader of the robot's loop: the committed motion at an instant, without waiting and without new arrays."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the robot's loop is told, from now to rest: a committed motion, with what leads to it."""
+"""The command from now to rest: a committed motion, with the motion that leads to it."""
 
 from __future__ import annotations
 

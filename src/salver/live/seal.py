@@ -1,4 +1,4 @@
-"""Which verdicts may be believed without being made again: those of this process, and of the processes it started.
+"""Seals of verdicts: those of this process, and of the processes that it started, are accepted.
 
 A motion that passed is sealed where that was found out, inside the verdict: a keyed digest of all that is known of it
 and of the one it goes on from. Whoever commits it has the same key, which it drew itself and gave to nobody but the
@@ -22,7 +22,7 @@ _key = secrets.token_bytes(32)
 
 
 def key() -> bytes:
-    """That of this process, for a planner that it starts."""
+    """The key of this process, for a planner that it starts."""
     return _key
 
 
@@ -33,7 +33,7 @@ def use(given: bytes) -> None:
 
 
 def seal_of(found: Committed, before: Committed | None) -> bytes:
-    """That of a motion which passed, and goes on from the one before."""
+    """The seal of a motion that passed, as a continuation of the one before."""
     digest = blake2b(key=_key, digest_size=32)
     _feed(digest, [getattr(found, field.name) for field in fields(found) if field.name != "seal"])
     _feed(digest, None if before is None else before.seal)

@@ -1,4 +1,4 @@
-"""Where a live motion begins: the arm at rest, in a posture in which the load is safe."""
+"""The start of a live motion: the arm at rest, in a posture in which the load is safe."""
 
 from __future__ import annotations
 
@@ -22,8 +22,7 @@ LOOKS = 8  # at postures at the scenario's start, when none is given
 
 
 def live_scenario(scenario: Scenario) -> Scenario:
-    """What is asked of live motions: that they hold at every constant speed, so that they can be run slower; of a
-    liquid, at full speed, as only that of a whole motion is looked at."""
+    """The scenario of live motions: they hold at every constant speed; with a liquid at full speed only."""
     if scenario.payload.liquids:
         return scenario.with_changes(motion__speeds="full")
     return scenario.with_changes(motion__speed_rate=0.0)

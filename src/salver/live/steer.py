@@ -61,8 +61,8 @@ BENT_RATE = 1e-3  # of a bend's acceleration, beside its size
 
 @dataclass(frozen=True, eq=False)
 class Residuals:
-    """What should be zero at points of the grid: value (r,), its derivatives parts (r, 4, n) by q and its rates there,
-    point (r,), weight (r,)."""
+    """Residuals at points of the grid: value (r,), derivatives parts (r, 4, n) by q and its rates, point (r,),
+    weight (r,)."""
 
     value: Array
     parts: Array
@@ -71,7 +71,7 @@ class Residuals:
 
 
 class Wanted(Protocol):
-    """What is followed as nearly as safety allows."""
+    """A request that is followed as nearly as safety allows."""
 
     def residuals(self, motion: MotionEvaluation, t: Array, weight: Array) -> Residuals:
         """How far a motion is from it; t: (N,) live times of the nodes, weight: (N,) s, what each stands for."""
@@ -179,9 +179,9 @@ class Bends(RestSpline):
 
 @dataclass
 class Caution:
-    """What a bend's size costs, and what is kept from the edges of rows by name, at the nodes, beside what the verdict
-    keeps everywhere: more after a bend that was refused, less after one that was not. trusting: whether the bend of a
-    first programme, if it is small, is judged without a trial: the last one that was tried was found to keep all."""
+    """Cost of a bend's size, and distances kept from the boundaries of constraints by name, beyond those of the
+    verdict: more after a bend that was refused, less after one that passed. trusting: whether the bend of a first
+    programme, if it is small, is judged without a trial: the last one that was tried was found to keep all."""
 
     weight: float = LEAST_CAUTION
     trusting: bool = True
@@ -247,7 +247,7 @@ class Steering:
         return cls(problem, sought, spline, grid, smooth, np.kron(gram, each), np.kron(size, each), Caution())
 
     def tick(self, wanted: Wanted, base: Committed, begins: float) -> tuple[Committed | None, Status]:
-        """What is committed bent towards what is wanted, from live time `begins` on."""
+        """Bend the committed motion towards the request, from live time `begins` on."""
         bends = self._bends(wanted, base, begins)
         found = next(bends, None)
         if found is None:
@@ -380,7 +380,7 @@ class Steering:
         yield bend, kept
 
     def _unknowns(self, motion: MotionEvaluation) -> Unknowns:
-        """What the bend makes of what the tray feels at the nodes."""
+        """Derivatives of the tray's motion regressor at the nodes by the bend."""
         slope = motion.terms.w_z
         parts = np.zeros((slope.shape[0] * slope.shape[1], 4, motion.n))
         parts[:, :3] = slope.reshape(len(parts), 3, motion.n)

@@ -1,4 +1,4 @@
-"""What is carried and what carries it."""
+"""The load and the arm that carries it."""
 
 import numpy as np
 

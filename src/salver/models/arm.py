@@ -86,7 +86,7 @@ class ArmModel:
         return int(self.pin_model.nv)
 
     def unit(self, joint: int) -> str:
-        """Of a joint's position: rad, or m where it slides."""
+        """Unit of a joint's position: rad, or m if it is prismatic."""
         return "m" if self.linear[joint] else "rad"
 
     def tray_pose(self, q: Array) -> tuple[Array, Array]:
@@ -305,7 +305,7 @@ def _attach_tray(model: Any, flange: str, tray: TrayDescription, p_FE: Array, co
 
 
 def _urdf_limits(model: Any) -> dict[str, Array]:
-    """What the URDF says; a velocity or torque of zero there means that nobody gave one."""
+    """Limits of a URDF; a velocity or torque of zero counts as not given."""
     return {
         "q_min": model.lowerPositionLimit.copy(),
         "q_max": model.upperPositionLimit.copy(),

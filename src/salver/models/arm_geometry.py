@@ -1,4 +1,4 @@
-"""Where the arm is: shapes of its links, the tray, what stands on it; whether they touch one another or an obstacle.
+"""Geometry of the arm: shapes of links, tray and load; whether they touch one another or an obstacle.
 
 All shapes are convex (`salver.models.link_shapes`), compared by Coal. A hull is larger than its link, so a posture that
 is found free is free, as far as it was looked at. What is not looked at is told by `ArmGeometry.unchecked`.
@@ -66,7 +66,7 @@ class ArmGeometry:
     left_out: dict[str, list[tuple[str, str]]]
 
     def apart(self) -> ArmGeometry:
-        """The same with work space of its own, for another thread."""
+        """A copy with work space of its own, for another thread."""
         arm = replace(self.arm, data=self.arm.pin_model.createData())
         return replace(self, arm=arm, data=self.model.createData())
 
@@ -215,7 +215,7 @@ class ArmGeometry:
         return carried
 
     def near(self, q: Array, distance: float) -> ArmGeometry:
-        """The same parts with only those pairs that come within a distance (m) at one of the postures (N, n)."""
+        """The geometry with only those pairs that come within a distance (m) at one of the postures (N, n)."""
         low, close = self._coming_near(q, distance)
         self._remember(q, low)
         pairs = np.flatnonzero(close)
@@ -224,7 +224,7 @@ class ArmGeometry:
         return found
 
     def _coming_near(self, q: Array, distance: float) -> tuple[Array, Mask]:
-        """What is known of the distances at postures (N, n) (N, pairs), and which pairs come near at one of them."""
+        """Bounds (N, pairs) of the distances at postures (N, n), and the pairs that come near at one of them."""
         if len(q) > _LONG:
             low = self.clearance(q, distance)
             return low, low.min(axis=0) < distance
@@ -244,7 +244,7 @@ class ArmGeometry:
         return low, close
 
     def only(self, pairs: Iterable[int]) -> ArmGeometry:
-        """The same parts with some of the pairs, by their indices."""
+        """The geometry with some of the pairs, by their indices."""
         chosen = list(pairs)
         found = _with_pairs(self, tuple(self.pairs[k] for k in chosen))
         # Asked for again and again, along every motion that is looked at.
@@ -252,7 +252,7 @@ class ArmGeometry:
         return found
 
     def in_the_way(self, p_SE: Array, R_SE: Array) -> tuple[str, str] | None:
-        """What of the tray and its load is inside which obstacle when the tray is at a pose, whatever the arm does."""
+        """Overlaps of tray or load with obstacles when the tray is at a pose, whatever the arm does."""
         frame, placed = self.arm.pin_model.frames[self.arm.tray_id], self.model.geometryObjects
         joint = pin.SE3(R_SE, p_SE) * frame.placement.inverse()
         around = len(self.names) - self.obstacles

@@ -46,7 +46,8 @@ class LooseObject:
 
     @property
     def own(self) -> RigidBody:
-        """What its mass, centre of mass and inertia are of, in B: all of it, or the container without its liquid."""
+        """The body that mass, centre of mass and inertia are given for, in B: all of it, or the container without
+        its liquid."""
         return self.inertial if self.empty is None else self.empty
 
     @property
@@ -88,7 +89,8 @@ class Body:
 
     @property
     def own(self) -> RigidBody:
-        """What its mass, centre of mass and inertia are of, in B: all of it, or the container without its liquid."""
+        """The body that mass, centre of mass and inertia are given for, in B: all of it, or the container without
+        its liquid."""
         return self.inertial if self.empty is None else self.empty
 
     def surface_B(self, fill: float) -> Array:

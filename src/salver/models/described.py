@@ -1,4 +1,4 @@
-"""What the models ask of whoever describes an arm, its tray and what stands around: the tables of a scenario give it.
+"""Interfaces of arm, tray and surroundings as the models need them; the tables of a scenario have them.
 
 Units and frames are those of the scenario file (docs/scenario-file.md).
 """

@@ -1,4 +1,4 @@
-"""Which pairs of an arm's parts are compared, and of which links convex pieces instead of hulls."""
+"""Pairs of an arm's parts to be compared, and links that need convex pieces instead of hulls."""
 
 from __future__ import annotations
 

@@ -162,7 +162,7 @@ def _pendulum(first: int, mass: Array, height: Array, length: Array) -> tuple[Ro
 
 @dataclass(frozen=True)
 class Liquid:
-    """What is in a container, and what must not happen to it.
+    """A liquid in a container, and its limits.
 
     size: (radius,) of an upright cylinder, or (x, y) of an upright box, inside, m. floor: height of its bottom over the
     object's base, m. fill, brim: heights over that bottom, m. density kg/m^3. damping: least and most, of critical.
@@ -197,7 +197,7 @@ class Liquid:
         return 0.5 * sum(self.damping)
 
     def unmodelled(self, owner: str) -> str:
-        """What is not known of its waves, in words; owner: name of the container."""
+        """Parts of the liquid's motion that are not modelled, in words; owner: name of the container."""
         return f"swirling or breaking waves in {owner}"
 
     def room(self, fill: float) -> float:
@@ -304,7 +304,7 @@ def _box(x: float, y: float, h: float, density: float) -> Modes:
 
 
 def _about_axis(x: float, y: float) -> float:
-    """What a box of liquid has of inertia about its upright axis, per mass: the same series, seen from above."""
+    """Inertia of a box of liquid about its upright axis, per mass: the same series, seen from above."""
     odd = 2 * np.arange(1, TERMS + 1) - 1.0
     series = float(np.sum(np.tanh(0.5 * odd * np.pi * y / x) / odd**5))
     return (x**2 + y**2) / 12 - x**2 / 3 + 64 / np.pi**5 * x**3 / y * series

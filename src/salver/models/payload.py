@@ -1,4 +1,4 @@
-"""What is carried: loose bodies on a tray, who touches whom, and what is not known about them.
+"""The load: loose bodies on a tray, their contacts, and their uncertain parameters.
 
 Made once from a scenario (`Scenario.payload`) and passed on; everything that depends on the uncertain parameters is
 asked of it or of its bodies (`Body.phi_at`, `Body.place_at`).
@@ -48,7 +48,7 @@ class Payload(Outlined):
 
     @property
     def unmodelled(self) -> tuple[str, ...]:
-        """What is not known of its liquids, in words; to be said before anything that is said to be safe."""
+        """Parts of its liquids' motion that are not modelled, in words, to stand before any verdict."""
         return tuple(body.liquid.unmodelled(body.name) for body in self.liquids if body.liquid is not None)
 
     @cached_property
@@ -58,15 +58,15 @@ class Payload(Outlined):
 
     @cached_property
     def nominal(self) -> Payload:
-        """The same, with nothing uncertain."""
+        """The load with nothing uncertain."""
         return replace(self, uncertain=NOTHING)
 
     def with_only(self, parameters: Collection[Parameter]) -> Payload:
-        """The same, with only these parameters uncertain."""
+        """The load with only these parameters uncertain."""
         return replace(self, uncertain=self.uncertain.restricted(parameters))
 
     def with_edges(self, edges: int) -> Payload:
-        """The same, with friction cones linearised by so many edges."""
+        """The load with friction cones linearised by so many edges."""
         return replace(self, bodies=tuple(replace(b, contacts=replace(b.contacts, edges=edges)) for b in self.bodies))
 
     def parameter(self, name: str) -> Parameter:

@@ -1,4 +1,4 @@
-"""Which inertial parameters an object of a given shape can have.
+"""Inertial parameters that an object of a given shape can have.
 
 Mass, centre of mass and inertia are the moments of order 0, 1, 2 of a mass distribution. Any distribution at
 all needs mass > 0 and positive second moments (which contains the triangle inequality of the principal

@@ -160,7 +160,7 @@ def find_mesh(name: str, urdf: Path, package_dirs: Sequence[Path] = ()) -> str:
 
 @lru_cache(maxsize=1)
 def shared_folder() -> Path | None:
-    """Where the package example-robot-data keeps its models, far more than come with salver; None where it is not."""
+    """Folder of the models of the package example-robot-data; None if it is not installed."""
     try:
         package = metadata.distribution(MODELS)
     except metadata.PackageNotFoundError:

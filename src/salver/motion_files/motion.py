@@ -59,7 +59,7 @@ class MotionSeries(Outlined):
 
     @classmethod
     def of(cls, samples: Samples) -> MotionSeries:
-        """What was read, to be written again."""
+        """A motion from what was read, to be written again."""
         ns: Any = np.round(samples.t * 1e9).astype(np.int64)
         if isinstance(samples, JointSamples):
             return cls(ns, samples.names, samples.q, samples.dq, samples.ddq, verdict=samples.verdict)

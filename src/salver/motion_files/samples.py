@@ -36,7 +36,7 @@ class TraySamples(Outlined):
     verdict: str = ""
 
     def paced(self, factor: float) -> TraySamples:
-        """The same path in `factor` times the time."""
+        """The path in `factor` times the time."""
         return replace(self, t=self.t * factor)
 
 
@@ -62,7 +62,7 @@ class JointSamples(Outlined):
     verdict: str = ""
 
     def paced(self, factor: float) -> JointSamples:
-        """The same path in `factor` times the time."""
+        """The path in `factor` times the time."""
         dq, ddq = (None if x is None else x / factor**k for k, x in ((1, self.dq), (2, self.ddq)))
         return replace(self, t=self.t * factor, dq=dq, ddq=ddq)
 
@@ -134,7 +134,7 @@ def joint_samples(
 
 
 def reordered(samples: JointSamples, names: tuple[str, ...]) -> JointSamples:
-    """The same motion with the columns of the joints `names`, in that order; others are left out."""
+    """The motion with the columns of the joints `names`, in that order; others are left out."""
     missing = [name for name in names if name not in samples.names]
     if missing and len(samples.names) == len(names) and not any(name in names for name in samples.names):
         return samples if _numbered(samples.names) else _refuse_names(samples, names, missing)

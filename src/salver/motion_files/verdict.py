@@ -1,5 +1,5 @@
-"""What a motion file says of the motion in it: one that fails a verdict says so in its name, and first in its text; one
-that loses its load when it is run slower says that first in its text."""
+"""The verdict in a motion file: an unsafe motion says so in its name and first in its text; one that loses its load
+when it is run slower says that first in its text."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def warns(verdict: str) -> bool:
 
 
 def place_for(path: str | Path, verdict: str, unsafe: bool) -> Path:
-    """Where a motion of that verdict is written: at `path`, or with UNSAFE at the end of its name.
+    """The path of a motion with that verdict: `path`, or with UNSAFE at the end of its name.
 
     unsafe: whether a motion that fails its verdict may be written at all. Raises UnsafeError.
     """
@@ -53,7 +53,7 @@ def verdict_in(path: Path) -> str:
 
 
 def _text(path: Path) -> str:
-    """Where the verdict of a file, or of a bag, stands."""
+    """The text with the verdict of a file or of a bag."""
     if path.suffix.lower() == ".npz":
         with np.load(path, allow_pickle=False) as arrays:
             return str(arrays["verdict"]) if "verdict" in arrays.files else ""

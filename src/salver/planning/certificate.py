@@ -1,4 +1,4 @@
-"""What ties a plan's files together: digests of the scenario, of every array and of every field of the record.
+"""Digests that tie a plan's files together: of the scenario, of every array and of every field of the record.
 
 A verdict is worth what it was given on. `certificate` is written with a plan and says what that was, piece by piece, so
 that `check` can name the piece that was edited since; results of a plan know it by the digest of this certificate

@@ -51,7 +51,7 @@ class Extent:
         return f"{text}; {near.format(mm=1e3 * self.nearest['distance'], **self.nearest)}."
 
     def record(self) -> dict[str, Any]:
-        """As plan.json holds it: SI units, and the sentence."""
+        """The record of plan.json: SI units, and the sentence."""
         return {**asdict(self), "sentence": self.sentence}
 
 

@@ -85,7 +85,7 @@ def plan_nominal(scenario: Scenario, *, options: FastestOptions | None = None, w
 
 
 def with_arm(plan: Plan, q_start: Array | None = None) -> Plan:
-    """The same plan with the joint motion that follows it, its torques, and whether the arm can; needs an arm.
+    """The plan with the joint motion that follows it, its torques, and whether the arm can; needs an arm.
 
     q_start: posture to start from instead of the scenario's or the best one, so that two plans can share theirs.
     """

@@ -1,4 +1,4 @@
-"""Which poses a motion passes, when and how near: looked for in the motion itself, whoever planned it."""
+"""Poses that a motion passes, with time and distance, looked for in the motion itself, whoever planned it."""
 
 from __future__ import annotations
 

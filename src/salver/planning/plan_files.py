@@ -96,7 +96,7 @@ def write_scenario(scenario: Scenario, directory: Path) -> None:
 
 @dataclass(frozen=True)
 class PlanFiles:
-    """What the files of a plan hold, checked against their certificate. record: plan.json."""
+    """Content of a plan's files, checked against their certificate. record: plan.json."""
 
     scenario: Scenario
     arrays: dict[str, Array]

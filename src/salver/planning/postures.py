@@ -59,7 +59,7 @@ class PoseTarget:
         return self.p_SB - R_SE @ self.p_EB, R_SE
 
     def headings(self, count: int) -> list[PoseTarget]:
-        """As many poses that it stands for, evenly turned; itself where it has its heading."""
+        """Poses with so many evenly turned headings; the pose itself if its heading is given."""
         if not self.yaw_free:
             return [self]
         turns = exp(np.linspace(0.0, 2 * np.pi, count, endpoint=False)[:, None] * np.array([0.0, 0.0, 1.0]))

@@ -48,7 +48,7 @@ class Quadratic:
 
     @cached_property
     def share(self) -> float:
-        """Of the rows' entries that are not zero."""
+        """Share of the rows' entries that are not zero."""
         return np.count_nonzero(self.rows) / max(1, self.rows.size)
 
 
@@ -147,7 +147,7 @@ def interior_point(programme: Quadratic, tolerance: float) -> Optimum | None:
 
 
 def _sparse(matrix: Array) -> csc_matrix:
-    """What is not zero of a matrix, column by column; a seventh of the time that SciPy takes."""
+    """The nonzero entries of a matrix, column by column; in a seventh of the time that SciPy takes."""
     from scipy.sparse import csc_matrix  # not loaded by whoever has no band
 
     columns = np.ascontiguousarray(matrix.T)

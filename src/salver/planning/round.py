@@ -43,7 +43,7 @@ class MultiLegPlan(Shown):
 
     @property
     def duration(self) -> float:
-        """Of all motions together, s; without the time that is spent at stops."""
+        """Duration of all motions together, s, without the time at stops."""
         return sum(leg.duration for leg in self.legs)
 
     @property
@@ -70,7 +70,7 @@ class MultiLegPlan(Shown):
 
     @property
     def verdict(self) -> str:
-        """What its files say of it, in one line, as `Plan.verdict`."""
+        """The verdict in its files, in one line, as `Plan.verdict`."""
         failing = [f"leg {k}: {leg.verdict}" for k, leg in enumerate(self.legs, 1) if not leg.ok]
         if not self.status.ok:
             failing.insert(0, self.status.sentence)
@@ -84,17 +84,17 @@ class MultiLegPlan(Shown):
 
     @cached_property
     def warnings(self) -> tuple[str, ...]:
-        """As of a plan, of the whole task."""
+        """Warnings of the whole task, as of a plan."""
         return warnings_of(self.scenario)
 
     @property
     def unchecked(self) -> tuple[str, ...]:
-        """What the verdict does not cover, in words; to be said before anything that is said to be safe."""
+        """Parts of the verdict that were not checked, in words, to stand before it."""
         stops = ("what happens at the stops while objects are taken off and put on",) if len(self.legs) > 1 else ()
         return tuple(dict.fromkeys((*stops, *(what for leg in self.legs for what in leg.unchecked))))
 
     def facts(self) -> dict[str, str]:
-        """What a notebook shows of it."""
+        """Facts that a notebook shows."""
         carried = (", ".join(item.name for item in leg.scenario.objects) for leg in self.legs)
         return {
             "scenario": self.scenario.name,
@@ -109,7 +109,7 @@ class MultiLegPlan(Shown):
         }
 
     def summary(self) -> dict[str, Any]:
-        """What `plan.json` holds: that of each leg under `legs`."""
+        """Content of `plan.json`: that of each leg under `legs`."""
         return {
             "verdict": self.verdict,
             "method": self.method,
@@ -125,7 +125,7 @@ class MultiLegPlan(Shown):
         }
 
     def arrays(self) -> dict[str, Array]:
-        """What `plan.npz` holds: the arrays of each leg, with "leg1." and so on in front."""
+        """Content of `plan.npz`: the arrays of each leg, with "leg1." and so on in front."""
         return {f"leg{k}.{name}": a for k, leg in enumerate(self.legs, 1) for name, a in leg.arrays().items()}
 
     def save(self, directory: str | Path, stem: str = "plan") -> Path:

@@ -19,8 +19,8 @@ _ARRAYS = ("t", "duration", "s", "q", "dq", "ddq", "stray")
 
 @dataclass(frozen=True)
 class StopCourse:
-    """What is done when a stop is asked for: the plan until `leaves`, s, then stop number `stop` of the library; None:
-    nothing but the plan (and rest, where that is over). rests: s, when the arm is at rest."""
+    """The motion after a stop request: the plan until `leaves`, s, then stop number `stop` of the library; None: the
+    plan to its end. rests: s, when the arm is at rest."""
 
     leaves: float
     stop: int | None
@@ -87,8 +87,7 @@ class StopLibrary(Shown):
         return JointMotion(self.s * self.duration[k], self.q[k], self.dq[k], self.ddq[k])
 
     def stopped(self, plan: JointMotion, now: float) -> JointMotion:
-        """What is moved when a stop is asked for at `now` > 0: the plan to the instant of the best stop, and that
-        stop."""
+        """The motion after a stop request at `now` > 0: the plan to the instant of the best stop, and that stop."""
         course = self.course(now)
         if course.stop is None:
             return plan
@@ -99,7 +98,7 @@ class StopLibrary(Shown):
         return JointMotion(t, *states)
 
     def facts(self) -> dict[str, str]:
-        """What a notebook shows of it."""
+        """Facts that a notebook shows."""
         return {"stops": str(len(self.t)), "longest": f"{self.longest:.3g} s"}
 
     @property
@@ -117,7 +116,7 @@ class StopLibrary(Shown):
         )
 
     def arrays(self) -> dict[str, Array]:
-        """As `plan.npz` holds them."""
+        """The arrays of `plan.npz`."""
         return {f"stop_{name}": getattr(self, name) for name in _ARRAYS}
 
     @classmethod

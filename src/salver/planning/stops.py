@@ -58,7 +58,7 @@ Space = Literal["object", "joint"]
 
 
 def with_stops(plan: Plan, progress: Progress | None = None) -> Plan:
-    """The same plan with its stops. Raises ScenarioError when it is no safe plan of an arm."""
+    """The plan with its stops. Raises ScenarioError when it is no safe plan of an arm."""
     if plan.joint is None or not plan.ok:
         raise ScenarioError("Stops are planned for safe plans of an arm; this plan is none.")
     problem = stop_problem(plan)
@@ -68,7 +68,7 @@ def with_stops(plan: Plan, progress: Progress | None = None) -> Plan:
 
 
 def stop_problem(plan: Plan) -> TransportProblem:
-    """What the stops of a plan must keep: all that the scenario asks of a fastest motion.
+    """The transport problem of a plan's stops: every constraint of a fastest motion of the scenario.
 
     Where the plan itself tilts further, or passes things more closely, a stop may too.
     """
@@ -85,7 +85,7 @@ def stop_problem(plan: Plan) -> TransportProblem:
 
 
 def stopped(plan: Plan, now: float) -> Plan:
-    """What becomes of a plan when a stop is asked for at `now`, s. Raises ScenarioError when it has no stops."""
+    """The plan after a stop request at `now`, s. Raises ScenarioError when it has no stops."""
     if plan.stops is None or plan.joint is None:
         raise ScenarioError("This plan has no stops; plan it with salver plan SCENARIO --stops.")
     if not 0 < now <= plan.duration:
@@ -321,7 +321,7 @@ def along(problem: TransportProblem, motion: JointMotion, space: Space) -> tuple
 
 
 def past_of(problem: TransportProblem, t: Array, felt: Array, strayed: Deviation | None) -> Past | None:
-    """What liquids come from along the motion; None without one."""
+    """Modal states of liquids along the motion; None without one."""
     if not problem.liquids:
         return None
     return Sloshing.of(problem.every_case, t, felt, strayed).past(t)

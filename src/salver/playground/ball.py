@@ -53,7 +53,7 @@ def furnish(spec: Any, arm: ArmModel, throw: Throw) -> None:
 
 
 class Ball:
-    """Of one scene; away until it is thrown."""
+    """The ball of one scene; away until it is thrown."""
 
     def __init__(self, model: Any, arm: ArmModel, payload: Payload, throw: Throw) -> None:
         self._throw, self.radius = throw, throw.radius
@@ -92,7 +92,7 @@ class Ball:
 
     @property
     def sentence(self) -> str:
-        """How near it came, or what it hit, while it flies."""
+        """Its least distance, or what it hit, while it flies."""
         if not self.flies or not np.isfinite(self.passed):
             return ""
         if self._hit:

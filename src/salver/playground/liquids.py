@@ -14,8 +14,11 @@ from salver.simulation.trace import Recorder, Trace
 
 
 class LiquidSurfaces:
-    """What was seen of them lately. Part of a surface follows what its container feels, as a mean over some time: so it
-    is known half of that later (11 ms for a cup of 80 mm)."""
+    """Recent surfaces of liquids.
+
+    Part of a surface follows what its container feels, as a mean over some time: so it is known half of that later
+    (11 ms for a cup of 80 mm).
+    """
 
     def __init__(self, scene: Scene, period: float) -> None:
         """period: s between samples."""
@@ -44,7 +47,7 @@ class LiquidSurfaces:
 
     @property
     def shown(self) -> list[DrawnSurface | None]:
-        """Of each object the surface as it is now, a single sample; None without a liquid."""
+        """The surface of each object now, a single sample; None without a liquid."""
         if self._scene.swings:
             self._look()
         return self._shown

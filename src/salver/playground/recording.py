@@ -1,4 +1,4 @@
-"""What was steered, kept as a run directory: what was commanded is its plan, what the engine did the log of it.
+"""A recording as a run directory: the commanded motion is its plan, the engine's motion its log.
 
 So all that is there for plans is there for it: `salver report`, `salver export`, `salver simulate`.
 """
@@ -66,7 +66,7 @@ class SessionRecording:
         self._recorder.take(data)
 
     def commanded(self) -> Plan:
-        """What was commanded, judged like any motion of the joints from rest to rest."""
+        """The commanded motion, judged like any joint motion from rest to rest."""
         count = self._recorder.count
         q, dq, ddq = self._wanted[:, :count].copy()
         return commanded(self.scenario, JointMotion(self._recorder.t[:count] - self._recorder.t[0], q, dq, ddq))

@@ -1,4 +1,4 @@
-"""The same hand without protection: a servo that keeps the arm's own limits and knows nothing of what it carries.
+"""The hand without protection: a servo that keeps the arm's limits and knows nothing of the load.
 
 It is what jogging usually is: a velocity of the tray, by the damped pseudo-inverse of the Jacobian, cut to the joints'
 velocities and accelerations. The tray is kept level.
@@ -16,7 +16,7 @@ from salver.models.arm import ArmModel
 
 @dataclass(frozen=True)
 class Jogging:
-    """How a hand without protection moves the arm.
+    """Options of the hand without protection.
 
     response: s in which a velocity is taken up, where accelerations allow. damping: of the pseudo-inverse. levelling:
     1/s. approach, fastest: m/s^2 by which it brakes towards a goal, m/s towards it. room: rad before a joint's end.

@@ -36,7 +36,7 @@ def joined(parts: Iterable[object]) -> Markup:
 
 
 def outcome_cell(word: object) -> Markup:
-    """How a run ended, with its colour."""
+    """The outcome of a run, with its colour."""
     return _named(OUTCOME_COLOURS.get(str(word), GREY), word)
 
 

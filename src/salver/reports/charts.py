@@ -103,7 +103,7 @@ def margin_charts(run: ReportedRun) -> list[Spec]:
 
 
 def braking_charts(run: ReportedRun) -> list[Spec]:
-    """What a stop on the path does to the load; nothing of liquids."""
+    """Effect of a stop on the path on the load; not with liquids."""
     found = [(m, run.contact[m.stem].braking) for m in run.motions]
     curves = [series(m, m.label, known.durations, 100 * known.kept) for m, known in found if known is not None]
     note = (
@@ -162,7 +162,7 @@ def cone_charts(run: ReportedRun) -> list[Spec]:
 
 
 def sensitivity_charts(run: ReportedRun) -> list[Spec]:
-    """How far wrong parameters take the object off its reference, and how much they change the contact forces."""
+    """Deviation of the object, and change of the contact forces, under parameter errors."""
     wanted = [
         (
             "Position",
@@ -223,7 +223,7 @@ def _state_radius(run: ReportedRun, m: ReportedMotion) -> Array:
 
 
 def reference_charts(run: ReportedRun) -> list[Spec]:
-    """Where the object is taken, per axis, relative to the start."""
+    """Path of the object per axis, relative to the start."""
     charts = []
     for axis, name in enumerate("xyz"):
         curves = [series(m, m.label, m.t, m.arrays["p_SB"][:, axis]) for m in run.motions]
@@ -252,7 +252,7 @@ def joint_charts(run: ReportedRun, limits: JointLimits) -> list[Spec]:
 
 
 def clearance_charts(run: ReportedRun, arm: ArmModel) -> list[Spec]:
-    """How near arm, tray and load come to one another and to what stands around, over time."""
+    """Clearance of arm, tray and load from one another and from obstacles, over time."""
     from salver.models.arm_geometry import arm_geometry
 
     try:
@@ -277,8 +277,8 @@ def clearance_charts(run: ReportedRun, arm: ArmModel) -> list[Spec]:
 
 
 def liquid_charts(run: ReportedRun) -> list[Spec]:
-    """How high each liquid stands over its level at rest, and its brim: along the plans, with the range over fills and
-    dampings, and as the physics engine saw it."""
+    """Height of each liquid over its level at rest, and its brim: along the plans, with the range over fills and
+    dampings, and in the physics engine."""
     payload, charts = run.scenario.payload, []
     for k, body in enumerate(run.bodies):
         liquid = body.liquid

@@ -1,4 +1,4 @@
-"""How near a motion comes to sliding, tipping or lifting: the curves that page, words and tables share."""
+"""Margins of a motion from sliding, tipping and lifting: the curves that page, words and tables share."""
 
 from __future__ import annotations
 

@@ -282,7 +282,7 @@ OUTCOME_MARKS = {
 def outcome_map(
     table: Mapping[str, Any], columns: Iterable[tuple[str, str]], x: str = "duration", y: str = "friction"
 ) -> Figure:
-    """Where a motion holds, slides or tips, over two quantities: one panel for each (stem, title) of `columns`.
+    """Outcome of a motion over two quantities: one panel for each (stem, title) of `columns`.
 
     table: columns `x`, `y`, "stem" and "outcome" of equal length, one row a run; several runs of one cell show the
     worst. A cell where something happened carries a letter besides its colour; one without a plan is blank.

@@ -102,7 +102,7 @@ class _Scene:
 
 
 def _scenes(directory: Path, stem: str) -> list[_Scene]:
-    """What the film shows, one after the other."""
+    """The scenes of the film, one after the other."""
     if stem not in (*STEMS, "both") and leg_number(stem) is None:
         raise SalverError(f'There is no motion "{stem}" to show; known are {", ".join(STEMS)} and both.')
     scenario_of(directory)
@@ -163,7 +163,7 @@ def _pictures(scene: _Scene, times: np.ndarray, note: str, width: int, height: i
 
 
 def _spooled(pictures: Iterator[np.ndarray]) -> Iterator[np.ndarray]:
-    """The same pictures, made at once and kept on disk: a film does not fit into memory."""
+    """Pictures made at once and kept on disk, because a film does not fit into memory."""
     first = next(pictures)
     store = tempfile.TemporaryFile()  # noqa: SIM115  (closed by the reader below)
     store.write(first.tobytes())

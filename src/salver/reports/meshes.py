@@ -37,7 +37,7 @@ class LinkMesh:
 
 
 def link_meshes(arm: ArmModel, target: int = TRIANGLES_PER_LINK) -> list[LinkMesh]:
-    """What the links from base to flange look like, about `target` triangles each."""
+    """Meshes of the links from base to flange, about `target` triangles each."""
     import pinocchio as pin
     from scipy.spatial import cKDTree
 

@@ -210,7 +210,7 @@ def replay(run: ReportedRun, arm: ArmModel | None) -> dict[str, Any]:
 
 
 def _caption(run: ReportedRun, motion: ReportedMotion) -> str:
-    """What the replay of a motion shows."""
+    """Caption of the replay of a motion."""
     if motion.seen is None:
         return "as planned"
     summary = motion.seen.summary

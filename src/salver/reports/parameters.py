@@ -40,6 +40,6 @@ def half_range(parameter: Parameter, nominal: float, half: float) -> str:
 
 
 def ranges(uncertain: UncertainSet) -> list[tuple[str, str, str]]:
-    """Of each parameter that is not known exactly: its name, its nominal value, and the half-width of its range."""
+    """Name, nominal value and half-width of each uncertain parameter."""
     whole = zip(uncertain.parameters, uncertain.nominal, uncertain.half_range, strict=True)
     return [(pretty(p), quantity(p, nominal), half_range(p, nominal, half)) for p, nominal, half in whole]

@@ -1,4 +1,4 @@
-"""What the 3-D replay shows: poses of links, tray and objects over time, contact points and forces."""
+"""Data of the 3-D replay: poses of links, tray and objects over time, contact points and forces."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 def stage(scenario: Scenario, bodies: Sequence[Body], arm: ArmModel | None) -> dict[str, Any]:
-    """What the viewer needs to know of arm, tray, objects and obstacles before anything moves, ready for JSON."""
+    """Arm, tray, objects and obstacles for the viewer before anything moves, ready for JSON."""
     first = bodies[0]
     return {
         "meshes": [pack(mesh) for mesh in link_meshes(arm)] if arm else [],
@@ -154,7 +154,7 @@ def liquid(surface: DrawnSurface, keep: np.ndarray) -> dict[str, Any]:
 
 
 def _true_friction(motion: ReportedMotion, body: Body, lone: bool) -> float:
-    """Of the run that is shown, which may differ from what the plan assumed."""
+    """Friction of the run that is shown, which may differ from the plan's."""
     changed = (motion.seen.summary.get("parameters") or {}) if motion.seen else {}
     return float(changed.get(Parameter(body.name, "friction", lone=lone).name, body.friction))
 
@@ -197,7 +197,7 @@ def joint_poses(q: Array, arm: ArmModel) -> Array:
 
 
 def _outline(body: Body, shape: object, colour: str) -> dict[str, Any]:
-    """What an object looks like, in B: an upright prism, a mesh, or the hull of anything else."""
+    """Outline of an object in B: an upright prism, a mesh, or the hull of anything else."""
     kind = shape.type  # type: ignore[attr-defined]
     offset = -body.com_G
     if kind in ("box", "cylinder", "prism"):
@@ -244,7 +244,7 @@ def _floor(run: ReportedRun, arm: ArmModel | None) -> float:
 
 
 def _azimuth(run: ReportedRun, arm: ArmModel | None) -> float:
-    """Where the camera stands, rad: the motion runs across the picture, the arm behind it, seen a little obliquely."""
+    """Azimuth of the camera, rad: the motion runs across the picture, the arm behind it, seen a little obliquely."""
     path = run.plan.arrays["p_SB"]
     along = path[-1, :2] - path[0, :2]
     base = arm.base_position[:2] if arm else path[:, :2].mean(axis=0) - [1.0, 0.0]

@@ -1,4 +1,4 @@
-"""What the page of a task of several legs shows: the legs side by side; each has a page of its own."""
+"""The page of a task of several legs: the legs side by side; each has a page of its own."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from salver.wording import listed
 def overview(
     files: PlanFiles, runs: Sequence[ReportedRun], places: Sequence[Path], campaign: dict[str, Any] | None
 ) -> tuple[Verdict, Sections, str, Markup]:
-    """What the page of the task says: verdict, sections, what was asked, tiles. places: the pages of the legs."""
+    """Content of the page of the task: verdict, sections, task, tiles. places: the pages of the legs."""
     scenario, record = files.scenario, files.record
     held = campaign["plans"]["plan"]["outcomes"] if campaign else {}
     made = Sections()

@@ -1,4 +1,4 @@
-"""What a run directory holds, read once for the page and the figures."""
+"""Content of a run directory, read once for the page and the figures."""
 
 from __future__ import annotations
 
@@ -70,7 +70,10 @@ class ReportedMotion:
         return str(method).replace("-", " ").capitalize() if method in searched else "Robust"
 
     def planned_for(self, ranges: bool) -> str:
-        """What the motion is, in a line below its name; nothing of one that nobody planned. ranges: there are some."""
+        """The line below a motion's name that says what it was planned for; empty for one that was not planned.
+
+        ranges: there are some.
+        """
         if self.stem == "baseline":
             return "the straight line in the same time"
         robust = (self.summary.get("solver") or {}).get("robust")
@@ -120,7 +123,7 @@ class ReportedRun:
 
     @property
     def compared(self) -> ReportedMotion | None:
-        """What the plan is compared with."""
+        """The motion that the plan is compared with."""
         return self.motions[1] if len(self.motions) > 1 else None
 
     @cached_property
@@ -147,7 +150,7 @@ class ReportedRun:
 
     @property
     def load(self) -> str:
-        """What is carried, for a sentence: "the cube", "the 3 objects"."""
+        """The load in a sentence: "the cube", "the 3 objects"."""
         return f"the {self.bodies[0].name}" if len(self.bodies) == 1 else f"the {len(self.bodies)} objects"
 
     def motion(self, stem: str) -> ReportedMotion | None:

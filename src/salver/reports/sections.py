@@ -39,7 +39,7 @@ NAVIGATION = {
 
 @dataclass
 class Sections:
-    """What `build` gathers: HTML, (anchor, title) of each section, chart specs by key."""
+    """Sections that `build` gathers: HTML, (anchor, title) of each, chart specs by key."""
 
     html: Markup = NOTHING
     titles: list[tuple[str, str]] = field(default_factory=lambda: [("replay", NAVIGATION["replay"])])
@@ -244,7 +244,7 @@ _PEAKS = (("slip", 1e3), ("lift", 1e3), ("tip_angle", 180 / np.pi), ("e_p", 1e3)
 
 
 def _clocks(records: list[tuple[ReportedMotion, Record]]) -> Markup:
-    """How well the control loop kept its period, and why it stopped if it did."""
+    """Statistics of the control loop's period, and why it stopped if it did."""
     rows, stops = [], NOTHING
     for m, record in records:
         clock = record.summary.get("timing", {})

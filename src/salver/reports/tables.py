@@ -34,7 +34,7 @@ class HtmlTable:
 
 
 def scenario_rows(run: ReportedRun) -> Rows:
-    """What was asked, as the paper's Table I and beyond."""
+    """The task, as the paper's Table I and beyond."""
     s, uncertain = run.scenario, run.scenario.payload.uncertain
     rows: Rows = [("scenario", s.name), ("source", s.source or "–")]
     rows += [
@@ -85,7 +85,7 @@ def _obstacle(obstacle: Obstacle) -> str:
 
 
 def solver_rows(run: ReportedRun) -> Rows:
-    """How each motion was found and what made it; all of plan.json is on the page besides."""
+    """How each motion was found, and its provenance; all of plan.json is on the page besides."""
     rows: list[tuple[str, Any]] = []
     for m in run.motions:
         name, summary = m.label.lower(), m.summary
@@ -111,7 +111,7 @@ def solver_rows(run: ReportedRun) -> Rows:
 
 
 def _arm_chain(chain: Mapping[str, Any] | None, check: Mapping[str, Any]) -> str | None:
-    """What wrong parameters do when they act through the arm's controller, to first order."""
+    """Effect of parameter errors through the arm's controller, to first order."""
     if not chain or "tray_position_radius" not in chain:
         return None
     text = (

@@ -66,7 +66,7 @@ def verdict(run: ReportedRun) -> Verdict:
 
 
 def _promise(run: ReportedRun) -> str:
-    """What the plan says of itself, in figures, and of its stops."""
+    """The plan's guarantees in figures, with its stops."""
     stops = run.plan.summary.get("stops", {}).get("sentence", "")
     return f"{_margins(run)}. {stops.rstrip('.')}" if stops else _margins(run)
 
@@ -137,7 +137,7 @@ def outcome_in_words(outcome: str) -> str:
 
 
 def true_parameters(run: ReportedRun, summary: Mapping[str, Any]) -> str:
-    """What was not nominal in a run: "friction 0.09", or nothing."""
+    """Parameters of a run that were not nominal: "friction 0.09", or nothing."""
     changed = ((run.parameter(name), value) for name, value in (summary.get("parameters") or {}).items())
     return ", ".join(f"{pretty(p)} {quantity(p, value)}" for p, value in changed)
 
@@ -152,6 +152,6 @@ def _signed(value: float) -> str:
 
 
 def _arm_name(model: str) -> str:
-    """As in a sentence: Panda, UR10; of a URDF its file's name."""
+    """The arm's name in a sentence: Panda, UR10; for a URDF its file's name."""
     name = Path(model).stem
     return name if name != model else name.upper() if len(name) <= 4 else name.capitalize()

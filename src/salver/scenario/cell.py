@@ -97,7 +97,7 @@ class Arm(Model):
 
     @property
     def given_limits(self) -> dict[str, float | list[float]]:
-        """What the table arm.limits says."""
+        """Limits of the table arm.limits."""
         return self.limits.model_dump(exclude_none=True)
 
     @property
@@ -199,5 +199,5 @@ class Physics(Model):
     feedback: Literal["joints", "object"] = "joints"
 
     def steps(self, duration: float) -> float:
-        """How many steps of the engine, or of the controller, a run of a motion takes."""
+        """Number of steps of the engine, or of the controller, in a run of a motion."""
         return (duration + self.settle_before + self.settle_after) / min(self.timestep, self.command_period)

@@ -44,7 +44,7 @@ def load(name_or_path: str | Path) -> Scenario:
 
 
 def _unknown(name: str) -> str:
-    """That there is no such scenario, and what may have been meant."""
+    """The error for an unknown scenario, with similar names."""
     if Path(name).is_dir():
         return f"{name} is a directory without {SCENARIO}; give a .toml file, a run directory or a ready-made scenario."
     sentence = f'There is no ready-made scenario "{name}"'
@@ -56,7 +56,7 @@ def _unknown(name: str) -> str:
 
 
 def _explained(error: Exception, text: str) -> str:
-    """What a reader of TOML says is wrong, with the line that it is in."""
+    """The error of a TOML file, with its line."""
     said = str(error).replace("Cannot overwrite a value", "The same key is given twice")
     line = re.search(r"at line (\d+)", said)
     return said if line is None else f"{said}: {text.split(chr(10))[int(line[1]) - 1].strip()[:LONGEST_LINE]}"

@@ -42,13 +42,13 @@ class Leg(Model):
 
     @property
     def handling(self) -> str:
-        """What is done at its end, in words: "cup taken off; plate put on"."""
+        """Handling at the end of a leg, in words: "cup taken off; plate put on"."""
         done = ((self.taken, "taken off"), (self.added, "put on"))
         return "; ".join(f"{listed(names)} {what}" for names, what in done if names) or "nothing taken off or put on"
 
 
 def loads(objects: Sequence[CarriedObject], legs: Sequence[Leg]) -> list[list[CarriedObject]]:
-    """What is on the tray on each leg, and after the last; in the order of the objects.
+    """The load on each leg, and after the last; in the order of the objects.
 
     An object is there from the beginning unless it is put on before it is ever taken off. Raises ValueError, one
     sentence, when something is taken that is not there or carries something else, or put on nothing or twice.

@@ -1,4 +1,4 @@
-"""What is in an open container on the tray: the table [objects.liquid]."""
+"""An open container's liquid: the table [objects.liquid]."""
 
 from __future__ import annotations
 
@@ -121,7 +121,7 @@ class LiquidIn(Model):
             )
 
     def liquid(self, height: float) -> Liquid:
-        """As mechanics see it, in an object of this height."""
+        """The liquid as mechanics see it, in an object of this height."""
         from salver.models.liquid import FLUIDS, Liquid
 
         known = FLUIDS[self.kind]

@@ -1,4 +1,4 @@
-"""What the motion is and what it must keep: ends, parameterisation, contact condition, gains, cost."""
+"""The task: ends, parameterisation, contact condition, gains, cost."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ class Motion(Model):
 
 
 class Contact(Model):
-    """Which contact condition the plan must keep, and how friction cones are linearised.
+    """The contact condition that the plan must keep, and the linearisation of friction cones.
 
     margin: what the condition must keep over its tube, in N of a cone coefficient (paper), or as a share of the
     normal force at rest (exact).
@@ -116,6 +116,6 @@ class Planning(Model):
 
 
 class SensitivityWeighting(Model):
-    """How the rows of the state sensitivity are weighted in the cost, eq (13)."""
+    """Weights of the rows of the state sensitivity in the cost, eq (13)."""
 
     weighting: Literal["scaled", "paper", "pose"] = "scaled"

@@ -1,4 +1,4 @@
-"""What of a scenario is probably not meant, or more than an arm is made for: taken as it is, and said first."""
+"""Warnings of a scenario: values that are probably not meant, or beyond what an arm is made for."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def warnings_of(scenario: Scenario) -> tuple[str, ...]:
 
 
 def _of_ranges(scenario: Scenario) -> Iterator[str]:
-    """What is taken to be uncertain where nothing is said, or that nothing is."""
+    """Warning of assumed ranges, or of none."""
     if not scenario.uncertain.size:
         yield "Nothing is uncertain; what is said to be safe is safe for exactly these values."
     for item in scenario.objects:

@@ -85,7 +85,7 @@ class ClosedLoop:
 
     @property
     def closed(self) -> ClosedLoop:
-        """The same loop with the reference's expression in place of y_d."""
+        """The loop with the reference's expression in place of y_d."""
         if self.reference is None:
             return self
         f, g, h = ca.substitute([self.f, self.g, self.h], [self.y_d], [ca.densify(self.reference)])

@@ -123,7 +123,7 @@ class LinearFilter:
         return np.ascontiguousarray(np.moveaxis(self._stepped(state), -2, 0))
 
     def known(self, node: int) -> int:
-        """How many of the 2 + T that `answers` are to come before a node, and so count there."""
+        """Number of the 2 + T `answers` that come before a node, and so count there."""
         assert self.samples is not None
         return 3 + int(self.samples[max(node, 1) - 1].max())
 
@@ -151,7 +151,7 @@ class LinearFilter:
         return np.asfortranarray(bands.reshape(4, -1))
 
     def _stepped(self, state: Array) -> Array:
-        """As `_solved`, all filters and drives together, node by node: quicker where there are many drives."""
+        """`_solved`, all filters and drives together, node by node: quicker with many drives."""
         found = np.ascontiguousarray(np.moveaxis(state, -3, 0))
         for before, step, now in zip(found, np.moveaxis(self.step, -3, 0), found[1:], strict=False):
             now += step @ before
@@ -163,7 +163,7 @@ class LinearFilter:
 
 
 def _inverse(matrix: Array) -> Array:
-    """Of matrices (..., 2, 2)."""
+    """Inverse of matrices (..., 2, 2)."""
     (a, b), (c, d) = np.moveaxis(matrix, (-2, -1), (0, 1))
     return np.moveaxis(np.array([[d, -b], [-c, a]]) / (a * d - b * c), (0, 1), (-2, -1))
 
@@ -203,8 +203,8 @@ def _weighed(shares: bytes, order: int, pieces: int) -> tuple[npt.NDArray[np.int
 
 
 def _lagrange(t: Array, order: int, inside: Array) -> tuple[npt.NDArray[np.intp], Array]:
-    """Which nodes (T - 1, J) stand for what is between two of t (T,), and Lagrange's polynomials of these at fractions
-    `inside` (G,) of the way: (T - 1, G, J)."""
+    """Nodes (T - 1, J) that interpolate between two of t (T,), and Lagrange's polynomials of these at fractions
+    `inside` (G,) of the interval: (T - 1, G, J)."""
     count, h = len(t), np.diff(t)
     samples = np.clip(np.arange(count - 1) - order // 2, 0, count - order - 1)[:, None] + np.arange(order + 1)
     known, at = t[samples], (t[:-1, None] + h[:, None] * inside)[:, :, None, None]

@@ -1,5 +1,5 @@
-"""How high the waves of liquids stand, how steep and how light, at the worst of all that is uncertain, with derivatives
-by the unknowns of a motion (`salver.sensitivity.waves` has the waves)."""
+"""Height, steepness and effective gravity of liquids' surfaces in the worst case, with derivatives by the unknowns
+of a motion (`salver.sensitivity.waves` has the waves)."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ LEAST_SIZE = 1e-4  # m; waves smaller than this turn as fast as they like
 
 @dataclass(frozen=True, eq=False)
 class Slosh:
-    """What K cases of a liquid do along a motion of T instants.
+    """Sloshing of K cases of a liquid along a motion of T instants.
 
     wrench: (K, T, 6) of `Waves`. planned: the waves on a tray that follows its motion exactly; the rest is what comes
     of an arm that gives way. reaction: how it does that. change: of the waves, per
@@ -58,7 +58,7 @@ class Slosh:
         return cls(waves, waves.wrench, planned, reaction, change, higher, freer, highest(left).sum(axis=1))
 
     def along(self, planned: Waves) -> Slosh:
-        """Of other waves that are planned, with an arm that gives way as here."""
+        """Sloshing of other planned waves, with the arm's compliance as here."""
         waves = planned.shifted(self.waves.w - self.planned.w, self.waves.start)
         return replace(self, waves=waves, wrench=waves.wrench, planned=planned)
 
@@ -107,7 +107,7 @@ class Slosh:
         return Slosh(waves, self.wrench[some], planned, reaction, change, *self._more(some))
 
     def only(self, k: int) -> Slosh:
-        """What becomes of the surface in one case."""
+        """The surface in one case."""
         some = slice(k, k + 1)
         waves, (higher, freer, more) = self.waves.part(some), self._more(some)
         return Slosh(waves, self.wrench[some], waves, higher=higher, freer=freer, more_left=more)
@@ -119,7 +119,7 @@ class Slosh:
     # way is taken as given, for what it makes of the waves changes little.
 
     def crest_by(self, case: Indices, node: Indices, unknowns: Unknowns) -> Array:
-        """Of the crest."""
+        """Derivatives of the crest."""
         which, free = self.waves.cases, self.waves.free[case, node]
         freer = np.zeros_like(free) if self.change is None else np.asarray(self.freer)[case, node]
         by_free = 2 * which.peaking[case] / which.half[case] * (free + freer * np.sign(free))
@@ -129,14 +129,14 @@ class Slosh:
         )
 
     def free_by(self, case: Indices, node: Indices, unknowns: Unknowns) -> Array:
-        """Of the height of the free wave, or of the whole surface."""
+        """Derivatives of the height of the free wave, or of the whole surface."""
         waves, leans = self.waves, self._leans(case, node)
         by_free = (1 - leans) * waves.cases.steepest_by(waves.free[case, node])
         by_eta = LESS * leans * waves.cases.steepest_by(waves.eta[case, node])
         return surface_by(self.planned, unknowns, case, node, by_eta, by_free, 0.0)
 
     def lightness_by(self, case: Indices, node: Indices, unknowns: Unknowns) -> Array:
-        """Of the share of the weight that does not press."""
+        """Derivatives of the share of the weight that does not press."""
         by_w = -self.waves.cases.at_O[case, 2] / GRAVITY
         return np.asarray((by_w[:, None] @ unknowns.felt[node])[:, 0])
 
@@ -144,11 +144,11 @@ class Slosh:
     # the unknowns. Their squares summed over k are the second derivative.
 
     def lightness_bends(self, case: Indices, node: Indices, unknowns: Unknowns) -> Array:
-        """Of the share of the weight that does not press."""
+        """Second derivatives of the share of the weight that does not press."""
         return np.zeros((len(case), 0, unknowns.felt.shape[2]))
 
     def free_bends(self, case: Indices, node: Indices, unknowns: Unknowns) -> Array:
-        """Of the height of the free wave, or of the whole surface, whose direction turns."""
+        """Second derivatives of the height of the free wave, or of the whole surface, whose direction turns."""
         leans = self._leans(case, node)[:, :, None]
         free, whole = (
             self._turns(case, node, unknowns, eta[case, node], free=eta is self.waves.free)
@@ -157,7 +157,7 @@ class Slosh:
         return np.asarray(np.sqrt(LESS) * leans * whole + (1 - leans) * free)
 
     def crest_bends(self, case: Indices, node: Indices, unknowns: Unknowns) -> Array:
-        """Of the crest: of its height, and of what it has beyond linear waves."""
+        """Second derivatives of the crest: of its height, and of its part beyond linear waves."""
         which = self.waves.cases
         turns = self._turns(case, node, unknowns, self.waves.eta[case, node], free=False)
         peaking = np.sqrt(2 * which.peaking[case] / which.half[case])
@@ -169,7 +169,7 @@ class Slosh:
         return np.asarray((self.free_height <= whole)[case, node, None], dtype=float)
 
     def _turns(self, case: Indices, node: Indices, unknowns: Unknowns, eta: Array, free: bool) -> Array:
-        """Of the size of waves eta (m, 2), in a round container."""
+        """The part of the second derivatives by which waves eta (m, 2) turn in a round container."""
         if not self.waves.cases.round:
             return np.zeros((len(case), 0, unknowns.felt.shape[2]))
         size = np.maximum(np.linalg.norm(eta, axis=1), LEAST_SIZE)[:, None]
@@ -189,7 +189,7 @@ class Slosh:
         return np.stack(both, axis=1)
 
     def left_bends(self, case: Indices, unknowns: Unknowns, seconds: float | None = None) -> Array:
-        """Of what is left."""
+        """Second derivatives of the residual sloshing."""
         waves, which, m = self.waves, self.waves.cases, len(case)
         more = np.broadcast_to(self.more_left, len(which.each))[case]
         fading, half = waves.fading(seconds or 0.0)[case], which.half[case]
@@ -210,7 +210,7 @@ class Slosh:
         )
 
     def free_left_bends(self, case: Indices, unknowns: Unknowns) -> Array:
-        """Of the free wave that is left."""
+        """Second derivatives of the residual free wave."""
         amplitude = self.waves.amplitude(more=self.more_left)[case]
         by_amplitude = self.waves.cases.steepest_by(amplitude)
         return np.stack(self._amplitude_bends(case, unknowns, 1.0, amplitude, by_amplitude)[0], axis=1)
@@ -245,7 +245,7 @@ class Slosh:
         return found, larger
 
     def left_by(self, case: Indices, unknowns: Unknowns, seconds: float | None = None) -> Array:
-        """Of what is left; the tray's posture at the end is taken as given."""
+        """Derivatives of the residual sloshing; the tray's posture at the end is taken as given."""
         waves, which, m = self.waves, self.waves.cases, len(case)
         more = np.broadcast_to(self.more_left, len(which.each))[case]
         fading, half = waves.fading(seconds or 0.0)[case], which.half[case]
@@ -259,12 +259,12 @@ class Slosh:
         return ending + surface_by(self.planned, unknowns, case, k, highest, np.zeros((m, 2)), 0.0)
 
     def free_left_by(self, case: Indices, unknowns: Unknowns) -> Array:
-        """Of the free wave that is left; the tray's posture at the end is taken as given."""
+        """Derivatives of the residual free wave; the tray's posture at the end is taken as given."""
         by_amplitude = self.waves.cases.steepest_by(self.waves.amplitude(more=self.more_left)[case])
         return self._amplitude_by(case, unknowns, 1.0, by_amplitude)
 
     def _amplitude_by(self, case: Indices, unknowns: Unknowns, fading: Array | float, by_amplitude: Array) -> Array:
-        """Of amplitudes at the end that count by_amplitude (m, 2)."""
+        """Derivatives of amplitudes at the end that count by_amplitude (m, 2)."""
         waves, which = self.waves, self.waves.cases
         last = np.full(len(case), len(waves.t) - 1)
         to_speed = np.sqrt(GRAVITY / waves.upward[case, -1])[:, None, None] / which.omega[case]

@@ -1,4 +1,4 @@
-"""How waves are at an instant: from one motion to the next, and while the tray rests."""
+"""Modal states of waves: from one motion to the next, and while the tray rests."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ class Underway:
     peak: Array
 
     def part(self, some: slice | Indices) -> Underway:
-        """Of some of the cases."""
+        """The states of some of the cases."""
         return Underway(*(x[some] for x in vars(self).values()))
 
     def of_terms(self, count: int) -> Underway:
-        """What the first of c changes make."""
+        """The states that the first of c changes cause."""
         return Underway(*(x[..., :count] for x in vars(self).values()))
 
     def at(self, t: Array, now: float) -> Underway:
@@ -38,13 +38,13 @@ class Underway:
         return Underway(*swung, *spun, at_instant(t, self.peak, now))
 
     def since(self, before: Underway) -> Underway:
-        """What there is of them beyond other ones."""
+        """The states beyond other ones."""
         return Underway(*(x - y for x, y in zip(vars(self).values(), vars(before).values(), strict=True)))
 
     def later(self, t: Array, sigma: Array, kp: Array, rest: Array) -> Underway:
-        """The same at T instants t (T,), s, later, the tray at rest: of masses that swing about `rest` (like r) with
-        decay rates sigma (1/s) and stiffnesses kp (1/s^2) per mass, (K, n_modes, 2) or with a last axis of 1. What is
-        left over of a peak is a wave too, and dies away as one."""
+        """The states at T instants t (T,), s, later, with the tray at rest: of masses that swing about `rest` (like
+        r) with decay rates sigma (1/s) and stiffnesses kp (1/s^2) per mass, (K, n_modes, 2) or with a last axis of
+        1. What is left over of a peak is a wave too, and dies away as one."""
         after = t.reshape(-1, *(1,) * self.r.ndim)
         omega = np.sqrt(kp - sigma**2)
         fading = np.exp(-sigma * after)

@@ -1,4 +1,4 @@
-"""Which liquid at which fill and damping: the cases whose waves stand for all there are."""
+"""Cases of fill and damping that stand for all liquids in the ranges."""
 
 from __future__ import annotations
 

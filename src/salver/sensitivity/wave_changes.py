@@ -1,4 +1,4 @@
-"""What small changes of what the tray feels make of the waves of a liquid and of its wrench."""
+"""First-order effect of changes of the tray's motion regressor on the waves of a liquid and on its wrench."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from salver.sensitivity.waves import TURNING, Waves, across, turned
 
 @dataclass(frozen=True, eq=False)
 class Change:
-    """What c changes of what the tray feels make of waves, to first order.
+    """First-order effect of c changes of the tray's motion regressor on waves.
 
     eta, free: (K, T, 2, c) of the waves' heights along both axes, m. thrown: (K, T, c) of what tilting throws up, m.
     wrench: (K, T, 6, c) at E. ending: of each mode, (K, n_modes, 2, c) of its place and of its speed over its
@@ -28,7 +28,7 @@ class Change:
     ending: tuple[Array, Array]
 
     def part(self, some: slice | Indices) -> Change:
-        """Of some of the cases."""
+        """The effect in some of the cases."""
         ending = self.ending[0][some], self.ending[1][some]
         return Change(self.eta[some], self.free[some], self.thrown[some], self.wrench[some], ending)
 

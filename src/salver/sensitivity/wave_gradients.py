@@ -19,8 +19,8 @@ from salver.sensitivity.waves import TURNING, Waves, across, turned
 
 @dataclass(frozen=True, eq=False)
 class Swings:
-    """What c unknowns make of waves: of their masses by what moves these, as `Waves.swung` has it, of what turns by
-    spun (K or 1, T, c), and of both by how much log T grows, stretch (c,).
+    """Derivatives of waves by c unknowns: of their masses by their drive, as `Waves.swung` has it, of rotation by spun
+    (K or 1, T, c), and of both by the growth of log T, stretch (c,).
 
     Places and speeds are worked out at the nodes at which rows read them: near the edge there are few.
     """
@@ -68,7 +68,7 @@ class Unknowns:
     _spun: dict[tuple[LinearFilter, bool], Array] = field(default_factory=dict)
 
     def of(self, waves: Waves) -> Swings:
-        """What they make of waves; worked out once."""
+        """Derivatives of waves, computed once."""
         if id(waves) not in self._known:
             self._known[id(waves)] = waves, self._swings(waves)
         return self._known[id(waves)][1]

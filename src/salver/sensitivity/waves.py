@@ -1,4 +1,4 @@
-"""How a liquid moves in its container along a motion of the tray.
+"""Waves of a liquid in its container along a motion of the tray.
 
 The modes of `salver.models.liquid` are filters with a memory (`salver.sensitivity.filter`), driven by the lateral
 specific force at each mode's height and stiffened by the vertical one. All is linear in the drive: what small changes
@@ -100,7 +100,7 @@ class Waves:
     start: Underway | None = None
 
     def moved(self, r: Array, rate: Array, second: Array) -> Waves:
-        """The same with the masses elsewhere."""
+        """The waves with the masses elsewhere."""
         return replace(self, r=r, rate=rate, second=second)
 
     def part(self, some: slice) -> Waves:
@@ -216,7 +216,7 @@ class Waves:
         return np.asarray(-force[:, 0] / self.cases.omega[..., None] ** 2 * softer)
 
     def _level(self, drive: Array) -> Array:
-        """The same of drives of the filters: their first states (K, n_modes, axes, 2, 2 c / axes)."""
+        """First states of drives of the filters: (K, n_modes, axes, 2, 2 c / axes)."""
         stiffness = np.asarray(self.filters.kp)[..., :1]
         return np.stack([drive[:, :, :, 0] / stiffness, np.zeros_like(drive[:, :, :, 0])], axis=3)
 
@@ -442,7 +442,7 @@ class Waves:
         return Underway(r, rate, *spins, peak.swapaxes(0, 1))
 
     def rested(self, t: Array, dw: Array | None = None, start: Underway | None = None) -> Underway:
-        """The same t (T,), s, after the end, the tray at rest."""
+        """The waves t (T,), s, after the end, with the tray at rest."""
         last = Underway(*(x[-1] for x in vars(self.underway(dw, start)).values()))
         which, upward = self.cases, self.upward[:, -1, None, None]
         shape = (*which.omega.shape, *(1,) * (last.r.ndim - 3))

@@ -164,7 +164,7 @@ class Coverage:
 
     @property
     def left(self) -> int:
-        """How many of the n records left at least one of their tubes."""
+        """Number of the n records that left at least one of their tubes."""
         return int(self.outside.any(axis=1).sum())
 
     @property

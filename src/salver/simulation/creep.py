@@ -25,7 +25,7 @@ from salver.models.arm import ArmModel
 
 @dataclass(frozen=True)
 class TrayBias:
-    """What the joints' velocities alone accelerate the tray by, at N instants, in E.
+    """Acceleration of the tray by the joints' velocities alone, at N instants, in E.
 
     linear (N, 3): of the origin of E, m/s^2. angular (N, 3): rad/s^2. omega (N, 3): the tray's angular velocity.
     """
@@ -59,7 +59,7 @@ def tray_bias(arm: ArmModel, q: Array, dq: Array, R_tilt: Array) -> TrayBias:
 
 
 def still_bias(count: int) -> TrayBias:
-    """Of a tray that is the engine's world."""
+    """The bias of a tray that is the engine's world."""
     zero = np.zeros((count, 3))
     return TrayBias(zero, zero, zero)
 

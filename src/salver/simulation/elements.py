@@ -1,4 +1,4 @@
-"""What each thing is in MuJoCo: the arm, an object on its feet with its hull, a liquid's pendulums, an obstacle.
+"""MuJoCo elements: the arm, an object on its feet with its hull, a liquid's pendulums, an obstacle.
 
 Contact is set up so that it is known exactly. An object stands on small feet, spheres at the corners of its
 base (24 of them for a round one): each gives one contact, at a known point, against what it stands on, with
@@ -336,7 +336,7 @@ def add_obstacle(spec: Any, obstacle: Obstacle, k: int) -> list[str]:
 
 
 def add_pairs(spec: Any, loads: tuple[Load, ...], obstacles: list[str], contact_time: float) -> None:
-    """Who may touch whom, and with which friction."""
+    """Add contact pairs with their friction."""
 
     def pair(first: str, second: str, friction: float) -> None:
         spec.add_pair(

@@ -95,7 +95,7 @@ class DrawnSurface:
 
 
 def of_run(loads: tuple[Load, ...], surface: Array, summary: Mapping[str, Any]) -> list[DrawnSurface | None]:
-    """Of each object in a run with these true loads, `SimulationRecord.surface` and summary; None without a liquid."""
+    """`SimulationRecord.surface` and summary of each object in a run with these true loads; None without a liquid."""
     out: list[DrawnSurface | None] = [None] * len(loads)
     for k, load in enumerate(loads):
         if load.fill is not None and surface.shape[1]:

@@ -1,4 +1,4 @@
-"""What really stands on the tray in one run: the scenario's objects with drawn parameters instead of nominal ones."""
+"""True loads of one run: the scenario's objects with drawn parameters instead of nominal ones."""
 
 from __future__ import annotations
 
@@ -49,15 +49,18 @@ class Load:
 
     @cached_property
     def modes(self) -> Modes:
-        """Of its liquid."""
+        """Modes of its liquid."""
         assert self.nominal.liquid is not None
         assert self.fill is not None
         return self.nominal.liquid.modes(self.fill)
 
     @cached_property
     def still(self) -> RigidBody:
-        """What of it does not swing, in B. What a long box of liquid leaves in a very light container has less than no
-        moment about the long side: it is then given none."""
+        """The part of it that does not swing, in B.
+
+        What a long box of liquid leaves in a very light container has less than no moment about the long side:
+        it is then given none.
+        """
         if self.fill is None:
             return self.inertial
         rest = self.modes.still

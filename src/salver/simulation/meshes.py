@@ -1,5 +1,4 @@
-"""What an arm's links look like: their visual meshes, COLLADA included, which MuJoCo does not read, or what stands for
-them where the arm is checked."""
+"""Visual meshes of an arm's links, COLLADA included, which MuJoCo does not read, or its collision shapes."""
 
 from __future__ import annotations
 

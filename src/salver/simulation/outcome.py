@@ -36,8 +36,9 @@ class Thresholds:
 
 @dataclass(frozen=True)
 class Behaviour:
-    """What m objects did at N instants; see SimulationRecord for the fields. lost (N, m): the centre of the base is
-    beyond the tray's edge.
+    """Motion of m objects at N instants; see SimulationRecord for the fields.
+
+    lost (N, m): the centre of the base is beyond the tray's edge.
 
     p_EB (N, m, 3), R_EB (N, m, 3, 3): pose relative to the real tray.
     """

@@ -74,7 +74,7 @@ class SimulationRecord(Shown, Tabular):
         return str(self.summary["outcome"])
 
     def facts(self) -> dict[str, str]:
-        """What a notebook shows of it."""
+        """Facts that a notebook shows."""
         slipped = {item["name"]: 1e3 * item["peak_slip"] for item in self.summary.get("objects", [])}
         return {
             "outcome": self.outcome,
@@ -86,13 +86,13 @@ class SimulationRecord(Shown, Tabular):
         }
 
     def table(self) -> Table:
-        """What happened, for pandas and xarray; parameters and outcome are its attributes."""
+        """The record for pandas and xarray; parameters and outcome are its attributes."""
         arrays = {name: getattr(self, name) for name in ARRAYS}
         about = {"outcome": self.outcome, **{f"true {name}": value for name, value in self.parameters.items()}}
         return Table(dimensioned(arrays, _DIMENSIONS), {"object": self.object_names}, about)
 
     def motion(self, joint_names: tuple[str, ...] = ()) -> MotionSeries:
-        """Where the joints, the tray and the first object really were, to be written with `salver.motion_files.write`.
+        """The executed motion of joints, tray and first object, to be written with `salver.motion_files.write`.
 
         joint_names: of the n joints; numbered, if empty. It begins with the run, before the motion. Without velocities:
         waypoints with velocities are a command, and this is a recording.

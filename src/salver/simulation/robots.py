@@ -1,4 +1,4 @@
-"""What drives the arm of a run: salver's own controller, or the robot's, with what the robot has wrong about itself."""
+"""Controllers of the arm in a run: salver's own, or the robot's with its errors."""
 
 from __future__ import annotations
 

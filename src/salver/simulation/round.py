@@ -105,7 +105,7 @@ class RoundExperiment:
         return RoundRecord(tuple(records), dict(parameters or {}), summary)
 
     def _of_leg(self, stop_at: float) -> tuple[int, float]:
-        """Which leg, counted from 0, an instant of all motions together falls on, and s of that leg's own time."""
+        """Leg, counted from 0, of an instant of all motions together, and s of that leg's own time."""
         *before, _ = self.plan.legs
         for k, leg in enumerate(before):
             if stop_at <= leg.duration:

@@ -1,4 +1,4 @@
-"""What a run leaves behind at every command: poses, joints, contacts; before anything is made of it."""
+"""Trace of a run at every command: poses, joints, contacts."""
 
 from __future__ import annotations
 

@@ -78,6 +78,6 @@ def apply(
 
 
 def _cross(a: Array, b: Array) -> tuple[float, float, float]:
-    """Of two vectors (3,), at every step of the engine: NumPy's own takes ten times as long."""
+    """Cross product of two vectors (3,), at every step of the engine: NumPy's own takes ten times as long."""
     (x, y, z), (u, v, w) = a.tolist(), b.tolist()
     return y * w - z * v, z * u - x * w, x * v - y * u

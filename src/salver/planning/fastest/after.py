@@ -1,4 +1,4 @@
-"""What is carried once a motion is over: on a tray that leans a liquid pushes more when it has swung back than when the
+"""The load after the end of a motion: on a tray that leans a liquid pushes more when it has swung back than when the
 tray stopped."""
 
 from __future__ import annotations

@@ -63,7 +63,7 @@ def _falling(problem: TransportProblem) -> Status | None:
 
 
 def why_unreached(problem: TransportProblem) -> Status:
-    """Which end no posture reaches, by how much the nearest that was found misses it, and whether another heading would
+    """The end that no posture reaches, by how much the nearest posture misses it, and whether another heading would
     do."""
     told = "No posture within the joint limits was found at the goal that goes with one at the start."
     for name, end in (("start", problem.start), ("goal", problem.goal)):
@@ -102,7 +102,7 @@ def _sought(problem: TransportProblem, target: PoseTarget) -> Iterator[tuple[Arr
 
 
 def why_touching(problem: TransportProblem, pairs: list[Ends]) -> Status | None:
-    """What is in the way of all pairs of end postures that were found, where it is least; None where one is free."""
+    """The overlap that all pairs of end postures have, where it is least; None if one is free."""
     if any(pair.free for pair in pairs):
         return None
     assert problem.keep_out is not None

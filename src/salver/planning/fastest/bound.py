@@ -47,8 +47,8 @@ def least_by_friction(arm: ArmModel, payload: Payload, max_tilt: float, q_start:
 
 
 def _stacks(payload: Payload) -> Iterator[tuple[float, Array]]:
-    """Of all that stands on the tray and touches nothing else: the largest friction by which the tray may be sure to
-    hold it, and its centre of mass (3,), in E."""
+    """For each stack that touches nothing else: the largest friction that surely holds it, and its centre of mass
+    (3,) in E."""
     ranges = payload.uncertain.ranges
     for network in payload.networks:
         if any(body.liquid is not None for body in network.bodies):

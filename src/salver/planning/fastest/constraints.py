@@ -39,7 +39,7 @@ PER_METRE = 10.0  # rows of distances, in m
 
 
 def of_its_limit(excess: float) -> str:
-    """What a row that is scaled by a limit exceeds it by, in words."""
+    """The violation of a constraint that is scaled by a limit, in words."""
     return f"{100 * excess:.3g} % of its limit"
 
 
@@ -91,7 +91,7 @@ class Block:
     of: Constraint | None = None
 
     def having(self, **other: Any) -> Block:
-        """The same rows with something else, as `replace` makes it: in a tenth of the time, which counts here."""
+        """A copy of the rows with some fields changed, in a tenth of the time of `replace`."""
         made = object.__new__(Block)
         vars(made).update(vars(self), **other)
         return made

@@ -1,4 +1,4 @@
-"""How decision variables make a joint motion: a free spline in joint space, or a time law along a given path."""
+"""Parametrisations of a joint motion: a free spline in joint space, or a time law along a given path."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class Grid:
 
 
 class Curve(Protocol):
-    """What the optimiser needs to know of a parametrisation; coefficients are (size, m)."""
+    """A parametrisation as the optimiser uses it; coefficients are (size, m)."""
 
     @property
     def problem(self) -> TransportProblem: ...
@@ -85,7 +85,7 @@ class Curve(Protocol):
         ...
 
     def fixed(self) -> tuple[int, int]:
-        """How many of the size m unknowns at the beginning and at the end are given."""
+        """Number of the size m unknowns at the beginning and at the end that are given."""
         ...
 
     def equalities(self, coefficients: Array) -> tuple[Array, Array]:

@@ -1,4 +1,4 @@
-"""How a motion may begin and end: at rest in a pose, in a given posture (at rest or moving), or anywhere at rest.
+"""Boundary conditions of a motion: at rest in a pose, in a given posture (at rest or moving), or anywhere at rest.
 
 An end says which postures it allows, how far one is from them to first order, and which one of them is nearest.
 """

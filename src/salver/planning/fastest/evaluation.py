@@ -24,8 +24,10 @@ EASING = 0.25  # of a motion that begins moving: over this share of it margins g
 
 @dataclass(frozen=True, eq=False)
 class Known:
-    """What is known of a motion already, or taken from one like it; None is worked out. See `MotionEvaluation` for what
-    they are."""
+    """Parts of an evaluation that are known already, or taken from a similar motion; None is computed.
+
+    See `MotionEvaluation` for what they are.
+    """
 
     terms: MotionTerms | None = None
     response: Deviation | None = None
@@ -85,7 +87,7 @@ class MotionEvaluation:
 
     @cached_property
     def terms(self) -> MotionTerms:
-        """What the tray feels and the torque it takes at the nodes; derivatives too, when they are read."""
+        """The tray's motion regressor and the joints' torque at the nodes; derivatives when they are read."""
         if self.known.terms is not None:
             return self.known.terms
         q, dq, ddq = self.at_nodes[:3]
@@ -93,7 +95,7 @@ class MotionEvaluation:
 
     @cached_property
     def response(self) -> Deviation | None:
-        """What a wrong load and held commands do to the arm at the nodes."""
+        """The arm's response to parameter errors and to the zero-order hold at the nodes."""
         if self.tracking is None or self.known.response is not None:
             return self.known.response
         shares = self.shares
@@ -128,7 +130,7 @@ class MotionEvaluation:
 
     @cached_property
     def sag(self) -> Drift | None:
-        """What a wrong load does to the arm where it stands still in the postures of the nodes."""
+        """The arm's response to parameter errors at rest in the postures of the nodes."""
         if self.tracking is None or self.known.sag is not None:
             return self.known.sag
         return self.tracking.sag(self.terms)
@@ -152,7 +154,7 @@ class MotionEvaluation:
 
     @cached_property
     def sloshing(self) -> dict[str, tuple[Slosh, ...]]:
-        """What each body's liquid does, by the body's name: its cases."""
+        """Sloshing of each body's liquid, by the body's name: its cases."""
         return self.waves.each
 
     @cached_property
@@ -168,7 +170,7 @@ class MotionEvaluation:
         return self.waves.past(self.shares * self.duration)
 
     def rested(self, seconds: float) -> Past:
-        """The same after so many seconds at rest in which it ends."""
+        """The evaluation after so many seconds at rest at the end."""
         return self.waves.rested(seconds + np.array([0.0, self.steps[-1]]))
 
     def joint_radius(self, order: int) -> Array:
@@ -184,7 +186,8 @@ class MotionEvaluation:
         return self._wider(self.response.torque_radius(), lambda reaction: reaction.torque)
 
     def tray_radius(self) -> tuple[Array, Array]:
-        """The same for the tray's position (N, 3) in S, m, and its orientation (N, 3) in E, rad."""
+        """Largest deviation of the tray's position (N, 3) in S, m, and orientation (N, 3) in E, rad, as
+        `joint_radius`."""
         assert self.response is not None
         position, turn = self.response.tray_radius()
         moved = self._wider(position, lambda reaction: reaction.tray.state[:, :3])

@@ -34,7 +34,7 @@ CurveOf = Callable[[TransportProblem, Grid], Curve]
 
 @dataclass(frozen=True)
 class ExchangeOptions:
-    """How an optimum is kept between the nodes of its programme.
+    """Options of the exchange: how an optimum is kept between the nodes of its programme.
 
     rounds: of adding nodes, at most; doubled, what six do not mend is tried for longer. repairs: iterations of each, at
     most. repair: damping of the first step of the first round, four times more in each that follows; doubled, a repair
@@ -177,8 +177,8 @@ def optimise(
 def _repair(
     problem: TransportProblem, how: ExchangeOptions, exchange: int, iterations: int, gain: float, watch: Watch
 ) -> tuple[SqpOptions, float]:
-    """How a programme is solved once more, with the nodes that it lacked, and the damping of its first step: ever more
-    mending, ever less search."""
+    """Options of solving a programme once more with added nodes, and the damping of its first step: ever more
+    repair, ever less search."""
     damping = how.repair * 4.0**exchange
     if problem.liquids and exchange == 0:  # what was loose is now sought in earnest
         return SqpOptions(iterations, watch, gain=0.5 * gain), damping
@@ -230,8 +230,8 @@ def _touched(fine: Curve, found: Iterate) -> Array:
 
 
 def hastened(programme: Programme, begun: Iterate) -> Iterate:
-    """The same path in less time, by a fifth at a time as one iteration may at most, as long as no row that depends on
-    time comes near its edge."""
+    """The path in less time, by at most a fifth in an iteration, as long as no constraint that depends on time comes
+    near its boundary."""
     while True:
         point = replace(begun.point, duration=0.8 * begun.duration)
         shorter = programme.at(point)
@@ -241,7 +241,7 @@ def hastened(programme: Programme, begun: Iterate) -> Iterate:
 
 
 def reached(sought: str, duration: float) -> Status:
-    """Of a motion that keeps everything."""
+    """The status of a motion that satisfies every constraint."""
     return Status("optimal", f"The {sought} safe motion found takes {duration:.4f} s.", True)
 
 

@@ -1,4 +1,4 @@
-"""What a search for a fastest motion is told, and the motion that it finds."""
+"""Options of the search for a fastest motion, and the motion that it finds."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ class FastestMotion:
     looked: bool = False
 
     def after(self, *before: FastestMotion) -> FastestMotion:
-        """The same motion, with the time and the iterations of the searches before it counted too."""
+        """The motion with the time and the iterations of earlier searches added."""
         every = (self, *before)
         spent, steps = sum(x.wall_time for x in every), sum(x.iterations for x in every)
         return replace(self, wall_time=spent, iterations=steps)
@@ -96,7 +96,7 @@ class FastestMotion:
         return q, dq, ddq, dddq
 
     def joint_motion(self) -> JointMotion:
-        """The same motion as samples; exact between them too, as the breaks of the spline are among them."""
+        """The motion as samples; exact between them too, because the breaks of the spline are among them."""
         t = self.duration * united(np.linspace(0, 1, 401), self.spline.breaks())
         q, dq, ddq, _ = self.sample(t)
         return JointMotion(t, q, dq, ddq)

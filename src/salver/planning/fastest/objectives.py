@@ -1,5 +1,4 @@
-"""What is made small: the duration; at a given duration, how near the load comes to slipping, or the distance to a
-motion that is wanted.
+"""Objectives: the duration; at a given duration, the contact margin or the distance to a wanted motion.
 
 An objective sees a motion through its coefficients (size, m) and one number, the scalar, that goes with them: the
 duration where it is free, the margin where that is sought, or nothing. One of your own is a subclass of `Objective`.
@@ -21,7 +20,7 @@ from salver.planning.fastest.curves import Curve
 
 
 class Scalar(Enum):
-    """What the scalar of a programme is: the change of T^2 relative to T^2, of the margin, or no unknown."""
+    """The scalar unknown of a programme: the relative change of T^2, the margin, or none."""
 
     DURATION = "duration"
     MARGIN = "margin"
@@ -30,7 +29,7 @@ class Scalar(Enum):
 
 @dataclass(frozen=True)
 class Point:
-    """Where a programme stands: coefficients (size, m), duration in s, and the margin that counted rows keep."""
+    """The iterate of a programme: coefficients (size, m), duration in s, and the margin of the counted constraints."""
 
     coefficients: Array
     duration: float
@@ -59,7 +58,7 @@ class Objective(ABC):
 
     @abstractmethod
     def value(self, curve: Curve, at: Point) -> float:
-        """What is made small."""
+        """Value of the objective."""
 
     @abstractmethod
     def model(self, curve: Curve, at: Point) -> QuadraticModel:

@@ -45,9 +45,9 @@ class KeepOut:
         return cls(parts, required)
 
     def kept_by(self, ends: Array) -> KeepOut:
-        """The same with less to keep for pairs that are too near in end postures (N, n) that cannot be helped: a tenth
-        of what there is, as the arm may stray into the rest, less what the nodes of a programme keep beside it. What a
-        given posture keeps is kept: by that motions are judged that begin there."""
+        """The pairs with less distance to keep for those that are too near in given end postures (N, n): a tenth of
+        what there is, less what the nodes of a programme keep beside it, because the arm may deviate into the rest.
+        What a given posture keeps is kept: by that motions are judged that begin there."""
         there = self.parts.clearance(ends).min(axis=0)
         share = np.where(self.required < safety(self.parts), KEPT_WHERE_GIVEN, KEPT_AT_ENDS)
         there = np.maximum(there, 0.0)
@@ -72,7 +72,7 @@ class KeepOut:
         return np.asarray(self.parts.clearance(q, self.required + EXACT + stray) - self.required)
 
     def depth(self, q: Array) -> float:
-        """How deep in something the arm is at its worst at postures (N, n), m; negative where it is clear."""
+        """Deepest penetration of the arm at postures (N, n), m; negative where it is clear."""
         return -float(self.distances(q).min())
 
     def gradient(self, q: Array, node: Indices, pair: Indices) -> Array:

@@ -1,4 +1,4 @@
-"""What comes of one start: the optimum near it, with many spline pieces or few, checked between the nodes."""
+"""The optimum near one initial guess, with many spline pieces or few, checked between the nodes."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ NEAR = 0.1  # and from the optimum of a similar problem
 
 
 def few_pieces(options: FastestOptions) -> RestSpline:
-    """Of rough optima."""
+    """The spline of rough optima, with few pieces."""
     return RestSpline(DEGREE, max(4, options.spans // 3))
 
 
 def refitted(motion: SplineMotion, spans: int) -> SplineMotion:
-    """The same motion, as near as may be, with so many pieces."""
+    """The motion refitted with so many pieces, as near as may be."""
     spline, s = RestSpline(DEGREE, spans), np.linspace(0, 1, 201)
     return SplineMotion(spline, spline.fit(s, motion.spline.matrices(s)[0] @ motion.coefficients), motion.duration)
 
@@ -56,7 +56,7 @@ def nearby(
 
 
 def straight_start(problem: TransportProblem, spline: RestSpline) -> SplineMotion:
-    """Where the search begins: the most promising straight line in joint space, at a comfortable duration.
+    """The initial guess: the most promising straight line in joint space, at a comfortable duration.
 
     Raises UnreachableError when no posture reaches an end.
     """

@@ -25,7 +25,7 @@ WEIGHTS = np.array([1.0, 1.0, 1.0, LEVER, LEVER, LEVER])
 
 @dataclass(frozen=True, eq=False)
 class Closest:
-    """Where a motion, cubic between two nodes, comes nearest to a pose.
+    """The closest approach of a motion, cubic between two nodes, to a pose.
 
     node: the first of the two. error (r,): weighted, m. across (r, r): takes away what is along the motion. by_q
     (r, n): derivative of the error. by: of q there by (q, dq) at the first node, and at the second.

@@ -155,7 +155,7 @@ def _planned(scenario: Scenario, found: FastestMotion, robust: bool) -> Plan:
 
 
 def _held_by(found: FastestMotion, bound: float, what: str) -> str:
-    """What hinders a shorter time, and a time that nothing can beat, by `what`."""
+    """The constraint that hinders a shorter time, and a lower bound of the time, by `what`."""
     held = f"What hinders a shorter one: {listed(found.binding)}. " if found.binding else ""
     above = 100 * (found.duration / bound - 1)
     return (
@@ -165,7 +165,7 @@ def _held_by(found: FastestMotion, bound: float, what: str) -> str:
 
 
 def solver_record(found: FastestMotion, robust: bool) -> dict[str, Any]:
-    """What a plan keeps of how it was found."""
+    """The record of how a plan was found."""
     return {
         "name": "sequential quadratic programming (PIQP)",
         "robust": robust,
@@ -218,7 +218,7 @@ def joint_plan(
 
 
 def _closer(joint: JointMotion) -> JointMotion:
-    """The same motion with samples so near that the tray's, quintic between them as well, is what these joints make."""
+    """The motion with samples so dense that the tray's quintics between them agree with these joints."""
     step = 0.02  # s at most: the tray's acceleration is then known to 1e-3 m/s^2
     counts = np.maximum(1, np.ceil(np.diff(joint.t) / step - 1e-9).astype(int))
     if counts.max() == 1:

@@ -28,7 +28,7 @@ from salver.sensitivity.wave_gradients import Unknowns
 
 @dataclass(frozen=True)
 class Iterate:
-    """Where the programme stands, the motion there and its rows, margins included."""
+    """An iterate of the programme: its motion and its constraints with their margins."""
 
     point: Point
     curve: Curve
@@ -46,7 +46,8 @@ class Iterate:
         return self.point.duration
 
     def unknowns(self, factor: float = 1.0) -> Unknowns:
-        """What the coefficients and log T / 2 make of what the tray feels at the nodes, at a speed factor."""
+        """Derivatives of the tray's motion regressor at the nodes by the coefficients and log T / 2, at a speed
+        factor."""
         if factor not in self._unknowns:
             motion, point = self.motion, self.point
             slope = motion.terms.w_z if factor == 1.0 else motion.terms.w_z_at(factor**2, 0.0)

@@ -94,7 +94,7 @@ class SplinePath:
 
 
 def _apart(q: Array) -> Array:
-    """Of waypoints (K, n) those that are not the one before within `PATH_TOLERANCE`; the first and the last always."""
+    """Waypoints (K, n) without those within `PATH_TOLERANCE` of the one before; the first and the last stay."""
     kept = [0]
     for k in range(1, len(q)):
         if np.abs(q[k] - q[kept[-1]]).max() >= PATH_TOLERANCE:

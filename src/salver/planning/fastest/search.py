@@ -124,8 +124,8 @@ class _Search:
         return replace(best, status=_ended(best.status, self.watch), iterations=self.iterations)
 
     def _line(self) -> FastestMotion | None:
-        """What is left where the search found nothing: a straight line that holds when it is gone along slowly enough,
-        and, if there is time, the optimum near it. Whatever ended the search, this is not ended."""
+        """The fallback of a search that found nothing: a straight line that holds at low speed, and, if there is
+        time, the optimum near it. Whatever ended the search, this is not ended."""
         spline, at_once = RestSpline(DEGREE, self.options.spans), replace(self.options, iterations=0.0)
         for pair in self.pairs[: self.options.first(self.problem)]:
             problem = between(self.problem, pair)
@@ -165,7 +165,7 @@ class _Search:
                 break
 
     def _beat(self, roughs: list[Rough]) -> float:
-        """What another rough optimum has to be shorter than to be refined, s."""
+        """Duration, s, below which another rough optimum is refined."""
         hopeful = sorted(found.iterate.duration for _, found in roughs if found.iterate.violation < NEARLY)
         enough = self.options.starts
         return (1 - ROUGH_GAIN) * hopeful[enough - 1] if len(hopeful) >= enough else np.inf
@@ -205,7 +205,7 @@ class _Search:
         return [(between(self.problem, Ends(way.postures[0], way.postures[-1], 0.0, True)), way) for way in found]
 
     def _further(self) -> Iterator[Begin]:
-        """What is tried when those fail."""
+        """Initial guesses to be tried when those fail."""
         yield from self._ways()
         if self.problem.start_posture is not None:  # so far only the first of them were sought
             self.pairs = ends(self.problem, self.rng)

@@ -75,7 +75,7 @@ class SensitivityCost(Objective):
         return residual / np.sqrt(self.unit), jacobian / np.sqrt(self.unit)
 
     def _felt(self, curve: FreeCurve, coefficients: Array, derivatives: bool) -> BodyMotion:
-        """What the object's frame B feels at the points of a curve, with derivatives by the coefficients."""
+        """Motion regressor of the object's frame B at the points of a curve, with derivatives by the coefficients."""
         z = curve.motion(coefficients, self.duration)
         terms = motion_terms(self.problem.model, self.problem.arm.tray_id, z[0], z[1], z[2])
         tangents: list[Array | None] = [None] * 5
@@ -105,7 +105,7 @@ class SensitivityCost(Objective):
 
     @cached_property
     def grid(self) -> QuadratureGrid:
-        """Where the cost is integrated."""
+        """The grid on which the cost is integrated."""
         return self.loop.grid(_instants(self.loop, self.duration))
 
     @cached_property
@@ -178,7 +178,7 @@ def _instants(loop: TrayLoop, duration: float) -> Array:
 
 
 def _cost_of_line(scenario: Scenario) -> float:
-    """Of the straight min-jerk line in the same duration, eq (13)."""
+    """Cost, eq (13), of the straight min-jerk line in the same duration."""
     motion, loop = scenario.motion, tray_loop(scenario)
     assert motion.duration is not None
     ends = (np.array(motion.start.position), np.array(motion.goal.position))

@@ -24,7 +24,7 @@ UP = np.array([0.0, 0.0, 1.0])
 
 @dataclass(frozen=True)
 class DetourOptions:
-    """Where paths past something are looked for.
+    """Options of the search for detours.
 
     sides: directions across the way in which the tray is moved; doubled, twice the work, and paths in between.
     step, furthest: m, by which it is moved, and at most; with a doubled step gaps are missed, with half of `furthest`

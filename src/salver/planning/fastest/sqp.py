@@ -23,7 +23,7 @@ from salver.planning.fastest.watch import Watch
 
 @dataclass(frozen=True)
 class SqpOptions:
-    """How a local optimum is sought.
+    """Options of sequential quadratic programming.
 
     iterations: at most. watch: may end the search sooner.
     gain: relative improvement that counts as none; doubled, a search ends with less work, up to twice as far from its
@@ -76,10 +76,13 @@ class SqpSolution:
 
 @dataclass(frozen=True)
 class Attempt:
-    """What an iteration came to. trial: where it leads, None if nowhere. predicted: improvement of the merit that was
-    hoped for, gained: that it brought, hoped: of the objective alone. slack: violation that was to be left. share: of
-    the step that was taken. unseen: rows that were left out and came near. prices: (N, m) of the rows of each block, if
-    they are asked for. programmes: that were solved. beaten: whether the search ends here (see `SqpOptions`)."""
+    """The result of an iteration.
+
+    trial: where it leads, None if nowhere. predicted: improvement of the merit that was hoped for, gained: that it
+    brought, hoped: of the objective alone. slack: violation that was to be left. share: of the step that was taken.
+    unseen: rows that were left out and came near. prices: (N, m) of the rows of each block, if they are asked for.
+    programmes: that were solved. beaten: whether the search ends here (see `SqpOptions`).
+    """
 
     trial: Iterate | None
     predicted: float

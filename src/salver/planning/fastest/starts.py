@@ -1,4 +1,4 @@
-"""Where the search for the fastest motion begins: postures at both ends, and paths from one to the other."""
+"""Initial guesses of the search for the fastest motion: postures at both ends, and paths between them."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ TOUCHES = 5e-3  # m; where something is touched by more than this
 
 @dataclass(frozen=True)
 class EndOptions:
-    """How end postures are sought.
+    """Options of the search for end postures.
 
     attempts: random postures from which both are, in so many `batches`, no more than are needed. again: from which each
     of them is when more are wanted, until so many as are `enough` are different and touch nothing. others: goal
@@ -363,7 +363,7 @@ def open_to(problem: TransportProblem, start: Start) -> bool:
 
 
 def _by_contact(problem: TransportProblem, way: float) -> float:
-    """What friction takes about for a way of the tray, m, level: s."""
+    """Rough time, s, that friction needs for a level path of the tray, m."""
     return least_time(way, np.inf, _friction(problem) * -GRAVITY_S[2], np.inf)
 
 
@@ -372,7 +372,7 @@ def _friction(problem: TransportProblem) -> float:
 
 
 def touches(problem: TransportProblem, start: Start) -> float:
-    """How deep in something a path is at its worst, m: 0 where nothing comes nearer than required."""
+    """Deepest penetration of a path, m: 0 where nothing comes nearer than required."""
     if problem.keep_out is None:
         return 0.0
     return max(0.0, problem.keep_out.depth(start.path(np.linspace(0, 1, ALONG))))

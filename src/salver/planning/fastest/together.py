@@ -67,7 +67,7 @@ class LegsCurve:
 
     @cached_property
     def grid(self) -> Grid:
-        """Of all legs, at the shares from which this began."""
+        """The grid of all legs, at their initial shares of the time."""
         each, points = self.spline.matrices(self.s), len(self.s)
         size = self.postures + -(-self.count // self.width)
         basis = np.zeros((DERIVATIVES, self.count * points, size))
@@ -112,7 +112,7 @@ class LegsCurve:
 
     @property
     def ends(self) -> list[tuple[End, int]]:
-        """Where it begins and where each leg ends, with the row of coefficients that is the posture there."""
+        """The start and the end of each leg, with the row of coefficients that is the posture there."""
         return [(self.problem.start, 0), *((p.goal, self.rows(k).stop - 1) for k, p in enumerate(self.problems))]
 
     @property

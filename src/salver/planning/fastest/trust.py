@@ -1,4 +1,4 @@
-"""How far an iteration may go, and what a violation costs it: the rules, and every number in them."""
+"""Trust region of an iteration, and the penalty of a violation: rules and numbers."""
 
 from __future__ import annotations
 

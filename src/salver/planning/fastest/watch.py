@@ -1,4 +1,4 @@
-"""Who may end a search before it is done, and who is told how far it is."""
+"""Progress of a search, and its early end."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where a joint motion takes the tray: forward kinematics with velocities and accelerations."""
+"""Forward kinematics of a joint motion: pose, velocity and acceleration of the tray."""
 
 from __future__ import annotations
 

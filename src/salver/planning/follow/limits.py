@@ -71,7 +71,7 @@ def peaks(arm: ArmModel, motion: JointMotion, bodies: Sequence[Body] = ()) -> li
 
 
 def _finely(motion: JointMotion) -> JointMotion:
-    """The same motion with no samples further apart than a 200th of it."""
+    """The motion with no samples further apart than a 200th of it."""
     counts = np.ceil(np.diff(motion.t) * 200 / (motion.t[-1] - motion.t[0]) - 1e-9).astype(np.intp)
     if counts.max(initial=1) <= 1 or not all(np.isfinite(x).all() for x in (motion.q, motion.dq, motion.ddq)):
         return motion
@@ -95,8 +95,8 @@ def blocked_end(parts: ArmGeometry, ends: Mapping[str, tuple[Array, Array]], wha
 
 
 def unchecked(arm: ArmModel, parts: ArmGeometry) -> list[str]:
-    """What a verdict on this arm does not cover, in words: what may stand around it where nothing does, limits that
-    nobody gave, masses that are not known, shapes and pairs not looked at."""
+    """Parts of the arm's verdict that were not checked, in words: surroundings without obstacles, missing limits,
+    unknown masses, shapes and pairs left out."""
     nobody: dict[str, list[str]] = {}
     for kind in LIMITS:
         if arm.weightless and kind.of == "torque":

@@ -34,7 +34,7 @@ from salver.trajectory import MotionSamples, Reference
 
 @dataclass(frozen=True)
 class TrayPath:
-    """What the tray must do at N instants: pose, body twist (v, omega) and its rate, of frame E."""
+    """The tray's motion at N instants: pose, body twist (v, omega) and its rate, of frame E."""
 
     t: Array
     p_SE: Array
@@ -162,7 +162,7 @@ def _profile(start: Array, coefficients: Array, t: Array) -> tuple[Array, ...]:
 
 @dataclass(frozen=True, eq=False)
 class Usage:
-    """How near a path comes to the limits: a smooth stand-in for the largest of all shares, 1 at a limit.
+    """Use of the limits along a path: a smooth stand-in for the largest share, 1 at a limit.
 
     `arm` includes what is carried. sharpness: exponent of the norm that stands for "the largest of all"; doubled, less
     is done about what is second. clear: m; parts that are further apart do not count, 0 is a full limit. singular:

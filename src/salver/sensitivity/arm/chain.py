@@ -55,7 +55,7 @@ _JUST = 1e-3  # of a step, before such a jump
 
 @dataclass(frozen=True, eq=False)
 class ChainModel:
-    """What is constant for a scenario: make it once, use it for many motions.
+    """The constants of a scenario's chain: made once, used for many motions.
 
     arm, loaded: without and with the nominal objects. contact: rows at nominal parameters; worst_rows: over the
     uncertain set. loop: on the joints.
@@ -248,7 +248,7 @@ def arm_chain(model: ChainModel, joint: JointMotion, *, space: Space = "object",
 
 
 def _jumps(joint: JointMotion, delay: float) -> Array:
-    """When the jerk of a motion jumps by so much that what commands late by `delay`, s, are short of does."""
+    """Instants of jerk jumps that change the effect of the hold delay, s."""
     jump = np.abs(joint.jerk(joint.t) - joint.jerk_before).max(axis=1)
     return joint.t[1:-1][delay * jump[1:-1] > _JOLT]
 

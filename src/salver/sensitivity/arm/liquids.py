@@ -1,4 +1,4 @@
-"""What liquids do on a tray whose arm gives way: to its load as much as to their waves."""
+"""Sloshing on a tray whose arm is compliant to the load's reaction and to that of the liquids."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ ROUNDS, MORE_ROUNDS = 2, 3
 
 @dataclass(frozen=True, eq=False)
 class Sloshing:
-    """What liquids do along what a tray feels: of each the cases that stand for it, all worked out side by side.
+    """Sloshing of all liquids along a tray's motion, with the cases of each side by side.
 
     together: liquids that are all round or all in boxes, and of all their cases, one after the other, the waves as
     planned and, of an arm that gives way, with what it makes of them. given: what these come from.
@@ -56,7 +56,7 @@ class Sloshing:
         return cls(tuple(found), tuple(given))
 
     def along(self, t: Array, w: Array) -> Sloshing:
-        """The same liquids along another motion, with an arm that gives way as along this one."""
+        """The liquids along another motion, with the arm's compliance of this one."""
         found = []
         for group, (old, *given) in self.together:
             planned = Slosh.of(along(all_cases(group), t, w, old.waves.start))
@@ -64,12 +64,12 @@ class Sloshing:
         return Sloshing(tuple(found))
 
     def past(self, t: Array) -> Past:
-        """What a motion comes from that goes on from this one, which was worked out at t (T,)."""
+        """Initial sloshing state of a motion that continues this one, which was evaluated at t (T,)."""
         known = zip(self.together, self.given, strict=True)
         return Past(t, tuple(History(group, given.underway) for (group, _), given in known))
 
     def rested(self, t: Array) -> Past:
-        """What a motion comes from that goes on after a rest that lasts as long as this and t (T,), s, more."""
+        """Initial sloshing state after a rest that lasts as long as this motion and t (T,), s, more."""
         known = zip(self.together, self.given, strict=True)
         return Past(t, tuple(History(group, given.rested(t)) for (group, _), given in known), t[0])
 
@@ -133,14 +133,14 @@ class Given:
 
     @property
     def sloshes(self) -> tuple[Slosh, ...]:
-        """As planned, and with what the arm makes of it."""
+        """Sloshing as planned, and with the compliance of the arm."""
         if self.waves is None or self.reaction is None or self.unknown is None:
             return (Slosh.of(self.planned),)
         return Slosh.of(self.planned), Slosh.given_way(self.waves, self.planned, self.reaction, *self.changing)
 
     @property
     def changing(self) -> tuple[Array, Underway | None]:
-        """What changes of what the tray feels may be or not, and what they have made of the waves till then."""
+        """Uncertain changes of the tray's motion regressor, and the sloshing that they have caused till then."""
         assert self.unknown is not None
         change = self.begun.change
         if change is not None:  # of fewer terms where those liquids are left out that know most of them
@@ -168,8 +168,8 @@ class Given:
 
 
 def of_cases(several: Sequence[SloshingCase], load: LoadChange, dw: Array) -> tuple[Array, Array]:
-    """What changes dw (T, 12, n_c), per half-range of each term of a load, are at the fills of K cases: (K, T, 12) what
-    is sure there, and (K, T, 12, n) what else may be.
+    """Change of dw (T, 12, n_c), per half-range of each term of a load, at the fills of K cases: (K, T, 12) the sure
+    part, and (K, T, 12, n) the uncertain part.
 
     A case knows its own fill, and with it what that weighs. Products of two others are left out: they are a
     hundredth of what single ones do to waves.

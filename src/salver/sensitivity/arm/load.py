@@ -1,4 +1,4 @@
-"""What the uncertain parameters of the carried objects change, for objects that stick to their tray.
+"""Effect of the uncertain parameters of objects that stick to their tray.
 
 A tray that feels w (the twelve numbers of `salver.models.tray_motion`, at E) needs the wrench `load(p) w` for all
 that stands on it, and its first object feels `place(p) w` and needs the contact wrench `wrench(p) w`. All three maps
@@ -128,7 +128,7 @@ class _Maps:
         return 0.5 * (self.at(step) - self.at({p: -h for p, h in step.items()}))
 
     def bend(self, first: Mapping[Parameter, float], second: Mapping[Parameter, float], nominal: Array) -> Array:
-        """What two steps together add beyond each alone; for a step with itself, its even part."""
+        """Second-order effect of two steps together; for a step with itself, its even part."""
         back = {p: -h for p, h in second.items()}
         if first.keys() == second.keys():
             return 0.5 * (self.at(first) + self.at(back)) - nominal

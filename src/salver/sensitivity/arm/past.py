@@ -1,4 +1,4 @@
-"""What a motion comes from that goes on from another, or from a rest: waves, and the arm that gives way to them."""
+"""Initial sloshing state of a motion that continues another one or a rest, with the arm's compliance."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ Parted = tuple[tuple[SloshingCase, ...], ...]
 
 @dataclass(frozen=True, eq=False)
 class Begun:
-    """How K cases of liquids are where a motion begins, at rest unless given: as planned; and, of an arm that gives
-    way, with what it has made of that, what each of n_c terms has made of it, and e and e' (2, n, K) of the arm. Or all
-    of this at T instants, (T, ...)."""
+    """Modal states of K cases of liquids at the beginning of a motion, at rest unless given: as planned; with the
+    arm's compliance, that of each of n_c terms, and e and e' (2, n, K) of the arm. Or all of this at T instants, (T,
+    ...)."""
 
     planned: Underway | None = None
     waves: Underway | None = None
@@ -39,15 +39,15 @@ class Begun:
 
 @dataclass(frozen=True, eq=False)
 class Past:
-    """How liquids are along a motion that is left at an instant, `now` (s): at t (T,) of it, all cases that may be
-    asked for, of those that are round and of those in boxes."""
+    """Modal states of liquids along a motion that is left at an instant, `now` (s): at its t (T,), for all cases, of
+    round containers and of boxes."""
 
     t: Array
     known: tuple[History, ...]
     now: float = 0.0
 
     def begun(self, group: Parted) -> Begun:
-        """How liquids that are all round or all in boxes are where the motion is left."""
+        """Modal states of liquids, all round or all in boxes, where the motion is left."""
         history = next(each for each in self.known if _name(group[0][0]) in each.index)
         return history.along.at(self.t, self.now, history.places(group))
 
@@ -82,7 +82,7 @@ class History:
         return {_name(case): k for k, case in enumerate(all_cases(self.group))}
 
     def places(self, group: Parted) -> Indices:
-        """Which of the cases those of a group are."""
+        """Indices of a group's cases."""
         return np.array([self.index[_name(case)] for case in all_cases(group)])
 
 

@@ -1,4 +1,4 @@
-"""What the tray feels along a joint motion and the torque it takes, with exact derivatives by (q, dq, ddq).
+"""Motion regressor of the tray and torque along a joint motion, with exact derivatives by (q, dq, ddq).
 
 Analytic derivatives by Carpentier and Mansard, "Analytical derivatives of rigid body dynamics algorithms",
 RSS 2018, as Pinocchio provides them.
@@ -72,8 +72,8 @@ class MotionTerms:
 
     @classmethod
     def deriving(cls, model: Any, frame_id: int, states: Array, t: Array, some: npt.NDArray[np.intp]) -> MotionTerms:
-        """As `motion_terms`, at states (3, T, n) at t (T,), with derivatives that are worked out at some of the
-        instants, both ends among them, and are linear in between."""
+        """`motion_terms` at states (3, T, n) at t (T,), with derivatives at some of the instants, both ends among
+        them, linear in between."""
         others = np.ones(states.shape[1], dtype=bool)
         others[some] = False
         (q, dq, ddq), (q_rest, dq_rest, ddq_rest) = states[:, some], states[:, others]
@@ -159,8 +159,8 @@ class MotionTerms:
         return slope
 
     def changed(self, state: Array) -> tuple[Array, Array, Array]:
-        """What changes (T, 3 n, c) of the joints' q, dq and ddq make of the tray's motion: its displacement (T, 6, c)
-        and twist, in E, and what it feels (T, 12, c), which is `w_z` times them."""
+        """Change of the tray's motion by changes (T, 3 n, c) of the joints' q, dq and ddq: displacement (T, 6, c)
+        and twist, in E, and motion regressor (T, 12, c)."""
         found = self._changed_z @ state
         return found[:, :6], found[:, 6:12], found[:, 12:]
 

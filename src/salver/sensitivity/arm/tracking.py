@@ -130,7 +130,7 @@ class Held:
     late: Array
 
     def __add__(self, other: Held) -> Held:
-        """Of what is late for two reasons together."""
+        """Sum of two hold effects."""
         return Held(*(a + b for a, b in zip(vars(self).values(), vars(other).values(), strict=True)))
 
 
@@ -150,12 +150,14 @@ class Deviation:
     law: Law
 
     def along(self, terms: MotionTerms) -> Deviation:
-        """The same along a motion like it, with its terms."""
+        """The deviation along a similar motion, with its terms."""
         return replace(self, terms=terms)
 
     def reaction(self, wrench: Array, start: Array | None = None) -> Reaction:
-        """What the arm does, to first order, when the load needs wrenches (K, T, 6) at E beyond what the controller
-        knows of. start: (2, n, K) e and e' where the motion begins, 0 unless given."""
+        """Response of the arm, to first order, to wrenches (K, T, 6) at E that the controller does not know of.
+
+        start: (2, n, K) e and e' where the motion begins, 0 unless given.
+        """
         pushed = np.asarray(np.swapaxes(self.terms.jacobian, 1, 2) @ wrench.transpose(1, 2, 0), dtype=float)
         missing = self.terms.mass_inverse @ pushed
         return Reaction(self.terms, *self.law(missing, np.zeros(len(wrench)), start))
@@ -213,7 +215,7 @@ class JointLoop:
         return float(8.0 / np.sqrt(self.kp))
 
     def begun(self, start: Array) -> JointLoop:
-        """The same loop for a motion that begins in a deviation (2, n, n_c + 1), as `Deviation.state_at` gives it."""
+        """The loop for a motion that begins with a deviation (2, n, n_c + 1), as `Deviation.state_at` gives it."""
         return replace(self, start=start)
 
     def along(
@@ -255,8 +257,8 @@ class JointLoop:
         return replace(found, held=found.held + stepped)
 
     def sag(self, terms: MotionTerms) -> Drift:
-        """How the weight that the tray feels changes where the arm stands still in each posture of a motion, sagged
-        under a wrong load: e = m / kp, by which the tray leans. Second order in the load included."""
+        """Change of the tray's specific force where the arm rests in each posture of a motion, sagged under
+        parameter errors: e = m / kp tilts the tray. Second order in the load included."""
         n_p = self.load.uncertain.size
         up, jacobian = terms.up, terms.jacobian
         w = np.zeros_like(terms.w)
@@ -330,7 +332,7 @@ def deviation(load: LoadChange, terms: MotionTerms, late: Array, law: Law, start
 
 
 def _held(terms: MotionTerms, joints: JointDeviation, tray: TrayDeviation, torque: Array) -> Held:
-    """What late commands, the last of what is missing, do."""
+    """Effect of the hold delay; the last part of the missing acceleration."""
     late, swing = joints.missing[:, :, -1], np.zeros_like(terms.w)
     swing[:, :6] = (terms.jacobian @ late[:, :, None])[:, :, 0]
     q, dq, torque, moved, w = (x[:, :, -1] for x in (joints.q, joints.dq, torque, tray.state, tray.w))
