@@ -146,7 +146,7 @@ def _closed_loop(plan: Plan, runs: Sequence[int], drawn: Sequence[Mapping[str, f
 
 
 def _stride(t: Array) -> int:
-    """Every how many instants (a divisor of their number) the rollout is looked at: about every SPACING."""
+    """Every how many instants (a divisor of their number) the rollout is checked: about every SPACING."""
     count = len(t) - 1
     wanted = max(1, int(SPACING / (t[-1] - t[0]) * count))
     return next(k for k in range(wanted, 0, -1) if count % k == 0)

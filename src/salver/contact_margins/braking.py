@@ -1,8 +1,8 @@
 """Effect of a stop on the path on the load: a robot's own protective stop, or a soft stop that scales time.
 
 A stop that begins at t and takes T s lets the speed factor fall from 1 to 0 at the rate -1/T, so the arm goes on along
-its path for half of T. What the tray feels meanwhile is w(s, s') of `salver.contact_margins.time_scaling`, in the
-postures that are passed. A motion is only asked for stops that bring it to rest before its own end.
+its path for half of T. The tray's motion regressor meanwhile is w(s, s') of `salver.contact_margins.time_scaling`, in
+the postures that are passed. A motion is only asked for stops that bring it to rest before its own end.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class BrakingOptions:
         instants: at which a stop begins, evenly over the motion. Doubled, twice the time.
         durations: number of durations between `shortest` and the motion's own, evenly in their logarithm.
         shortest: s, of a stop. Protective stops of collaborative arms take a tenth to a half of a second.
-        steps: instants along each stop at which contact is looked at.
+        steps: instants along each stop at which contact is checked.
     """
 
     instants: int = 40

@@ -1,7 +1,7 @@
 """At which constant factors of its full speed a motion keeps its load, and how fast that factor may change.
 
 A motion run at speed factor s, which changes at s' (1/s), has s times the velocities, and accelerations s^2 a + s' v.
-So what the tray feels is
+So the tray's motion regressor is
 
     w(s, s') = w_static + s^2 (w(1) - w_static) + s' (twist, 0),
 
@@ -50,7 +50,7 @@ class SafeSpeeds:
     without any. failure: what happens at the factor `fails_at`, next below the uppermost interval (or above, where that
     begins at 0); None when it holds at all from 0 to 1. rate: the largest rate of the factor (1/s, up or down) that
     keeps contact at every constant factor from 0 to 1; None where that is not known. tried: number of factors that were
-    looked at; 0 when the intervals are exact. lacking: of each range of factors at which it fails that at which most is
+    checked; 0 when the intervals are exact. lacking: of each range of factors at which it fails that at which most is
     missing, of those tried. unchecked: what is left out at other speeds, in words.
     """
 
@@ -149,7 +149,7 @@ class TimeScaled:
 
     @cached_property
     def static(self) -> Array:
-        """(T, 12) what the tray feels standing still in each posture."""
+        """(T, 12) the tray's motion regressor at rest in each posture."""
         zero = np.zeros_like(self.tray.v_S)
         return motion_vector(self.tray.R_SB, zero, zero, zero)
 

@@ -71,7 +71,7 @@ def lag(t: Array, plan: JointMotion, rate: float, damping: float, delay: float, 
 
 
 def of_lags(t: Array, plan: JointMotion, off: Array) -> list[Fit]:
-    """Lags without and with friction. Begun at 10 Hz; 2 to 60 Hz are looked at."""
+    """Lags without and with friction. Begun at 10 Hz; 2 to 60 Hz are tried."""
     low, high, unit = [12.0, 0.1, -0.05, -100.0], [400.0, 2.0, 0.05, 100.0], np.array([60.0, 0.6, 0.005, 1.0])
     bases, rubbed, tangents = [], [], []
     for j, column in enumerate(off.T):

@@ -38,7 +38,7 @@ class TrackingOptions:
         pace: share by which a run may be slower than planned; doubled, a speed override of 5 % passes.
         rest: rad/s at which the arm counts as at rest at the end of the log; doubled, its last motion is cut off.
         sparsest: samples a second that a log must have; halved, what shakes a load at 20 Hz is missed.
-        before, after: s around the motion that are looked at.
+        before, after: s around the motion that are checked.
         rate: samples a second that are enough; of more, means are taken. Doubled, twice the time.
         slowest, fastest: Hz, between which the cut-off of the smoother is looked for. What is faster than 80 Hz moves a
             joint, and the load, by next to nothing; doubled, noise takes part of it.

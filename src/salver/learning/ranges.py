@@ -1,7 +1,7 @@
 """From an estimate of a load's inertial parameters to ranges of what scenarios speak of.
 
 Mass, centre of mass c = h / m and inertia about it, I - m (|c|^2 1 - c c^T), are no linear functions of phi. What an
-estimate with a covariance says of each within so many standard deviations is worked out without linearising: of the
+estimate with a covariance says of each within so many standard deviations is computed without linearising: of the
 centre of mass by Fieller (1954), of the inertia with u = h - m c_0, c_0 that of the estimate, of which
 
     h h^T / m = m c_0 c_0^T + c_0 u^T + u c_0^T + u u^T / m

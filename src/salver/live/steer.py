@@ -3,7 +3,7 @@
 The bend is a coarse spline that begins at the hand-over with value, velocity and acceleration zero, and ends at rest
 within the horizon. No bend *is* the committed motion, so with bounds of max(-row, 0) the quadratic programme of a tick
 can always be solved and needs no slack: real-time iteration (Diehl, Bock, Schloeder, SIAM J. Control Optim. 43(5),
-2005), whose every iterate is feasible. What it finds is looked at like any other motion before it is committed.
+2005), whose every iterate is feasible. What it finds is checked like any other motion before it is committed.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Geometry of the arm: shapes of links, tray and load; whether they touch one another or an obstacle.
 
 All shapes are convex (`salver.models.link_shapes`), compared by Coal. A hull is larger than its link, so a posture that
-is found free is free, as far as it was looked at. What is not looked at is told by `ArmGeometry.unchecked`.
+is found free is free, as far as it was checked. What is not checked is told by `ArmGeometry.unchecked`.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class ArmGeometry:
     pairs: (index, index) into names; those that are compared.
     tray: index of the tray; what it carries follows. obstacles: how many of the parts, the last ones, stand around in
     the world.
-    unchecked: what is not looked at, in words: links without geometry, pairs that are left out.
+    unchecked: what is not checked, in words: links without geometry, pairs that are left out.
     left_out: pairs of names that could touch and are not compared, by reason.
     """
 
@@ -83,7 +83,7 @@ class ArmGeometry:
         """(N, pairs) distance of each pair at postures (N, n), m; negative where they overlap.
 
         within: distances larger than this (m), of all or of each pair, need not be exact, only no larger than the true
-        ones: a pair that is far away is not looked at again before the joints have turned far enough to bring it near;
+        ones: a pair that is far away is not checked again before the joints have turned far enough to bring it near;
         from a neighbour, or from the posture in its place when as many were asked for last.
         """
         low = np.full((len(q), len(self.pairs)), -np.inf)
@@ -269,7 +269,7 @@ class ArmGeometry:
 
 @lru_cache(maxsize=64)
 def _passes(count: int, several: bool) -> list[tuple[Indices, ...]]:
-    """In which order `count` postures are looked at: which ones at a time, and the known ones before and after each."""
+    """In which order `count` postures are checked: which ones at a time, and the known ones before and after each."""
     passes: list[tuple[Indices, ...]] = []
     known = np.zeros(0, dtype=int)
     for stride in _STRIDES if several else (1,):

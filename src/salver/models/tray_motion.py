@@ -86,8 +86,8 @@ def corners(speeds: Literal["any", "full"], rate: float) -> tuple[Speed, ...]:
     """The speeds at which the contact of a rigid load must hold so that it does at every constant factor from 0 to 1,
     and at factors that change by up to `rate`, 1/s; or at full speed alone.
 
-    What the tray feels is linear in (s^2, s'), and contact a convex condition on it: it holds in the whole rectangle of
-    these when it does at its corners.
+    The tray's motion regressor is linear in (s^2, s'), and contact a convex condition on it: it holds in the whole
+    rectangle of these when it does at its corners.
     """
     if speeds == "full":
         return (FULL_SPEED,)

@@ -58,7 +58,7 @@ class Open:
         return Open(self.at[:, some], self.known[some], most, coefficients, target)
 
     def worst(self, fillings: tuple[Filling, ...]) -> Array:
-        """(m,) with the worst fillings. One after the other: while one is worked out, the others are at their most."""
+        """(m,) with the worst fillings. One after the other: while one is computed, the others are at their most."""
         rest = list(self.most)
         for j, filling in enumerate(fillings):
             others = self.known + sum(rest) - rest[j]

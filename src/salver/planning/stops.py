@@ -1,7 +1,7 @@
 """Load-safe stops: from instants along a plan, the shortest motions to rest that keep the load in its place.
 
-A stop begins in the state of the plan at its instant, with the arm's deviation under a wrong load as it is there, and
-ends at rest anywhere. Everything that holds of a fastest motion holds of it: the arm's limits, contact in the worst
+A stop begins in the state of the plan at its instant, with the arm's deviation under a parameter error as it is there,
+and ends at rest anywhere. Everything that holds of a fastest motion holds of it: the arm's limits, contact in the worst
 case over the uncertain set, clearance of the arm's own parts and of obstacles, between the nodes too. Each is judged
 once more by the arm's own verdict before it is kept.
 
@@ -210,9 +210,9 @@ def stop_from(
     """The shortest motion to rest anywhere from a state of the arm; None when none was found.
 
     problem: what must hold on the way, for which uncertain set; its ends are not asked for.
-    deviation: (2, n, n_c + 1) in which the arm is under a wrong load, of `Deviation.state_at`; at rest under it unless
-    given. guess: a motion from the state to rest, and the `duration`, s, to begin with: braking of every joint unless
-    given. spline: of what is found. beat: s; given up where it will hardly be shorter than this.
+    deviation: (2, n, n_c + 1) in which the arm is under a parameter error, of `Deviation.state_at`; at rest under it
+    unless given. guess: a motion from the state to rest, and the `duration`, s, to begin with: braking of every joint
+    unless given. spline: of what is found. beat: s; given up where it will hardly be shorter than this.
 
     What is found is checked between the nodes of the programme, on a grid six times finer (the joints' own limits on
     one thirty times finer), and judged by `follow.limits.verdict`.
@@ -304,8 +304,9 @@ def _shortest(
 
 
 def along(problem: TransportProblem, motion: JointMotion, space: Space) -> tuple[Array, Array, Deviation | None]:
-    """Instants (T,), s, what the tray feels there, (T, 12), and the deviation that a wrong load brings the arm into
-    along a motion from rest, under the loop on the joints or on the object's pose; None when nothing is uncertain."""
+    """Instants (T,), s, the tray's motion regressor there, (T, 12), and the deviation that a parameter error brings the
+    arm into along a motion from rest, under the loop on the joints or on the object's pose; None when nothing is
+    uncertain."""
     t = np.linspace(0.0, motion.duration, max(401, int(np.ceil(motion.duration / 4e-3)) + 1))
     tracking = problem.tracking
     q, dq, ddq = motion.sample(t)

@@ -50,7 +50,8 @@ class Slosh:
     def given_way(
         cls, waves: Waves, planned: Waves, reaction: Reaction, dw: Array, start: Underway | None = None
     ) -> Slosh:
-        """dw: (K or 1, T, 12, n_c) change of what the tray feels; start: what it made of the waves till then."""
+        """dw: (K or 1, T, 12, n_c) change of the tray's motion regressor; start: what it made of the waves till
+        then."""
         change, highest = changed(waves, dw, start), waves.cases.highest
         higher = (highest(np.moveaxis(change.eta, 2, 3)) + np.abs(change.thrown)).sum(axis=2)
         left = np.einsum("kna,knac->kca", waves.cases.gain, np.hypot(*change.ending))

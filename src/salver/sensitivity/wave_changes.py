@@ -34,8 +34,8 @@ class Change:
 
 
 def changed(waves: Waves, dw: Array, start: Underway | None = None) -> Change:
-    """To first order, by changes dw (K or 1, T, 12, c) of what the tray feels, before the motion too. start: what
-    they have made of the waves till then, where these do not begin at rest."""
+    """To first order, by changes dw (K or 1, T, 12, c) of the tray's motion regressor, before the motion too. start:
+    what they have made of the waves till then, where these do not begin at rest."""
     which, spun = waves.cases, waves.spun(dw, start)
     r, rate, second = waves.pushed(dw, before=True, start=start, spun=spun)
     spun = spun[:, :, None] * waves.cases.round  # (K or 1, T, 1, c)

@@ -22,7 +22,7 @@ class Swings:
     """Derivatives of waves by c unknowns: of their masses by their drive, as `Waves.swung` has it, of rotation by spun
     (K or 1, T, c), and of both by the growth of log T, stretch (c,).
 
-    Places and speeds are worked out at the nodes at which rows read them: near the edge there are few.
+    Places and speeds are computed at the nodes at which rows read them: near the edge there are few.
     """
 
     waves: Waves

@@ -2,7 +2,7 @@
 
 The modes of `salver.models.liquid` are filters with a memory (`salver.sensitivity.filter`), driven by the lateral
 specific force at each mode's height and stiffened by the vertical one. All is linear in the drive: what small changes
-of the motion make of the waves goes through the same filters. All fills and dampings of a liquid are worked out side by
+of the motion make of the waves goes through the same filters. All fills and dampings of a liquid are computed side by
 side.
 """
 
@@ -27,8 +27,8 @@ TURNING[[6, 8]] = 1.0  # omega_x^2 + omega_y^2: the same in every frame whose z 
 
 
 def along(several: Sequence[SloshingCase], t: Array, w: Array, start: Underway | None = None) -> Waves:
-    """The waves of cases, all round or all boxes, along a motion: what the tray feels, w (T, 12), at t (T,). start: how
-    they begin, at rest unless given."""
+    """The waves of cases, all round or all boxes, along a motion: the tray's motion regressor, w (T, 12), at t (T,).
+    start: how they begin, at rest unless given."""
     which = Cases.of(tuple(several))
     felt = np.broadcast_to(w, (len(several), *w.shape))
     upward = _upward(which, felt)
@@ -81,9 +81,9 @@ class Waves:
     Vectors across the container have two components. In a round one, whose wall cannot take the liquid along, they are
     along axes that do not turn about the container's own: those that the container had at the beginning.
     filters: (K, n_modes, axes), of a round container one for both axes. turning: from the angular acceleration about
-    the axis to the angle, `spin` (K, T), rad. w (K, T, 12): what the tray feels. upward (K, T): specific force that
-    stiffens the waves. at_modes: lateral specific force at each mode; r, rate, second: place, m, speed and acceleration
-    of each moving mass; (K, T, n_modes, 2). start: how they begin, None for at rest.
+    the axis to the angle, `spin` (K, T), rad. w (K, T, 12): the tray's motion regressor. upward (K, T): specific force
+    that stiffens the waves. at_modes: lateral specific force at each mode; r, rate, second: place, m, speed and
+    acceleration of each moving mass; (K, T, n_modes, 2). start: how they begin, None for at rest.
     """
 
     cases: Cases
@@ -223,10 +223,10 @@ class Waves:
     def pushed(
         self, dw: Array, before: bool, start: Underway | None = None, spun: Array | None = None
     ) -> tuple[Array, Array, Array]:
-        """r, r' and r'' (K, T, n_modes, 2, c), to first order, by changes dw (K or 1, T, 12, c) of what the tray feels:
-        pushed aside, stiffened, and turned under the waves. before: whether what changes was so before the motion
-        too. start: what it has made of them till then, where they do not begin at rest. spun: as `spun` has it, if it
-        is known."""
+        """r, r' and r'' (K, T, n_modes, 2, c), to first order, by changes dw (K or 1, T, 12, c) of the tray's motion
+        regressor: pushed aside, stiffened, and turned under the waves. before: whether what changes was so before the
+        motion too. start: what it has made of them till then, where they do not begin at rest. spun: as `spun` has it,
+        if it is known."""
         drive = self._driven(dw, self.spun(dw, start) if spun is None else spun)
         begin = self._level(drive) if before else None
         if start is not None:
@@ -236,8 +236,8 @@ class Waves:
 
     def swung(self, dw: Array, spun: Array) -> Array:
         """(K, n_modes, axes, 2 + T, 2 c / axes) what moves each mass, as `LinearFilter.answers` has it, to first order:
-        where it begins, and how it is driven, by changes dw (K or 1, T, 12, c) of what the tray feels that were so
-        before the motion too. spun: as `spun` has it."""
+        where it begins, and how it is driven, by changes dw (K or 1, T, 12, c) of the tray's motion regressor that were
+        so before the motion too. spun: as `spun` has it."""
         drive = self._driven(dw, spun)
         begin = self._level(drive)
         return np.concatenate([begin, self._taken_along(drive, begin)], axis=3)
@@ -257,7 +257,8 @@ class Waves:
 
     @cached_property
     def _drive_map(self) -> Array:
-        """(K, n_modes, axes, T, 2 / axes, 13) from what the tray feels, and `spun`, to the drives of the filters."""
+        """(K, n_modes, axes, T, 2 / axes, 13) from the tray's motion regressor, and `spun`, to the drives of the
+        filters."""
         which, (K, T, n, _) = self.cases, self.r.shape
         c, s = (f(self.spin)[:, :, None, None] for f in (np.cos, np.sin))
         x, y = which.at_mode[:, None, :, 0], which.at_mode[:, None, :, 1]
@@ -399,8 +400,8 @@ class Waves:
 
     @cached_property
     def slower(self) -> tuple[Array, Array]:
-        """(K, T, n_modes, 2) derivative of r and r' by log T, where what the tray feels is the same in each share of
-        it.
+        """(K, T, n_modes, 2) derivative of r and r' by log T, where the tray's motion regressor is the same in each
+        share of it.
 
         In shares of T the equation reads x'' / T^2 + kd x' / T + kp x = d.
         """
@@ -426,8 +427,8 @@ class Waves:
         return 2 * (self.spin - self.start.spin[:, None]) - np.outer(self.start.turning, self.t - self.t[0])
 
     def underway(self, dw: Array | None = None, start: Underway | None = None) -> Underway:
-        """How these waves are at each node, (T, K, ...); or, to first order, what changes dw (K, T, 12, c) of what the
-        tray feels, before the motion too, have made of them. start: as of `pushed`."""
+        """How these waves are at each node, (T, K, ...); or, to first order, what changes dw (K, T, 12, c) of the
+        tray's motion regressor, before the motion too, have made of them. start: as of `pushed`."""
         if dw is None:
             moved, drive, start = (self.r, self.rate), self.w[:, :, 5], self.start
             peak = np.maximum.accumulate(self.cases.highest(self.eta), axis=1)

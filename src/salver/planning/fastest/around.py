@@ -3,7 +3,7 @@
 Two trees, one from the start postures and one from the goal postures, grow in steps towards random postures and then
 towards one another (RRT-Connect: Kuffner and LaValle, ICRA 2000). Every posture is put back to where the tray leans no
 further than it may (Berenson, Srinivasa, Ferguson, Kuffner, ICRA 2009). What is found is then cut short. Work is
-counted in postures that are looked at, never in seconds, so the same generator gives the same way on any machine.
+counted in postures that are checked, never in seconds, so the same generator gives the same way on any machine.
 """
 
 from __future__ import annotations
@@ -137,7 +137,7 @@ def way_around(
 ) -> Array | None:
     """Postures (N, n) of a way from one of the starts to one of the goals, (n,) each; None when none was found.
 
-    looks: postures that are looked at, at most.
+    looks: postures that are checked, at most.
     """
     ends = np.array([*starts, *goals])
     space = FreeSpace.between(problem, ends, looks)

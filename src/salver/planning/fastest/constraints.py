@@ -64,7 +64,8 @@ class Block:
     most: rows of one node that are considered; None for all. always: rows are considered however far away.
     kinked: whether derivatives jump, as those of distances do where the nearest edge becomes another one, or turn
     quickly, as those of the height of a wave that may come from any side.
-    factor: the speed factor at which the rows are taken: what the unknowns make of what the tray feels is that there.
+    factor: the speed factor at which the rows are taken: what the unknowns make of the tray's motion regressor is that
+    there.
     inherits: whether the first node's rows are of the state that the motion begins in, and so cannot be changed.
     in_words: what a row above 0 exceeds its limit by, with a unit.
     """
@@ -184,8 +185,8 @@ def both_sides(scaled: Array, extra: Array | float = -1.0) -> Array:
 class JointLimit(Constraint):
     """Position, velocity, acceleration, jerk: two rows for each joint with a finite limit.
 
-    To position and velocity a wrong load, held commands and liquids add what the arm strays; acceleration and jerk are
-    those of the reference, as makers state their limits. orders: of the derivatives that are looked at.
+    To position and velocity a parameter error, the zero-order hold and liquids add what the arm strays; acceleration
+    and jerk are those of the reference, as makers state their limits. orders: of the derivatives that are checked.
     """
 
     limits: JointLimits
@@ -234,7 +235,7 @@ class JointLimit(Constraint):
 
 @dataclass(frozen=True, eq=False)
 class TorqueLimit(Constraint):
-    """Torque, to which a wrong load and what liquids push add their worst case."""
+    """Torque, to which a parameter error and what liquids push add their worst case."""
 
     limits: JointLimits
 
@@ -289,7 +290,8 @@ class ContactConstraint(Constraint):
     """Facets of the contact wrench cones of one network of touching objects, at the worst parameters.
 
     margin: that the scenario asks for, as a share of the normal force at rest. speed: at which. exactly: of an arm that
-    follows exactly, without what held commands and wrong loads do to it; the verification of a plan asks for that too.
+    follows exactly, without what the zero-order hold and wrong loads do to it; the verification of a plan asks for that
+    too.
     coarsely: of rows that are far from their edge a bound is enough.
     """
 

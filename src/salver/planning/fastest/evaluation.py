@@ -42,12 +42,12 @@ NOTHING = Known()
 class MotionEvaluation:
     """A motion at points s (P,) in [0, 1] of its duration (s): z (4, P, n) is q and its three time derivatives there.
 
-    model: Pinocchio's, with all objects bolted on at nominal parameters; frame_id: of the tray in it. tracking: what
-    a wrong load does to the arm, or None. nodes: (N,) indices of the points at which dynamics and distances are
-    looked at; the joints' own motion costs little and is looked at at all points. imposed: whether the rows are
-    conditions of a programme; otherwise they are checked between its nodes. moving: whether it begins moving. liquids:
-    the cases of each; past: what they come from, if not from rest. coarsely: whether of rows that are far from their
-    edge a bound is enough. known: quantities that need not be worked out.
+    model: Pinocchio's, with all objects bolted on at nominal parameters; frame_id: of the tray in it. tracking: what a
+    parameter error does to the arm, or None. nodes: (N,) indices of the points at which dynamics and distances are
+    checked; the joints' own motion costs little and is checked at all points. imposed: whether the rows are conditions
+    of a programme; otherwise they are checked between its nodes. moving: whether it begins moving. liquids: the cases
+    of each; past: what they come from, if not from rest. coarsely: whether of rows that are far from their edge a bound
+    is enough. known: quantities that need not be computed.
 
     All further quantities are computed when they are first read, and once.
     """
@@ -102,8 +102,8 @@ class MotionEvaluation:
         return self.tracking.along(shares * self.duration, self.terms, self.at_nodes[1:], shares=shares)
 
     def felt(self, factor: float = 1.0, rate: float = 0.0, exactly: bool = False) -> tuple[Array, Drift | None]:
-        """w (N, 12) at the nodes, at a speed factor that changes by a rate, 1/s, and how a wrong load and held commands
-        change it; nothing, where the arm follows exactly."""
+        """w (N, 12) at the nodes, at a speed factor that changes by a rate, 1/s, and how a parameter error and the
+        zero-order hold change it; nothing, where the arm follows exactly."""
         if not factor:
             return self.terms.w_at(0.0, rate), None if exactly else self.sag
         at = self.at_factor(factor)
@@ -175,7 +175,7 @@ class MotionEvaluation:
 
     def joint_radius(self, order: int) -> Array:
         """(N, n) most by which the joints' position (order 0) or velocity (1) can differ from the plan's at the nodes:
-        for a wrong load, held commands and what liquids push."""
+        for a parameter error, the zero-order hold and what liquids push."""
         assert self.response is not None
         name = ("q", "dq")[order]
         return self._wider(self.response.joint_radius(order), lambda reaction: getattr(reaction.joints, name))

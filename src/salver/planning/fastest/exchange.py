@@ -67,7 +67,7 @@ class ExchangeOptions:
 class Checked:
     """Coefficients (size, m), duration and margin (as in `Point`) of a motion whose rows were checked on the fine grid.
 
-    problem: with all the cases of liquids that were looked at.
+    problem: with all the cases of liquids that were checked.
     worst: largest row of each block there, <= 0 when kept. binding: names of those blocks that hinder a shorter time:
     that depend on time, and come near their edge. iterations: of all rounds. looked: whether the check looked at every
     fill and damping of a liquid, along this very motion.
@@ -196,8 +196,8 @@ def rough(
     iterations: int = 25,
     beat: float = np.inf,
 ) -> SqpSolution:
-    """A first optimum with few pieces: a start for one with more. Between its nodes only what touches is looked at: a
-    thin obstacle would fit between two of them.
+    """A rough optimum with few pieces: an initial guess for one with more. Between its nodes only what touches is
+    checked: a thin obstacle would fit between two of them.
 
     beat: s; given up where it will hardly be shorter than this. Nodes that are added only make it longer.
     """

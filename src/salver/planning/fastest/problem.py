@@ -55,7 +55,8 @@ class TransportProblem:
     (`salver.planning.fastest.ends`).
     limits: the share of the arm's limits that may be used. max_tilt: rad from vertical; 0 means level.
     contacts: rows for each network of touching objects. uncertain: what is not known (empty for a nominal plan).
-    tracking: what a wrong load and held commands do to the arm; None for a nominal plan, and for an arm without masses.
+    tracking: what a parameter error and the zero-order hold do to the arm; None for a nominal plan, and for an arm
+    without masses.
     keep_out: what must not touch: parts of the arm, tray, load, obstacles; None for nothing.
     speeds: at which contact must hold. extra: constraints beside those that follow from all this.
     liquids: for each, the cases that stand for all there are; every_case: those that a verdict looks at; past: what
@@ -99,8 +100,8 @@ class TransportProblem:
 
     @cached_property
     def roughly(self) -> TransportProblem:
-        """For a first guess: without what liquids do, which costs most and changes least of the way; nor what a wrong
-        load does to the arm, where there are obstacles and much is to be tried."""
+        """For a first guess: without what liquids do, which costs most and changes least of the way; nor what a
+        parameter error does to the arm, where there are obstacles and much is to be tried."""
         return replace(self, liquids=(), tracking=None if self.scenario.obstacles else self.tracking)
 
     @property

@@ -19,9 +19,9 @@ Found = TypeVar("Found", bound=Any)  # a motion with its `problem`, as `joint_mo
 
 
 def at_every_speed(found: Found, plan: Plan, again: Callable[[Found], tuple[Found, Plan]]) -> tuple[Found, Plan]:
-    """A motion and its plan, sought again until it holds at every speed, if the scenario asks for that. What the tray
-    feels is linear in the square of the factor; sloshing and what the arm makes of a wrong load have time scales of
-    their own, so speeds at which they fail join those at which the motion must hold.
+    """A motion and its plan, sought again until it holds at every speed, if the scenario asks for that. The tray's
+    motion regressor is linear in the square of the factor; sloshing and what the arm makes of a parameter error have
+    time scales of their own, so speeds at which they fail join those at which the motion must hold.
 
     again: a motion and its plan from one that was found, with a problem that asks for more.
     """
@@ -34,8 +34,8 @@ def at_every_speed(found: Found, plan: Plan, again: Callable[[Found], tuple[Foun
 
 
 def _lacking(found: Found, plan: Plan) -> tuple[Speed, ...]:
-    """Speeds at which a motion fails: with a liquid as its plan says; else of some, with what the arm makes of a wrong
-    load."""
+    """Speeds at which a motion fails: with a liquid as its plan says; else of some, with what the arm makes of a
+    parameter error."""
     problem = found.problem
     if problem.liquids:
         return tuple(Speed(max(factor, SLOWEST)) for factor in plan.speeds.lacking)

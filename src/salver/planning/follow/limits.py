@@ -46,7 +46,7 @@ def torques(arm: ArmModel, motion: JointMotion, bodies: Sequence[Body] = ()) -> 
 def peaks(arm: ArmModel, motion: JointMotion, bodies: Sequence[Body] = ()) -> list[Peak]:
     """The largest share of each kind of the scenario's limits (`arm.planning_limits`).
 
-    Position is measured from the middle of the range. Between samples too: the spline is looked at twice as finely, and
+    Position is measured from the middle of the range. Between samples too: the spline is checked twice as finely, and
     where samples are far apart (two of them may be a whole motion) at 200 instants.
     """
     motion, limits = _finely(motion), arm.planning_limits

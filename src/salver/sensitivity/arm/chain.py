@@ -123,10 +123,10 @@ class ArmChain(Outlined):
     and what the wrong load makes of the deviation that it causes.
 
     t: (T,) s. space: where the controller closes its loop. deviation: what the wrong load does to the arm. Of it,
-    nominal: poses, w, torque along the motion. joints: deviation of q, dq, ddq. tray: (T, 12, n_c) of the assumed
-    frame E, rows dp in S, dtheta in E, dv in S, domega in E. torque: (T, n, n_c) commanded, N m. w: (T, 12, n_c) of
-    what the tray feels at E, through its motion alone. wrench: (T, 6, n_c) contact wrench of the first object at its
-    B, N and N m; direct_wrench: the part of it that the object needs on an unchanged motion, Y dphi.
+    nominal: poses, w, torque along the motion. joints: deviation of q, dq, ddq. tray: (T, 12, n_c) of the assumed frame
+    E, rows dp in S, dtheta in E, dv in S, domega in E. torque: (T, n, n_c) commanded, N m. w: (T, 12, n_c) of the
+    tray's motion regressor at E, through its motion alone. wrench: (T, 6, n_c) contact wrench of the first object at
+    its B, N and N m; direct_wrench: the part of it that the object needs on an unchanged motion, Y dphi.
     slack: (T, n_rows) of the contact rows, safe above 0, as a share of the normal force at rest. slack_p: (T, n_rows,
     n_p) its derivatives, without products.
     held: where the nominal motion itself is, off the plan.

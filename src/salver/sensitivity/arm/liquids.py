@@ -93,7 +93,7 @@ class Given:
     """All cases of a group of liquids along a motion.
 
     planned: waves on a tray that follows its motion exactly. Of an arm that gives way: waves with what it makes of
-    that, its reaction to them, and changes (K, T, 12, n_c) of what the tray feels that may be or not.
+    that, its reaction to them, and changes (K, T, 12, n_c) of the tray's motion regressor that are uncertain.
     """
 
     planned: Waves
@@ -112,8 +112,8 @@ class Given:
         begun: Begun,
         rounds: int = ROUNDS,
     ) -> Given:
-        """Along what the tray feels, w (T, 12), at t (T,). rounds: in which the arm gives way to what the waves push,
-        and the waves are then others, by an eighth as much each time."""
+        """Along the tray's motion regressor, w (T, 12), at t (T,). rounds: in which the arm gives way to what the waves
+        push, and the waves are then others, by an eighth as much each time."""
         planned = along(all_cases(group), t, w, begun.planned)
         if response is None:
             return cls(planned, begun)

@@ -54,7 +54,7 @@ class MotionTerms:
     they are `known`.
 
     p_SE (T, 3), R_SE (T, 3, 3). twist (T, 6); spatial (T, 6), its spatial acceleration. torque (T, n) N m with the
-    load. w (T, 12) what the tray feels (`salver.models.tray_motion`).
+    load. w (T, 12) the tray's motion regressor (`salver.models.tray_motion`).
     """
 
     model: Any
@@ -142,8 +142,8 @@ class MotionTerms:
         return -(GRAVITY_S @ self.R_SE)
 
     def w_at(self, squared: float, rate: float) -> Array:
-        """(T, 12) what the tray feels at a speed factor whose square is `squared` and which changes by `rate`, 1/s: of
-        the weight alone in each posture, of what motion adds with the square, of the twist with the rate."""
+        """(T, 12) the tray's motion regressor at a speed factor whose square is `squared` and which changes by `rate`,
+        1/s: of the weight alone in each posture, of what motion adds with the square, of the twist with the rate."""
         w = squared * self.w
         w[:, :3] += (1 - squared) * self.up
         w[:, :6] += rate * self.twist

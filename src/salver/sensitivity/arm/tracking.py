@@ -5,7 +5,7 @@ wrench that the unknown part of the load needs along the motion (`salver.sensiti
 
     m(t) = M(q)^-1 J_E(q)^T dF(t),        dF = (d load / dp) w(t)
 
-is asked for and not got, whatever the law for the commanded acceleration. A law in the joints answers with
+is commanded and missing, whatever the law for the commanded acceleration. A law in the joints answers with
 
     e'' + kd e' + kp e = m(t),            e = q* - q,
 
@@ -96,7 +96,7 @@ class Reaction:
 
     @cached_property
     def w(self) -> Array:
-        """(K, T, 12) by which what the tray feels changes."""
+        """(K, T, 12) by which the tray's motion regressor changes."""
         return self.tray.w.transpose(2, 0, 1)
 
     @cached_property
@@ -136,7 +136,8 @@ class Held:
 
 @dataclass(frozen=True, eq=False)
 class Deviation:
-    """Deviation of a motion at T instants per unit of each of n_c terms of the parameter error, and by held commands.
+    """Deviation of a motion at T instants per unit of each of n_c terms of the parameter error, and by the zero-order
+    hold.
 
     terms: the motion as planned. joints, tray: deviations. torque: (T, n, n_c) commanded, N m. law: of the loop.
     """
@@ -189,7 +190,7 @@ class Deviation:
         return moved[:, :3], moved[:, 3:]
 
     def _radius(self, sensitivity: Array, held: Array) -> Array:
-        """Most (T, m) that a wrong load and held commands make of something together."""
+        """Most (T, m) that a parameter error and the zero-order hold make of something together."""
         return np.asarray(np.abs(held) + self.load.radius(sensitivity))
 
 
@@ -296,7 +297,7 @@ def missing_acceleration(load: LoadChange, terms: MotionTerms) -> Array:
 
 def commanded(terms: MotionTerms, joints: JointDeviation) -> Array:
     """(T, n, n_c) by which the torque that is asked for changes, N m: what the joints' deviation takes, and what is
-    asked for and not got."""
+    commanded and missing."""
     return np.asarray(terms.torque_z @ joints.state + terms.mass_matrix @ joints.missing)
 
 
