@@ -75,8 +75,8 @@ def define(
     case = load_scenario(directory)
     if case.legs and (engine == "closed-loop" or list(stems) != ["plan"]):
         raise SalverError(
-            f"{case.name} is a task of {len(case.legs)} legs: a run of its campaign is one of all of them in the "
-            "engine physics; it has no --stem and no other --engine."
+            f"{case.name} is a task of {len(case.legs)} legs; a run of its campaign runs all of them in the physics "
+            "engine: leave out --stem and --engine."
         )
     liquids = [body.name for body in case.bodies if body.liquid is not None]
     if engine == "closed-loop" and liquids:

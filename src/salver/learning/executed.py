@@ -95,7 +95,9 @@ def read_joints(path: str | Path, arm: ArmModel, topic: str | None = None) -> Jo
     if not isinstance(samples, JointSamples):  # a table may have the tray and the joints
         samples = read(path, lambda: arm.joint_names, topic, as_path=True)
     if not isinstance(samples, JointSamples):
-        raise FileFormatError(f"{path} holds a motion of the tray; the joints' is needed: columns q1 to q{arm.n}, rad.")
+        raise FileFormatError(
+            f"{path} holds a motion of the tray; give one of the joints: columns q1 to q{arm.n}, rad."
+        )
     if samples.q.shape[1] < arm.n:
         raise FileFormatError(f"{path} has {samples.q.shape[1]} joints; {arm.name} has {arm.n}.")
     return reordered(samples, tuple(arm.joint_names))

@@ -247,7 +247,7 @@ def _each_its_own(runs: Sequence[Run]) -> None:
         felt = (a.q, b.q), (a.tau, b.tau), (a.wrench_F, b.wrench_F)
         if all(x is y or (x is not None and y is not None and np.array_equal(x, y)) for x, y in felt):
             raise FileFormatError(
-                f"{a.source} and {b.source} are the same log: what was felt once would count twice; leave one away."
+                f"{a.source} and {b.source} are the same log, which would count twice; leave one out."
             )
 
 

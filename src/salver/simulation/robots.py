@@ -37,8 +37,8 @@ def believed(scenario: Scenario) -> tuple[Body, ...]:
     mass = nominal.mass + error
     if mass < 0:
         raise ScenarioError(
-            f"physics.robot.payload_error = {error:g} kg leaves {first.name} of {nominal.mass:g} kg less than nothing; "
-            f"at least {-nominal.mass:g} is accepted."
+            f"physics.robot.payload_error = {error:g} kg: {first.name} of {nominal.mass:g} kg would weigh less than "
+            f"nothing; at least {-nominal.mass:g} kg is accepted."
         )
     share = mass / nominal.mass
     return (replace(first, inertial=RigidBody(mass, nominal.com_B, share * nominal.inertia_com)), *others)

@@ -245,7 +245,7 @@ def _within_limits(scenario: Scenario, problem: TransportProblem, waypoints: Arr
         k, joint = beyond[0]
         raise ScenarioError(
             f"{scenario.name}: waypoint {k + 1} has {problem.arm.joint_names[joint]} at {waypoints[k, joint]:.4g}; it "
-            f"must be from {low[joint]:.4g} to {high[joint]:.4g} (rad; m where it slides)."
+            f"must be from {low[joint]:.4g} to {high[joint]:.4g} (rad; m for a prismatic joint)."
         )
 
 
