@@ -246,7 +246,7 @@ def page(records: list[dict[str, Any]], ran: list[dict[str, Any]], others: list[
         + [f"{known} by earlier states of the program, at both efforts:"] * bool(known)
     )
     lines = [
-        "# A survey of random tasks",
+        "# Random tasks",
         "",
         *_findings(records, ran),
         "",
