@@ -185,11 +185,12 @@ def all_rows_at_once(problem: Problem, elastic: bool) -> float:
         else:
             assert isinstance(rows, MotionRows)
             own = rows.rows
-            v, vs = -rows.w @ own.nominal.T, -np.einsum("ci,tiz->tcz", own.nominal, rows.w_jacobian)
+            w, by_z = rows.felt.w, rows.felt.w_jacobian
+            v, vs = -w @ own.nominal.T, -np.einsum("ci,tiz->tcz", own.nominal, by_z)
             ball = 0 if own.spread is None else len(own.acting)
             first = own.parameter if own.spread is None else np.tensordot(own.spread.T, own.parameter, axes=1)
             both = np.concatenate([first, own.remainder])
-            te, ts = np.einsum("kci,ti->tck", both, rows.w), np.einsum("kci,tiz->tckz", both, rows.w_jacobian)
+            te, ts = np.einsum("kci,ti->tck", both, w), np.einsum("kci,tiz->tckz", both, by_z)
         for t, c in np.ndindex(v.shape):
             value.append(v[t, c])
             slope.append(vs[t, c])

@@ -8,7 +8,6 @@ import nasty
 from salver.errors import ScenarioError
 from salver.geometry import GRAVITY_S
 from salver.planning.make import plan_baseline, plan_object
-from salver.planning.object.conditions import conditions_for
 from salver.planning.object.cost import integration_weights, row_scale
 from salver.planning.object.problem import Problem
 from salver.planning.object.solvers import _waiter, solve, solve_convex
@@ -50,17 +49,15 @@ def test_derivatives_are_those_of_the_values(scenario):
     assert here.residual_jacobian @ d == pytest.approx(numeric, abs=1e-7 * np.abs(numeric).max())
     assert here.goal_jacobian @ d == pytest.approx((ahead.goal - behind.goal) / (2 * h), abs=1e-8)
     for now, up, down in zip(here.rows, ahead.rows, behind.rows, strict=True):
-        slack, terms = now.slack()
-        assert now.least() == pytest.approx(slack, abs=1e-12)
-        change = (up.slack()[0] - down.slack()[0]) / (2 * h)
+        slack = now.slack()
+        change = (up.slack() - down.slack()) / (2 * h)
         instant, row = (index.ravel() for index in np.indices(slack.shape))
-        offset, slope = now.cuts(instant, row, terms[instant, row])
+        offset, slope = now.tangents(0 * d, instant, row)
         assert offset == pytest.approx(slack.ravel(), abs=1e-12)
-        # Where a term changes sign in between, its absolute value has no derivative.
-        smooth = np.all(np.sign(up.slack()[1]) == np.sign(down.slack()[1]), axis=-1).ravel()
-        assert smooth.mean() > 0.9
-        error = np.abs(slope @ d - change.ravel())[smooth]
-        assert error.max() < 1e-6 * np.abs(change).max()
+        # Where a term changes sign in between, its absolute value has no derivative: both sides have theirs.
+        jump = np.abs(up.slack() - 2 * slack + down.slack()).ravel() / h
+        assert np.mean(jump < 1e-4 * np.abs(change).max()) > 0.9
+        assert np.all(np.abs(slope @ d - change.ravel()) < 0.51 * jump + 1e-6 * np.abs(change).max())
 
 
 @pytest.mark.parametrize("weighting", ["scaled", "paper", "pose"])
@@ -83,9 +80,7 @@ def test_convex_solution_is_the_global_optimum(weighting, duration):
         return r @ r / unit, 2 * (model.residual_jacobian @ change).T @ r / unit
 
     def slack(y):
-        return (
-            np.concatenate([rows.slack(change @ y)[0].ravel() for rows in model.rows]) - problem.scenario.contact.margin
-        )
+        return np.concatenate([rows.slack(change @ y).ravel() for rows in model.rows]) - problem.scenario.contact.margin
 
     start = shape @ solution.z + 0.1 * np.sqrt(unit) * np.random.default_rng(0).normal(size=problem.size)
     other = minimize(
@@ -99,15 +94,15 @@ def test_convex_solution_is_the_global_optimum(weighting, duration):
 
 
 def test_ellipsoid_is_less_cautious_than_the_box_around_it():
+    """In a time that is too short for either, the least that is missing is less."""
     both = {}
     for kind in ("box", "ellipsoid"):
         place = {"com": [0.003] * 3}
         scenario = changed(
-            objects__0__uncertainty=place, uncertainty={"set": kind}, contact__condition="exact", motion__duration=0.6
+            objects__0__uncertainty=place, uncertainty={"set": kind}, contact__condition="exact", motion__duration=0.5
         )
-        both[kind] = solve(Problem(scenario, 31))
-        assert both[kind].status.ok
-    assert both["ellipsoid"].cost < both["box"].cost * (1 - 1e-9)  # proven to 1e-11
+        both[kind] = solve(Problem(scenario, 31)).violation
+    assert 0.1 < both["ellipsoid"] < 0.995 * both["box"]
 
 
 def test_more_freedom_never_costs_more():
@@ -126,7 +121,7 @@ def test_infeasible_says_which_constraint_when_and_by_how_much_and_least_violati
     model = problem.linearise(np.zeros(problem.size))
 
     def worst(z):
-        return max(0.001 - rows.slack(z)[0].min() for rows in model.rows)
+        return max(0.001 - rows.slack(z).min() for rows in model.rows)
 
     assert worst(solution.z) == pytest.approx(details["violation"], rel=1e-6)
     rng = np.random.default_rng(0)
@@ -157,7 +152,7 @@ def test_sequential_answer_is_a_local_optimum():
         d = 3e-4 * rng.normal(size=problem.size)
         d -= np.linalg.pinv(model.goal_jacobian) @ (model.goal_jacobian @ d)
         trial = problem.linearise(solution.z + d)
-        kept = min(rows.slack()[0].min() for rows in trial.rows) >= scenario.contact.margin
+        kept = min(rows.slack().min() for rows in trial.rows) >= scenario.contact.margin
         feasible_and_better += kept and trial.residual @ trial.residual < solution.cost * (1 - 1e-4)
     assert feasible_and_better == 0
 
@@ -173,10 +168,11 @@ def test_weightings_differ_as_documented():
 @pytest.mark.parametrize("nodes", [2, 5, 6, 7, 21, 50])
 def test_errors_are_integrated_at_steps_that_are_short_for_the_fastest_of_them(nodes):
     """0.35 of 1 / sqrt(500) s, the modulus of both poles of s^2 + 25 s + 500; with one part less they are longer."""
-    problem = Problem(PAPER, nodes)
-    longest, span = 0.35 / np.sqrt(500.0), problem.duration / (nodes - 1)
-    assert problem.grid.t[problem.every] == pytest.approx(span)
-    assert span / problem.every <= longest < span / (problem.every - 1)
+    t = Problem(PAPER, nodes).grid.t
+    every = (len(t) - 1) // (nodes - 1)
+    longest, span = 0.35 / np.sqrt(500.0), PAPER.motion.duration / (nodes - 1)
+    assert t[every] == pytest.approx(span)  # the nodes are among them
+    assert span / every <= longest < span / (every - 1)
 
 
 def test_integration_weights_are_exact_for_cubics():
@@ -189,8 +185,8 @@ def test_paper_condition_knows_only_objects_on_the_tray():
     lower = PAPER.model_dump(mode="json", exclude_none=True)["objects"][0]
     scenario = changed(objects=[lower, {**lower, "name": "upper", "on": "cube"}])
     with pytest.raises(ScenarioError, match="upper stands on cube"):
-        conditions_for(scenario)
-    assert conditions_for(scenario.with_changes(contact__condition="exact"))
+        Problem(scenario, 11).linearise(np.zeros(12))
+    assert Problem(scenario.with_changes(contact__condition="exact"), 11).linearise(np.zeros(12)).rows
 
 
 @pytest.mark.parametrize("degree", [6, 9, 14])
@@ -254,7 +250,7 @@ def test_derivative_of_tilt_and_of_the_free_goal():
     here, ahead, behind = problem.linearise(z), problem.linearise(z + h * d), problem.linearise(z - h * d)
     assert here.goal.shape == (2,)
     assert here.goal_jacobian @ d == pytest.approx((ahead.goal - behind.goal) / (2 * h), abs=1e-8)
-    change = (ahead.rows[-1].slack()[0] - behind.rows[-1].slack()[0])[:, 0] / (2 * h)
+    change = (ahead.rows[-1].slack() - behind.rows[-1].slack())[:, 0] / (2 * h)
     assert here.rows[-1].left_jacobian @ d == pytest.approx(change, abs=1e-7)
 
 

@@ -68,14 +68,11 @@ class Circle:
     z: Array
     owner = ("circle",)
 
-    def slack(self, step: Array | None = None) -> tuple[Array, Array]:
+    def slack(self, step: Array | None = None) -> Array:
         d = np.zeros(2) if step is None else step
-        return np.array([[self.z @ self.z - 1 + 2 * self.z @ d]]), np.zeros((1, 1, 0))
+        return np.array([[self.z @ self.z - 1 + 2 * self.z @ d]])
 
-    def least(self) -> Array:
-        return self.slack()[0]
-
-    def cuts(self, instant: Array, row: Array, terms: Array) -> tuple[Array, Array]:
+    def tangents(self, step: Array, instant: Array, row: Array) -> tuple[Array, Array]:
         return np.full(len(row), self.z @ self.z - 1), np.tile(2 * self.z, (len(row), 1))
 
 

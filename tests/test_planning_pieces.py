@@ -26,7 +26,6 @@ from salver.planning.follow import redundancy
 from salver.planning.follow.limits import _room
 from salver.planning.follow.motion import _unreachable
 from salver.planning.follow.redundancy import TrayPath, first_choice, improved, tray_path
-from salver.planning.object.conditions import MotionRows
 from salver.planning.object.problem import Problem
 from salver.planning.object.solvers import Solution
 from salver.planning.plan import FINER
@@ -188,12 +187,6 @@ def test_a_plan_without_a_margin_is_safe_as_well(orientation: str) -> None:
     plan = make.plan_object(case.with_changes(motion__duration=0.8, objects__0__friction=0.3))
     assert plan.ok, plan.status
     assert plan.verification.slack < 1e-6
-
-
-def test_waves_take_from_what_a_contact_keeps() -> None:
-    rows: Any = SimpleNamespace(worst=lambda w: np.array([[-0.3, -0.2]]))
-    found = MotionRows(("it",), rows, np.zeros((1, 12)), np.zeros((1, 12, 0)), np.array([[0.1, -0.05]]))
-    assert found.least() == pytest.approx(np.array([[0.2, 0.25]]))
 
 
 @pytest.mark.parametrize("degree", [9, 12])

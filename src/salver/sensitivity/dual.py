@@ -38,10 +38,6 @@ class Dual:
             return self + (-other)
         return Dual(self.value - other.value, self.tangent - other.tangent)
 
-    def thinned(self, every: int) -> Dual:
-        """Each `every`-th instant."""
-        return Dual(self.value[::every], None if self.tangent is None else self.tangent[::every])
-
     def scaled(self, factor: float | Array) -> Dual:
         """Times a constant, or a constant (P, 1) that differs between parameters."""
         factor = np.asarray(factor, dtype=float)
@@ -81,9 +77,6 @@ class DualRotation:
 
     matrix: Array
     tangent: Array | None = None
-
-    def thinned(self, every: int) -> DualRotation:
-        return DualRotation(self.matrix[::every], None if self.tangent is None else self.tangent[::every])
 
     def to_body(self, vector_S: Dual) -> Dual:
         """R^T u; turning R by dtheta adds (R^T u) x dtheta."""

@@ -44,8 +44,9 @@ class Sloshed:
         found = np.zeros((len(node), unknowns.felt.shape[2]))
         for j, sloshes, added in self.liquids:
             worst = np.concatenate([part[:, node, row] for part in added]).argmax(axis=0)
-            for part, case, mine in of_parts(sloshes, worst):
-                found[mine] += wrench_by(part.planned, unknowns, case, node[mine], self.rows.wrench[j][row[mine]])
+            for k, case, mine in of_parts([len(part.wrench) for part in sloshes], worst):
+                by = self.rows.wrench[j][row[mine]]
+                found[mine] += wrench_by(sloshes[k].planned, unknowns, case, node[mine], by)
         return found
 
 
@@ -57,14 +58,14 @@ def given_way(sloshing: Mapping[str, tuple[Slosh, ...]], what: Callable[[Reactio
     return sum(most, np.zeros((1, 1)))
 
 
-def of_parts(sloshes: Sequence[Slosh], which: Indices) -> Iterator[tuple[Slosh, Indices, Indices]]:
-    """Cases counted through all parts (m,), part by part: the part, which of its cases, and where in `which`."""
+def of_parts(counts: Sequence[int], which: Indices) -> Iterator[tuple[int, Indices, Indices]]:
+    """Cases (m,) counted through all parts, of which each has so many, part by part: the part, which of its cases, and
+    where in `which`."""
     before = 0
-    for part in sloshes:
-        count = len(part.wrench)
+    for k, count in enumerate(counts):
         mine = np.flatnonzero((which >= before) & (which < before + count))
         if len(mine):
-            yield part, which[mine] - before, mine
+            yield k, which[mine] - before, mine
         before += count
 
 

@@ -1,10 +1,11 @@
-"""How near the liquids of a payload come to their brims along what its tray feels: the verdict on them."""
+"""How near the liquids of a payload come to their brims along what its tray feels: what they must keep, and the verdict
+on them."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from salver.models.parameters import NOTHING, UncertainSet
 from salver.models.payload import Payload
 from salver.sensitivity.sloshing import LIGHTEST, Slosh
 from salver.sensitivity.wave_cases import VERDICT_APART, cases
+from salver.sensitivity.wave_gradients import Unknowns
 from salver.sensitivity.waves import along
 
 
@@ -64,6 +66,65 @@ class Liquids:
         return [Spill.of(name, each) for name, each in (self.worst if worst else self.nominal).items()]
 
 
+STEEP, LIGHT = ("steepness", "steepness left"), ("effective gravity",)
+HIGH = "waves", "waves left", "settled waves"
+
+
+@dataclass(frozen=True, eq=False)
+class SloshingLimit:
+    """One thing that a liquid may not exceed in any of K cases: values (K, T), or (K, 1) of what is left after the
+    motion, are to be no larger than `most` (K,). by, bends: first derivatives, and factors of second ones, of values
+    (m,) of cases at nodes, as of `Slosh`.
+    """
+
+    name: str
+    values: Array
+    most: Array
+    by: Callable[[Indices, Indices, Unknowns], Array]
+    bends: Callable[[Indices, Indices, Unknowns], Array]
+
+    def left(self, instants: int) -> Array:
+        """(K, T) of what is allowed the shares that are left, at so many instants; infinite where nothing is asked."""
+        left = np.full((len(self.most), instants), np.inf)
+        left[:, -self.values.shape[1] :] = 1 - self.values / self.most[:, None]
+        return left
+
+
+def limits(part: Slosh) -> list[SloshingLimit]:
+    """All that a liquid must keep: no free wave is steeper than the model is valid for, during the motion or after it,
+    and as much of the weight presses on its surface; in an open container it stays below the brim; and it settles, if
+    that is asked for."""
+    which = part.waves.cases
+    liquid, light = which.liquid, np.full(len(which.each), LIGHTEST)
+    free_left = part.free_left[:, None], which.steepest, _of_end(part.free_left_by), _of_end(part.free_left_bends)
+    found = [
+        SloshingLimit(STEEP[0], part.free_height, which.steepest, part.free_by, part.free_bends),
+        SloshingLimit(LIGHT[0], part.lightness, light, part.lightness_by, part.lightness_bends),
+        SloshingLimit(STEEP[1], *free_left),
+    ]
+    if np.isfinite(which.room).all():
+        found.append(SloshingLimit(HIGH[0], part.crest, which.room, part.crest_by, part.crest_bends))
+    for name, most, seconds in (
+        (HIGH[1], which.room, None),
+        (HIGH[2], np.full(len(light), liquid.settled), liquid.within),
+    ):
+        if np.isfinite(most).all():
+            by, bends = (_of_end(partial(of, seconds=seconds)) for of in (part.left_by, part.left_bends))
+            found.append(SloshingLimit(name, part.left(seconds)[:, None], most, by, bends))
+    return found
+
+
+def _of_end(derivative: Callable[[Indices, Unknowns], Array]) -> Callable[[Indices, Indices, Unknowns], Array]:
+    return lambda case, node, unknowns: derivative(case, unknowns)
+
+
+def slacks(part: Slosh, names: Collection[str] = (*STEEP, *LIGHT, *HIGH)) -> Array:
+    """(K, T) the least of what each case leaves of some limits, as shares of what is allowed; infinite without any."""
+    count = len(part.waves.t)
+    none = np.full((len(part.wrench), count), np.inf)
+    return np.min([none, *(limit.left(count) for limit in limits(part) if limit.name in names)], axis=0)
+
+
 @dataclass(frozen=True, eq=False)
 class Spill:
     """How near one liquid comes to its brim, at its worst case.
@@ -94,11 +155,14 @@ class Spill:
         crest, rest = (np.concatenate(x) for x in ([p.crest for p in parts], [p.left() for p in parts]))
         left, after = room[:, None] - crest, room - rest
         settled = liquid.settled - max(float(p.left(liquid.within).max()) for p in parts)
-        steep, light = (np.concatenate(x).max(axis=0) for x in zip(*(_unmodelled(part) for part in parts), strict=True))
         dry = left.min(axis=0), float(after.min())
-        slack = np.concatenate([slacks(part) for part in parts]).min(axis=0)
-        below = min(float(_below(part).min()) for part in parts)
-        return cls(name, waves.t, crest.max(axis=0), *dry, steep, light, float(settled), slack, below)
+        steep, light, below = (
+            np.concatenate([slacks(part, names) for part in parts]).min(axis=0) for names in (STEEP, LIGHT, HIGH)
+        )
+        slack = np.minimum(np.minimum(steep, light), below)
+        return cls(
+            name, waves.t, crest.max(axis=0), *dry, 1 - steep, 1 - light, float(settled), slack, float(below.min())
+        )
 
     def kept(self) -> dict[str, float]:
         """The least that is left of each thing that is allowed, in words, as a share of it."""
@@ -107,30 +171,3 @@ class Spill:
             "the steepness to which they are known": 1 - float(self.steep.max()),
             "the weight that may be taken from them": 1 - float(self.light.max()),
         }
-
-
-def _unmodelled(part: Slosh) -> tuple[Array, Array]:
-    """(K, T) free wave over the largest for which the model is valid, at the end of all that are left, and share of the
-    weight that does not press, over the largest for which it is."""
-    steepest = part.waves.cases.steepest
-    steep = part.free_height / steepest[:, None]
-    steep[:, -1] = part.free_left / steepest  # not lower than there
-    return steep, part.lightness / LIGHTEST
-
-
-def slacks(part: Slosh) -> Array:
-    """(K, T) the least of what each case leaves, as shares of what is allowed."""
-    return np.asarray(np.minimum(1 - np.maximum(*_unmodelled(part)), _below(part)))
-
-
-def _below(part: Slosh) -> Array:
-    """(K, T) the same of heights alone; infinite where any is allowed."""
-    which = part.waves.cases
-    liquid, room = which.liquid, which.room
-    slack = np.full(part.crest.shape, np.inf)
-    if np.isfinite(room).all():
-        slack = 1 - part.crest / room[:, None]
-        slack[:, -1] = np.minimum(slack[:, -1], 1 - part.left() / room)
-    if np.isfinite(liquid.settled):
-        slack[:, -1] = np.minimum(slack[:, -1], 1 - part.left(liquid.within) / liquid.settled)
-    return slack

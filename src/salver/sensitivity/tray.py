@@ -66,16 +66,6 @@ class BodyMotion:
         """R^T (-g): the specific force of the object standing still in each posture."""
         return self.rotation.to_body(Dual(-GRAVITY_S[None, None]))
 
-    def thinned(self, every: int) -> BodyMotion:
-        """Each `every`-th instant."""
-        return BodyMotion(
-            self.rotation.thinned(every),
-            self.force.thinned(every),
-            self.omega.thinned(every),
-            self.alpha.thinned(every),
-            self.velocity.thinned(every),
-        )
-
     def of_frame(self, p_BX: Array, R_BX: Array) -> BodyMotion:
         """What a body with frame X feels that moves rigidly with B."""
         arm = Dual(p_BX[None, None])
@@ -130,11 +120,6 @@ class TraySensitivity:
     e_v: Dual
     e_R: Dual
     e_w: Dual
-
-    def thinned(self, every: int) -> TraySensitivity:
-        """Each `every`-th instant."""
-        errors = (part.thinned(every) for part in (self.e_p, self.e_v, self.e_R, self.e_w))
-        return TraySensitivity(self.loop, self.motion.thinned(every), *errors)
 
     @cached_property
     def dp(self) -> Dual:

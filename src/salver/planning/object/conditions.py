@@ -1,21 +1,22 @@
-"""What keeps the carried objects in place, as functions of the motion that must stay above a margin.
+"""What keeps the carried objects in place (eq 16), as slacks along a motion that must stay above a margin.
 
-paper: Lambda = pinv(G F-hat) wrench >= 0 with the tube of the closed loop's input sensitivity (eq 16), in N. It
+paper: Lambda = pinv(G F-hat) wrench >= 0 with the tube of the closed loop's input sensitivity (eqs 11, 12), in N. It
 asks for one particular distribution of the contact forces, and is sufficient. What the paper's loop does not know
 counts too: the least friction, the contact area that every placement keeps, and, to first order as for an object
 that follows its tray, place and tilt.
 exact: the wrench that the motion needs lies in the contact wrench cone of every interface, in the worst case over
 the uncertain set (`salver.models.contact_rows`), as a share of the normal force at rest. A body that follows its
-tray needs Y(t) phi whatever its phi, so this worst case is not first order.
+tray needs Y(t) phi whatever its phi, so this worst case is not first order. Liquids add their slosh to it, and stay
+below their brims.
 
-Both are a linear value minus a norm of linear terms, concave: at fixed orientation, concave in the plan's variables.
-Liquids add to the exact one what `salver.planning.object.liquid_rows` says.
+All are concave in what the tray feels, so at fixed orientation in the plan's variables, but for what the tray's lifting
+makes of waves: their tangents bound them from above.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
@@ -28,16 +29,14 @@ from salver.models.interfaces import sure_contacts
 from salver.models.parameters import Parameter, support
 from salver.models.payload import Payload
 from salver.models.tray_motion import FULL_SPEED, N_MOTION, PRODUCTS, Speed, corners, frame_map, wrench_map
-from salver.models.worst_case import UncertainRows
-from salver.planning.object.liquid_rows import BrimRows, SloshingRows, Wet
 from salver.scenario import Scenario
 from salver.sensitivity.dual import Dual, joined
 from salver.sensitivity.slosh_rows import Sloshed
-from salver.sensitivity.spills import Liquids, Spill
+from salver.sensitivity.sloshing import Slosh
+from salver.sensitivity.spills import Liquids, limits, slacks
 from salver.sensitivity.tray import BodyMotion, TraySensitivity
-from salver.sensitivity.wave_cases import SloshingCase, cases
+from salver.sensitivity.wave_gradients import Unknowns
 
-Known = dict[str, tuple[SloshingCase, ...]]  # cases of each liquid, by its body
 UNITS = {"paper": "N", "exact": "of the weight"}
 TILT = "tilt limit"
 LIQUID = "liquid in "  # and whose it is
@@ -45,45 +44,39 @@ _PLACE_STEP = 1e-4  # m or rad, of a central difference of what is nearly linear
 
 
 class Rows(Protocol):
-    """Slack functions along a motion at T instants: they must stay above the margin. owner: (n,) whose each is."""
+    """n slacks of one condition at T instants. owner: (n,) whose each is."""
 
     @property
     def owner(self) -> tuple[str, ...]: ...
 
-    def slack(self, step: Array | None = None) -> tuple[Array, Array]:
-        """Slack (T, n) and the terms of its spread (T, n, k), after a step (n_z,) of the linear model."""
+    def slack(self, step: Array | None = None) -> Array:
+        """(T, n) slacks after a step (n_z,) of the linear model."""
         ...
 
-    def least(self) -> Array:
-        """The slack (T, n) alone, for many instants: without all terms in memory at once."""
-        ...
-
-    def cuts(self, instant: Indices, row: Indices, terms: Array) -> tuple[Array, Array]:
-        """Half spaces c0 + c d >= 0 that contain all steps d with positive slack at (instant, row), each (m,).
-
-        The slack is concave in d; these are its tangents where the spread's terms are (m, k). Returns c0 (m,),
-        c (m, n_z).
-        """
+    def tangents(self, step: Array, instant: Indices, row: Indices) -> tuple[Array, Array]:
+        """Tangents c0 (m,) + c (m, n_z) d to the slacks of rows at instants, each (m,), where d is the step."""
         ...
 
 
-Loop = Callable[[], TraySensitivity]
-Condition = Callable[[BodyMotion, Loop, int, Liquids | None], Rows]
-"""Rows along a motion of B, its closed loop's sensitivity, for those that ask for it, and its liquids, with derivatives
-by n_z variables (or none)."""
+def conditions_along(
+    scenario: Scenario, t: Array, motion: BodyMotion, sensitivity: Callable[[], TraySensitivity], n_z: int = 0
+) -> tuple[Rows, ...]:
+    """The contact conditions of everything that a scenario carries, and its limit on tilt, along a motion of the first
+    object's B at t (T,), with its closed loop's sensitivity and derivatives by n_z variables.
 
-
-def conditions_for(scenario: Scenario) -> list[Condition]:
-    """The contact conditions of everything that a scenario carries, and its limit on tilt.
-
-    Raises ScenarioError when the paper's condition is asked for objects that stand on each other.
+    Raises ScenarioError when the paper's condition is asked for liquids, or for objects that stand on each other.
     """
-    limit = scenario.motion.max_tilt_deg
-    tilt = [] if limit is None else [_tilt(float(np.deg2rad(limit)))]
-    payload = scenario.payload
-    known = {body.name: cases(body, payload.uncertain) for body in payload.liquids}
-    brims = [_brim(body, payload.first, known) for body in payload.liquids]
-    return [*_contact_conditions(scenario, known), *brims, *tilt]
+    payload, largest = scenario.payload, scenario.motion.max_tilt_deg
+    payload.check_places()
+    tilt = () if largest is None else (TiltRows.along(motion, len(t), float(np.deg2rad(largest)), n_z),)
+    if scenario.contact.condition == "paper":
+        _check_known_to_paper(scenario)
+        return (*(_paper(payload, body, motion, sensitivity, n_z) for body in payload.bodies), *tilt)
+    # How a liquid sloshes at other speeds is looked at along whole motions, not by rows of instants.
+    speeds = (FULL_SPEED,) if payload.liquids else corners(scenario.motion.speeds, scenario.motion.speed_rate)
+    felt = {speed: TrayMotion(payload, t, *felt_at(motion, payload.first, n_z, speed)) for speed in speeds}
+    contacts = (MotionRows.of(rows, felt[speed], speed) for rows in contact_rows(payload) for speed in speeds)
+    return (*contacts, *(BrimRows(body.name, felt[FULL_SPEED]) for body in payload.liquids), *tilt)
 
 
 def unit_of(scenario: Scenario, owner: str) -> str:
@@ -98,35 +91,12 @@ def apart(owner: str) -> bool:
     return owner == TILT or owner.startswith(LIQUID)
 
 
-def _contact_conditions(scenario: Scenario, known: Known) -> list[Condition]:
-    payload = scenario.payload
-    first = payload.first
-    payload.check_places()
-    if scenario.contact.condition == "exact":
-        motion = scenario.motion
-        # How a liquid sloshes at other speeds is looked at along whole motions, not by rows of instants.
-        speeds = (FULL_SPEED,) if payload.liquids else corners(motion.speeds, motion.speed_rate)
-        return [_exact(rows, first, known, speed) for rows in contact_rows(payload) for speed in speeds]
-    if payload.liquids:
-        raise ScenarioError(
-            f'{scenario.name}: contact.condition = "paper" knows no liquids, and there is one in '
-            f'{payload.liquids[0].name}; use "exact".'
-        )
-    for body in payload.bodies:
-        if body.supports != (TRAY,):
-            raise ScenarioError(
-                f'{scenario.name}: contact.condition = "paper" knows objects on the tray only, and {body.name} stands '
-                f'on {" and ".join(body.supports)}; use "exact".'
-            )
-    return [_paper(payload, body) for body in payload.bodies]
-
-
 # The paper's condition ---------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class WrenchRows:
-    """map @ wrench of one body. map (n, 6); wrench (T, 6), wrench_jacobian (T, 6, n_z).
+    """map @ wrench of one body, less its tube (eq 12). map (n, 6); wrench (T, 6), wrench_jacobian (T, 6, n_z).
 
     spread (T, 6, n_p) and spread_jacobian (T, 6, n_p, n_z): sensitivity of the wrench times the set's factor.
     """
@@ -139,63 +109,66 @@ class WrenchRows:
     spread_jacobian: Array
     box: bool
 
-    def slack(self, step: Array | None = None) -> tuple[Array, Array]:
+    def slack(self, step: Array | None = None) -> Array:
         wrench, spread = self.wrench, self.spread
         if step is not None:
-            wrench, spread = _moved(wrench, self.wrench_jacobian, step), _moved(spread, self.spread_jacobian, step)
-        terms = self.map @ spread
-        return wrench @ self.map.T - support(terms, None if self.box else np.eye(terms.shape[-1])), terms
+            wrench, spread = wrench + self.wrench_jacobian @ step, spread + self.spread_jacobian @ step
+        return wrench @ self.map.T - support(self.map @ spread, None if self.box else np.eye(spread.shape[-1]))
 
-    def least(self) -> Array:
-        return self.slack()[0]
-
-    def cuts(self, instant: Indices, row: Indices, terms: Array) -> tuple[Array, Array]:
-        maps, dual = self.map[row], np.sign(terms) if self.box else _unit(terms)
-        weights = maps[:, :, None] * dual[:, None, :]
-        offset = np.einsum("mi,mi->m", maps, self.wrench[instant])
-        offset -= np.einsum("mip,mip->m", weights, self.spread[instant])
+    def tangents(self, step: Array, instant: Indices, row: Indices) -> tuple[Array, Array]:
+        maps, spread, by_step = self.map[row], self.spread[instant], self.spread_jacobian[instant]
+        terms = np.einsum("mi,mip->mp", maps, spread + by_step @ step)
+        size = np.linalg.norm(terms, axis=-1, keepdims=True)
+        weights = maps[:, :, None] * (np.sign(terms) if self.box else terms / np.maximum(size, 1e-300))[:, None, :]
+        offset = np.einsum("mi,mi->m", maps, self.wrench[instant]) - np.einsum("mip,mip->m", weights, spread)
         slope = np.einsum("mi,miz->mz", maps, self.wrench_jacobian[instant])
-        slope -= np.einsum("mip,mipz->mz", weights, self.spread_jacobian[instant])
-        return offset, slope
+        return offset, slope - np.einsum("mip,mipz->mz", weights, by_step)
 
 
-def _paper(payload: Payload, body: Body) -> Condition:
+def _check_known_to_paper(scenario: Scenario) -> None:
+    payload, knows = scenario.payload, f'{scenario.name}: contact.condition = "paper" knows'
+    if payload.liquids:
+        raise ScenarioError(f'{knows} no liquids, and there is one in {payload.liquids[0].name}; use "exact".')
+    for body in payload.bodies:
+        if body.supports != (TRAY,):
+            below = " and ".join(body.supports)
+            raise ScenarioError(f'{knows} objects on the tray only, and {body.name} stands on {below}; use "exact".')
+
+
+def _paper(
+    payload: Payload, body: Body, motion: BodyMotion, sensitivity: Callable[[], TraySensitivity], n_z: int
+) -> WrenchRows:
     """Lambda of one body: the closed loop's tube for the first, that of a body that follows its tray for others."""
     first, uncertain = payload.first, payload.uncertain
-    jacobian = body.phi_jacobian(uncertain.parameters)
     (network,) = (one for one in payload.networks if one.bodies[0] is body)  # nothing else touches it
     contacts = sure_contacts(network, payload.tray_half, uncertain)[0]
     distribution: Array = np.linalg.pinv(contacts.grasp_map).astype(float)
-    p_BX, R_BX = first.R_EB.T @ (body.p_EB - first.p_EB), first.R_EB.T @ body.R_EB
-    placed = _place_map(body, uncertain.parameters, first)
-
-    def rows(motion: BodyMotion, loop: Loop, n_z: int, liquids: Liquids | None) -> WrenchRows:
-        assert liquids is None
-        own_motion = motion if body is first else motion.of_frame(p_BX, R_BX)
-        wrench, wrench_jacobian = _stacked(*own_motion.wrench(body.inertial.phi[:, None]), n_z)
-        change = (loop().df, loop().dtau) if body is first else own_motion.wrench(jacobian)
-        spread, spread_jacobian = _stacked(*change, n_z)
-        if np.any(placed):
-            w, w_jacobian = motion_vector(motion, n_z)
-            spread = spread + np.einsum("pik,tk->tpi", placed, w)
-            spread_jacobian = spread_jacobian + np.einsum("pik,tkz->tpiz", placed, w_jacobian)
-        factor = uncertain.factor.T
-        by_z = (factor @ spread_jacobian.reshape(*spread.shape[:2], 6 * n_z)).reshape(*spread.shape, n_z)
-        return WrenchRows(
-            (body.name,) * len(distribution),
-            distribution,
-            wrench[:, 0],
-            wrench_jacobian[:, 0],
-            np.swapaxes(factor @ spread, 1, 2),
-            np.ascontiguousarray(np.swapaxes(by_z, 1, 2)),
-            uncertain.kind == "box",
-        )
-
-    return rows
+    own_motion = motion
+    if body is not first:
+        own_motion = motion.of_frame(first.R_EB.T @ (body.p_EB - first.p_EB), first.R_EB.T @ body.R_EB)
+    wrench, wrench_jacobian = _stacked(*own_motion.wrench(body.inertial.phi[:, None]), n_z)
+    change = (sensitivity().df, sensitivity().dtau) if body is first else None
+    spread, spread_jacobian = _stacked(*(change or own_motion.wrench(body.phi_jacobian(uncertain.parameters))), n_z)
+    placed = _place_map(body, uncertain.parameters)
+    if placed.any():
+        w, w_jacobian = felt_at(motion, first, n_z)
+        spread = spread + np.einsum("pik,tk->tpi", placed, w)
+        spread_jacobian = spread_jacobian + np.einsum("pik,tkz->tpiz", placed, w_jacobian)
+    factor = uncertain.factor.T
+    by_z = (factor @ spread_jacobian.reshape(*spread.shape[:2], 6 * n_z)).reshape(*spread.shape, n_z)
+    return WrenchRows(
+        (body.name,) * len(distribution),
+        distribution,
+        wrench[:, 0],
+        wrench_jacobian[:, 0],
+        np.swapaxes(factor @ spread, 1, 2),
+        np.ascontiguousarray(np.swapaxes(by_z, 1, 2)),
+        uncertain.kind == "box",
+    )
 
 
-def _place_map(body: Body, parameters: tuple[Parameter, ...], first: Body) -> Array:
-    """(n_p, 6, 12) change of a body's wrench with its place and the tray's tilt, of w of the first object's B."""
+def _place_map(body: Body, parameters: tuple[Parameter, ...]) -> Array:
+    """(n_p, 6, 12) change of a body's wrench with its place and the tray's tilt, of what the tray feels."""
     maps = np.zeros((len(parameters), 6, N_MOTION))
     for k, parameter in enumerate(parameters):
         if not parameter.places or parameter.owner not in ("", body.name):
@@ -206,54 +179,105 @@ def _place_map(body: Body, parameters: tuple[Parameter, ...], first: Body) -> Ar
             place = exp(step) @ body.p_EB if tilt else body.p_EB + step
             turned = exp(step) @ body.R_EB if tilt else body.R_EB
             ends.append(frame_map(place, turned))
-        change = wrench_map(body.inertial.phi) @ (ends[0] - ends[1]) / (2 * _PLACE_STEP)
-        maps[k] = change @ frame_map(*invert(first.p_EB, first.R_EB))
+        maps[k] = wrench_map(body.inertial.phi) @ (ends[0] - ends[1]) / (2 * _PLACE_STEP)
     return maps
+
+
+def _stacked(force: Dual, torque: Dual, n_z: int) -> tuple[Array, Array]:
+    """Wrench (T, P, 6) and its tangent (T, P, 6, n_z)."""
+    value = joined(force, torque)
+    tangent = np.zeros((*value.shape, n_z))
+    if force.tangent is not None:
+        tangent[..., :3, :] = force.tangent
+    if torque.tangent is not None:
+        tangent[..., 3:, :] = torque.tangent
+    return value, tangent
 
 
 # The exact condition -----------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class MotionRows:
-    """The worst case of contact rows (with the sign of a slack) at what B feels, w (T, 12). sloshed: (T, n) that
-    liquids add."""
+@dataclass(frozen=True, eq=False)
+class TrayMotion:
+    """What the tray feels, w (T, 12) at t (T,), its derivative (T, 12, n_z), and what liquids make of it."""
 
-    owner: tuple[str, ...]
-    rows: UncertainRows
+    payload: Payload
+    t: Array
     w: Array
     w_jacobian: Array
-    sloshed: Array | float = 0.0
+    _sloshing: dict[bytes, Mapping[str, tuple[Slosh, ...]]] = field(default_factory=dict, repr=False)
 
-    def slack(self, step: Array | None = None) -> tuple[Array, Array]:
-        w = self.w if step is None else _moved(self.w, self.w_jacobian, step)
-        seen = np.broadcast_to(w[:, None], (len(w), len(self.rows.nominal), N_MOTION))
-        return -self.rows.worst(w), np.concatenate([self.rows.terms(w), seen], axis=2)
+    def after(self, step: Array | None) -> Array:
+        """(T, 12) w after a step (n_z,) of the linear model."""
+        return self.w if step is None else self.w + self.w_jacobian @ step
 
-    def least(self) -> Array:
-        return -self.rows.worst(self.w) - self.sloshed
-
-    def cuts(self, instant: Indices, row: Indices, terms: Array) -> tuple[Array, Array]:
-        rows = -self.rows.slope(terms[:, -N_MOTION:], row)
-        return np.einsum("mi,mi->m", rows, self.w[instant]), np.einsum("mi,miz->mz", rows, self.w_jacobian[instant])
-
-
-def _exact(rows: ContactRows, first: Body, known: Known, speed: Speed) -> Condition:
-    owner = tuple(rows.network.interfaces[int(e)].name + speed.words for e in rows.interface)
-    of_B = rows.seen_from(first.p_EB, first.R_EB)
-
-    def along(motion: BodyMotion, loop: Loop, n_z: int, liquids: Liquids | None) -> Rows:
-        del loop  # a body that follows its tray needs the same wrench whatever the controller does
-        if liquids is not None and n_z:
-            return SloshingRows(owner, rows, _wet(known, liquids, motion, n_z, first))
-        sloshed = 0.0 if liquids is None else Sloshed.of(rows, liquids.worst).values
-        return MotionRows(owner, of_B, *motion_vector(motion, n_z, speed), sloshed)
-
-    return along
+    def sloshing(self, step: Array | None) -> Mapping[str, tuple[Slosh, ...]]:
+        """What all liquids do after a step; that of the last one is kept."""
+        key = b"" if step is None else step.tobytes()
+        if key not in self._sloshing:
+            self._sloshing.clear()
+            self._sloshing[key] = Liquids(self.payload, self.t, self.after(step)).worst
+        return self._sloshing[key]
 
 
-def motion_vector(motion: BodyMotion, n_z: int, speed: Speed = FULL_SPEED) -> tuple[Array, Array]:
-    """w (T, 12) of B (`salver.models.tray_motion.motion_vector`) at a speed, with its derivative (T, 12, n_z)."""
+@dataclass(frozen=True)
+class MotionRows:
+    """Contact rows, and what liquids add to them, in the worst case, with the sign of a slack."""
+
+    owner: tuple[str, ...]
+    rows: ContactRows
+    felt: TrayMotion
+
+    @classmethod
+    def of(cls, rows: ContactRows, felt: TrayMotion, speed: Speed) -> MotionRows:
+        return cls(tuple(rows.network.interfaces[int(e)].name + speed.words for e in rows.interface), rows, felt)
+
+    def slack(self, step: Array | None = None) -> Array:
+        slack = -self.rows.worst(self.felt.after(step))
+        return slack - Sloshed.of(self.rows, self.felt.sloshing(step)).values if self.felt.payload.liquids else slack
+
+    def tangents(self, step: Array, instant: Indices, row: Indices) -> tuple[Array, Array]:
+        w, by_step = self.felt.after(step)[instant], self.felt.w_jacobian
+        own = -self.rows.slope(w, row)
+        value, slope = np.einsum("mi,mi->m", own, w), np.einsum("mi,miz->mz", own, by_step[instant])
+        if self.felt.payload.liquids:
+            sloshed = Sloshed.of(self.rows, self.felt.sloshing(step))
+            value = value - sloshed.values[instant, row]
+            slope = slope - sloshed.history(instant, row, Unknowns(by_step))
+        return value - slope @ step, slope
+
+
+@dataclass(frozen=True)
+class BrimRows:
+    """The least share that one liquid leaves of all that it must keep, `salver.sensitivity.spills.limits`, in any case;
+    at the last instant, of what it does after the motion too."""
+
+    name: str
+    felt: TrayMotion
+
+    @property
+    def owner(self) -> tuple[str, ...]:
+        return (LIQUID + self.name,)
+
+    def slack(self, step: Array | None = None) -> Array:
+        (part,) = self.felt.sloshing(step)[self.name]
+        return slacks(part).min(axis=0)[:, None]
+
+    def tangents(self, step: Array, instant: Indices, row: Indices) -> tuple[Array, Array]:
+        (part,) = self.felt.sloshing(step)[self.name]
+        found, unknowns = limits(part), Unknowns(self.felt.w_jacobian)
+        left = np.stack([limit.left(len(self.felt.t))[:, instant] for limit in found])  # (kinds, K, m)
+        kind, case = np.unravel_index(left.reshape(-1, len(instant)).argmin(axis=0), left.shape[:2])
+        slope = np.empty((len(instant), len(step)))
+        for k, limit in enumerate(found):
+            mine = np.flatnonzero(kind == k)
+            if len(mine):
+                slope[mine] = -limit.by(case[mine], instant[mine], unknowns) / limit.most[case[mine], None]
+        return left[kind, case, np.arange(len(instant))] - slope @ step, slope
+
+
+def felt_at(motion: BodyMotion, first: Body, n_z: int, speed: Speed = FULL_SPEED) -> tuple[Array, Array]:
+    """w (T, 12) of the tray's E (`salver.models.tray_motion`) at a speed, with its derivative (T, 12, n_z)."""
     shape = motion.force.value[:, 0].shape
     force, alpha, omega = (motion.force, motion.alpha, motion.omega) if speed.factor else (motion.weight, None, None)
     parts = [(0, force, 1.0), (3, alpha, 1.0)]
@@ -267,50 +291,14 @@ def motion_vector(motion: BodyMotion, n_z: int, speed: Speed = FULL_SPEED) -> tu
         if part.tangent is not None:
             tangent[:, at : at + 3] += scale * part.tangent[:, 0]
     if omega is not None:
-        first, second = (list(index) for index in zip(*PRODUCTS, strict=True))
+        one, other = (list(index) for index in zip(*PRODUCTS, strict=True))
         turned = np.broadcast_to(omega.value[:, 0], shape)
-        w[:, 6:] = turned[:, first] * turned[:, second]
+        w[:, 6:] = turned[:, one] * turned[:, other]
         if omega.tangent is not None:
             turn = omega.tangent[:, 0]
-            tangent[:, 6:] = turned[:, first, None] * turn[:, second] + turned[:, second, None] * turn[:, first]
-    return w, tangent
-
-
-# The brim ----------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class RoomLeft:
-    """Share of the room that a liquid leaves (T,), at its worst case, what it does after the motion at the end."""
-
-    owner: tuple[str, ...]
-    left: Array
-
-    def slack(self, step: Array | None = None) -> tuple[Array, Array]:
-        return self.left[:, None], np.zeros((len(self.left), 1, 0))
-
-    def least(self) -> Array:
-        return self.slack()[0]
-
-    def cuts(self, instant: Indices, row: Indices, terms: Array) -> tuple[Array, Array]:
-        raise NotImplementedError
-
-
-def _brim(body: Body, first: Body, known: Known) -> Condition:
-    def along(motion: BodyMotion, loop: Loop, n_z: int, liquids: Liquids | None) -> Rows:
-        assert liquids is not None
-        if n_z:
-            only = {body.name: known[body.name]}
-            return BrimRows(LIQUID + body.name, body.name, _wet(only, liquids, motion, n_z, first))
-        return RoomLeft((LIQUID + body.name,), Spill.of(body.name, liquids.worst[body.name]).slack)
-
-    return along
-
-
-def _wet(known: Known, liquids: Liquids, motion: BodyMotion, n_z: int, first: Body) -> Wet:
-    w, w_jacobian = motion_vector(motion, n_z)
+            tangent[:, 6:] = turned[:, one, None] * turn[:, other] + turned[:, other, None] * turn[:, one]
     to_E = frame_map(*invert(first.p_EB, first.R_EB))
-    return Wet(known, liquids.t, w @ to_E.T, to_E @ w_jacobian)
+    return w @ to_E.T, to_E @ tangent
 
 
 # The limit on tilt -------------------------------------------------------------------------------------------
@@ -324,19 +312,8 @@ class TiltRows:
     left: Array
     left_jacobian: Array
 
-    def slack(self, step: Array | None = None) -> tuple[Array, Array]:
-        left = self.left if step is None else self.left + self.left_jacobian @ step
-        return left[:, None], np.zeros((len(left), 1, 0))
-
-    def least(self) -> Array:
-        return self.slack()[0]
-
-    def cuts(self, instant: Indices, row: Indices, terms: Array) -> tuple[Array, Array]:
-        return self.left[instant], self.left_jacobian[instant]
-
-
-def _tilt(limit: float) -> Condition:
-    def along(motion: BodyMotion, loop: Loop, n_z: int, liquids: Liquids | None) -> TiltRows:
+    @classmethod
+    def along(cls, motion: BodyMotion, instants: int, limit: float, n_z: int) -> TiltRows:
         upright = motion.rotation.matrix[:, 0, 2, :]  # e_z of S, in B
         left = (upright[:, 2] - np.cos(limit)) / np.sin(limit)
         jacobian = np.zeros((len(left), n_z))
@@ -344,29 +321,11 @@ def _tilt(limit: float) -> Condition:
             # d(e_z . R e_z) = e_z . R (dtheta x e_z) = dtheta . (e_z x R^T e_z)
             lever = np.cross([0.0, 0.0, 1.0], upright) / np.sin(limit)
             jacobian = np.einsum("ti,tiz->tz", lever, motion.rotation.tangent[:, 0])
-        instants = len(motion.force.value)  # one rotation stands for all of a motion that does not turn
-        return TiltRows(
-            (TILT,), np.broadcast_to(left, instants), np.broadcast_to(jacobian, (instants, jacobian.shape[1]))
-        )
+        # One rotation stands for all of a motion that does not turn.
+        return cls((TILT,), np.broadcast_to(left, instants), np.broadcast_to(jacobian, (instants, n_z)))
 
-    return along
+    def slack(self, step: Array | None = None) -> Array:
+        return (self.left if step is None else self.left + self.left_jacobian @ step)[:, None]
 
-
-def _moved(value: Array, jacobian: Array, step: Array) -> Array:
-    """value (...) after a step (n_z,), with its jacobian (..., n_z)."""
-    return value + (jacobian.reshape(value.size, len(step)) @ step).reshape(value.shape)
-
-
-def _unit(terms: Array) -> Array:
-    return terms / np.maximum(np.linalg.norm(terms, axis=-1, keepdims=True), 1e-300)
-
-
-def _stacked(force: Dual, torque: Dual, n_z: int) -> tuple[Array, Array]:
-    """Wrench (T, P, 6) and its tangent (T, P, 6, n_z)."""
-    value = joined(force, torque)
-    tangent = np.zeros((*value.shape, n_z))
-    if force.tangent is not None:
-        tangent[..., :3, :] = force.tangent
-    if torque.tangent is not None:
-        tangent[..., 3:, :] = torque.tangent
-    return value, tangent
+    def tangents(self, step: Array, instant: Indices, row: Indices) -> tuple[Array, Array]:
+        return self.left[instant], self.left_jacobian[instant]

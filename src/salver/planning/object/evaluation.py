@@ -12,15 +12,13 @@ from functools import cached_property
 import numpy as np
 
 from salver.display import Outlined
-from salver.geometry import Array, Mask, invert
+from salver.geometry import Array, Mask
 from salver.models.parameters import UncertainSet
-from salver.models.tray_motion import frame_map
-from salver.planning.object.conditions import apart, conditions_for, motion_vector
+from salver.planning.object.conditions import apart, conditions_along
 from salver.planning.object.cost import tray_loop
 from salver.scenario import Scenario
 from salver.sensitivity.dual import joined
 from salver.sensitivity.filter import QuadratureGrid
-from salver.sensitivity.spills import Liquids
 from salver.sensitivity.tray import BodyMotion, TrayLoop, TraySensitivity
 from salver.sensitivity.tubes import radius
 from salver.trajectory import MotionSamples, Reference
@@ -111,14 +109,12 @@ def evaluate(scenario: Scenario, reference: Reference, instants: int, rest: floa
     wrench_B = joined(*motion.wrench(loop.body.phi[:, None]))[:, 0]
     first = payload.first
     distribution: Array = np.linalg.pinv(first.contacts.grasp_map).astype(float)
-    w_E = motion_vector(motion, 0)[0] @ frame_map(*invert(first.p_EB, first.R_EB)).T
-    liquids = Liquids.along(payload, grid.t, w_E)
-    rows = [condition(motion, lambda: closed_loop.sensitivity, 0, liquids) for condition in conditions_for(scenario)]
+    rows = conditions_along(scenario, grid.t, motion, lambda: closed_loop.sensitivity)
     return Evaluation(
         samples,
         wrench_B,
         wrench_B @ distribution.T,
-        np.concatenate([part.least() for part in rows], axis=1),
+        np.concatenate([part.slack() for part in rows], axis=1),
         tuple(owner for part in rows for owner in part.owner),
         closed_loop,
         distribution,

@@ -22,8 +22,7 @@ import numpy as np
 from salver.geometry import Array, hat, log, right_jacobian_inverse
 from salver.models.bodies import Body
 from salver.models.parameters import UncertainSet
-from salver.models.tray_motion import N_MOTION
-from salver.planning.object.conditions import Condition, Rows, conditions_for
+from salver.planning.object.conditions import Rows, conditions_along
 from salver.planning.object.cost import (
     column_scale,
     cost_residual,
@@ -34,7 +33,6 @@ from salver.planning.object.cost import (
 )
 from salver.scenario import Scenario
 from salver.sensitivity.filter import QuadratureGrid
-from salver.sensitivity.spills import Liquids
 from salver.sensitivity.tray import BodyMotion, TrayLoop
 from salver.trajectory import (
     MotionSamples,
@@ -67,11 +65,7 @@ class Linearisation:
 
 @dataclass(frozen=True)
 class Problem:
-    """The planning problem of a scenario; constraints hold at `nodes` uniform instants.
-
-    The cost is integrated on a grid finer than the nodes where the error dynamics are fast: `grid.t[::every]`
-    are the nodes.
-    """
+    """The planning problem of a scenario; constraints hold at `nodes` uniform instants at least: those of `grid`."""
 
     scenario: Scenario
     nodes: int
@@ -100,16 +94,10 @@ class Problem:
         return tray_loop(self.scenario)
 
     @cached_property
-    def conditions(self) -> list[Condition]:
-        return conditions_for(self.scenario)
-
-    @cached_property
-    def every(self) -> int:
-        return refinement(self.loop, self.duration / (self.nodes - 1))
-
-    @cached_property
     def grid(self) -> QuadratureGrid:
-        return self.loop.grid(np.linspace(0, self.duration, (self.nodes - 1) * self.every + 1))
+        """The nodes, and as many instants between them as the integral of the cost needs."""
+        every = refinement(self.loop, self.duration / (self.nodes - 1))
+        return self.loop.grid(np.linspace(0, self.duration, (self.nodes - 1) * every + 1))
 
     @cached_property
     def rotates(self) -> bool:
@@ -288,9 +276,7 @@ class Problem:
         smooth, smooth_jacobian = self.smoothness
         residual = np.concatenate([residual, smooth + smooth_jacobian @ z])
         jacobian = np.concatenate([jacobian, smooth_jacobian])
-        motion, sensitivity = motion.thinned(self.every), sensitivity.thinned(self.every)
-        liquids = Liquids.along(self.scenario.payload, self.grid.t[:: self.every], np.zeros((0, N_MOTION)))
-        rows = tuple(condition(motion, lambda: sensitivity, self.size, liquids) for condition in self.conditions)
+        rows = conditions_along(self.scenario, self.grid.t, motion, lambda: sensitivity, self.size)
         goal, goal_jacobian = np.zeros(0), np.zeros((0, self.size))
         if theta is not None:
             goal, goal_jacobian = self._goal(on_grid.R_SB[-1], theta[-1])

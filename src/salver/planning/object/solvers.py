@@ -149,10 +149,10 @@ def solve_sequential(problem: Problem, start: Array | None = None, iteration_lim
 def infeasible(problem: Problem, model: Linearisation, d: Array | None, proven: bool) -> Status:
     """The constraint that is violated most after the step d of least violation, with instant and amount."""
     contact = problem.scenario.contact
-    worst = min(model.rows, key=lambda rows: float(rows.slack(d)[0].min()))
-    slack = worst.slack(d)[0]
+    worst = min(model.rows, key=lambda rows: float(rows.slack(d).min()))
+    slack = worst.slack(d)
     k, i = np.unravel_index(int(np.argmin(slack)), slack.shape)
-    short, t, owner = problem.margin - float(slack[k, i]), float(problem.grid.t[k * problem.every]), worst.owner[i]
+    short, t, owner = problem.margin - float(slack[k, i]), float(problem.grid.t[k]), worst.owner[i]
     what = "cone coefficient" if contact.condition == "paper" else "facet of the contact wrench cone"
     where = owner if apart(owner) else f"{owner} ({what} {i})"
     shown = "No reference of this degree and duration is safe" if proven else "No safe reference was found"
@@ -181,7 +181,7 @@ def _cost(model: Linearisation, d: Array | None = None) -> float:
 
 
 def _violation(model: Linearisation, margin: float, d: Array | None = None) -> float:
-    return max(0.0, *(margin - float(rows.slack(d)[0].min()) for rows in model.rows))
+    return max(0.0, *(margin - float(rows.slack(d).min()) for rows in model.rows))
 
 
 def _merit(model: Linearisation, margin: float, penalty: float) -> float:

@@ -98,8 +98,7 @@ def _violated(rows: tuple[Rows, ...], d: Array, margin: float, s: float) -> tupl
     """Tangents at d of what is violated there: for each row, at its local minima over time."""
     offsets, slopes, violation = [np.zeros(0)], [np.zeros((0, len(d)))], 0.0
     for item in rows:
-        slack, sides = item.slack(d)
-        slack = slack - margin
+        slack = item.slack(d) - margin
         least = float(slack.min())
         violation = max(violation, -least)
         if least + s < -TOLERANCE:
@@ -107,7 +106,7 @@ def _violated(rows: tuple[Rows, ...], d: Array, margin: float, s: float) -> tupl
             around[1:-1] = slack
             lowest = (slack <= around[:-2]) & (slack <= around[2:])
             instant, row = np.nonzero((slack + s < -TOLERANCE) & lowest)
-            offset, slope = item.cuts(instant, row, sides[instant, row])
+            offset, slope = item.tangents(d, instant, row)
             offsets.append(offset - margin)
             slopes.append(slope)
     return np.concatenate(offsets), np.concatenate(slopes), violation
