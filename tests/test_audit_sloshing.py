@@ -144,3 +144,75 @@ def test_a_cup_that_is_shaken_near_its_frequency_gives_no_verdict(cup, share, co
     if code == "cannot_tell":
         assert said.details["reasons"] == ["resonance"]
         assert "swirl" in said.sentence
+
+
+def jolted(rate, peak=0.9, half=0.5):
+    """A level line that accelerates at once, for half of its time, and brakes at once; without rest before or after."""
+    t = np.arange(round(2 * half * rate) + 1) / rate
+    late = np.maximum(t - half, 0.0)
+    way = 0.5 * peak * t**2 - peak * late**2
+    p = np.array([0.5, 0.0, 0.4]) + np.outer(way, [0.0, 1.0, 0.0])
+    return t, p, np.tile(quat_wxyz_from_matrix(np.eye(3)), (len(t), 1))
+
+
+@pytest.mark.parametrize("rate", [100.0, 200.0, 1000.0])
+def test_of_a_recording_that_begins_and_ends_in_a_jolt_the_truth_is_within_what_is_said(cup, rate):
+    """Against the waves of the acceleration that it had, which its outermost samples do not show."""
+    t, p, quat = jolted(rate)
+    found = audit(
+        {
+            "t": t,
+            **dict(zip(("x", "y", "z"), p.T, strict=True)),
+            **dict(zip(("qw", "qx", "qy", "qz"), quat.T, strict=True)),
+        },
+        cup,
+    )
+    read, (most, _) = found._liquids.nominal["cup"], found._sloshing[False]["cup"]
+    known, fine = Spill.of("cup", read), np.linspace(0.0, t[-1], 2001)
+    w = np.tile(at_rest(), (len(fine), 1))
+    w[1:, 1] += np.where(fine[1:] < 0.5, 0.9, -0.9)  # until then the surface is level
+    truth = along(read[0].waves.cases.each, fine, w).crest.max(axis=0)
+    said, allowed = (np.interp(fine, x.t, x.crest) for x in (known, most))
+    inner = np.min(np.abs(fine[:, None] - [0.0, 0.5, t[-1]]), axis=1) > 5 / rate
+    assert np.all(np.abs(truth - said)[inner] <= (allowed - said)[inner] + 1e-4)
+    assert np.median(allowed - said) < 0.1 * known.crest.max() or rate == 100.0  # and it is no empty statement
+
+
+def test_what_a_liquid_does_after_a_recording_that_ends_moving_is_not_known(cup):
+    """It would spill only if the tray stopped as the last sample has it."""
+    t, p, quat = jolted(500.0)
+    keep = slice(0, -12)
+    columns = {"t": t[keep], **dict(zip(("x", "y", "z"), p[keep].T, strict=True))}
+    columns |= dict(zip(("qw", "qx", "qy", "qz"), quat[keep].T, strict=True))
+    found = audit(columns, cup)
+    told = Spill.of("cup", found._liquids.nominal["cup"]).slack
+    assert told[:-1].min() > 0
+    assert found.outcome == "cannot_tell"
+    assert "ended" in found.worst.details["reasons"]
+
+
+def test_where_waves_may_push_otherwise_too_much_friction_by_a_little_is_not_certain(cup):
+    """What they push is known no better than they are."""
+    t, p, quat = jolted(100.0)
+    columns = {"t": t, **dict(zip(("x", "y", "z"), p.T, strict=True))}
+    columns |= dict(zip(("qw", "qx", "qy", "qz"), quat.T, strict=True))
+    needed = float(audit(columns, cup).margins.interfaces[0].friction_needed.max())
+    for share, code in ((0.98, "cannot_tell"), (0.5, "slides")):
+        found = audit(columns, cup.with_changes(objects__0__friction=share * needed))
+        assert found.nominal.code == code, found.nominal.sentence
+
+
+def test_acceleration_that_grows_from_rest_within_the_outermost_samples_raises_no_wave_that_was_not_there(cup):
+    """At 90 m/s^3, for the two samples in which a recording does not show it."""
+    fine = np.arange(20001) / 20000
+    force = 0.9 * np.clip(fine / 0.01, 0, 1) * np.cos(np.pi * fine)
+    way = cumulative_trapezoid(cumulative_trapezoid(force, fine, initial=0), fine, initial=0)
+    t, y = fine[::100], way[::100]
+    pose = {"x": 0.5 + 0 * t, "y": y, "z": 0.4 + 0 * t, "qw": 1 + 0 * t, "qx": 0 * t, "qy": 0 * t, "qz": 0 * t}
+    read = audit({"t": t, **pose}, cup)._liquids.nominal["cup"]
+    w = np.tile(at_rest(), (len(fine), 1))
+    w[:, 1] += force
+    truth = along(read[0].waves.cases.each, fine[::20], w[::20]).crest.max(axis=0)
+    some = (fine[::20] > 0.02) & (fine[::20] < 0.4)
+    known = Spill.of("cup", read)
+    assert np.abs(truth - np.interp(fine[::20], known.t, known.crest))[some].max() < 1.5e-4

@@ -18,16 +18,18 @@ CANNOT_TELL = "cannot_tell"
 @dataclass(frozen=True)
 class Borne:
     """A motion, and what the load would bear beyond it: reserve (T,) m/s^2 in any direction, and rest, the same at rest
-    on a level tray; nominal, or in the worst case of the uncertain parameters."""
+    on a level tray; nominal, or in the worst case of the uncertain parameters. pushed: m/s^2 by which liquids may push
+    otherwise than they do in the motion as it was read."""
 
     motion: AuditedMotion
     reserve: Array
     rest: float
+    pushed: float = 0.0
 
     @property
     def error(self) -> Array:
-        """(T,) m/s^2 by which the motion's acceleration may be wrong."""
-        return np.broadcast_to(self.motion.acceleration_error + self.motion.missed, self.reserve.shape)
+        """(T,) m/s^2 by which the motion's acceleration, and what liquids add to it, may be wrong."""
+        return np.broadcast_to(self.motion.acceleration_error + self.motion.missed + self.pushed, self.reserve.shape)
 
     def hidden(self) -> tuple[Slip, float]:
         """Bound on a slide that noise and resolution could hide, and the frequency (Hz) up to which they hide none."""

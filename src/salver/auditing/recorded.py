@@ -21,7 +21,7 @@ LEVER = 0.1  # m: what turns is judged by how it moves something so far away
 FASTER = 2.0  # bandwidth over the frequency that was found: its acceleration is then met to 2 %
 _PER_PERIOD = 12  # instants judged per period of the bandwidth, so 24 of what it follows: peaks are met to 0.9 %
 _GROWTH = 1.7  # by which the bandwidth grows at most between two looks at the residuals
-_OUTER = 2  # samples
+OUTER = 2  # samples at either end between which a curve bends as it likes
 _CONJUGATE = np.array([1.0, -1.0, -1.0, -1.0])
 
 
@@ -69,7 +69,7 @@ def read_motion(t: Array, p: Array, quat_wxyz: Array, sensor: Sensor, options: A
     grid = _instants(t, bandwidth)
     motion = _motion(grid, position, turning)
     # Between the outermost samples a curve bends as it likes: there it is taken to bend on as two samples inside.
-    for end, outside in ((0, grid < t[_OUTER]), (-1, grid > t[-1 - _OUTER])):
+    for end, outside in ((0, grid < t[OUTER]), (-1, grid > t[-1 - OUTER])):
         for bend in (motion.a_S, motion.alpha_B):
             bend[outside] = bend[~outside][end]
     error = np.zeros(len(grid))

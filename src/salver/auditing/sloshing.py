@@ -17,7 +17,7 @@ import numpy as np
 
 from salver.auditing.motion import AuditedMotion, Doubt
 from salver.auditing.options import AuditOptions
-from salver.auditing.recorded import FASTER, LEVER
+from salver.auditing.recorded import FASTER, LEVER, OUTER
 from salver.auditing.slip import hidden_shakes, up_to
 from salver.geometry import Array
 from salver.models.liquid import GRAVITY
@@ -119,6 +119,9 @@ def _away(waves: Waves, motion: AuditedMotion) -> tuple[Array, Array]:
         shaken = shaken + (found.share * each).sum(axis=-1)
         slow = found.frequency <= fastest
         slope += float((found.amplitude * (2 * np.pi * found.frequency) ** 2)[slow].max(initial=0.0))
+    # In the outermost samples the tray may come to its acceleration at once, or at the last instant: an impulse.
+    outer = np.linalg.norm(motion.samples.a_S[[0, -1]], axis=1).sum() * OUTER / recording.rate
+    shaken = shaken + 0.5 * outer / omega
     short = missed / (2 * np.pi * read) ** 2
     shaken = shaken + (short * _gain(read, modes[..., None], read * np.ptp(waves.t))).max(axis=-1)
     lifted = 1 + which.omega**2 / GRAVITY * np.abs(waves.r).max(axis=1)  # what is wrong upwards stiffens it

@@ -18,6 +18,7 @@ from salver.auditing.arm import NOT_CHECKED, arm_status
 from salver.auditing.doubts import CANNOT_TELL, Borne, cannot_tell
 from salver.auditing.motion import AuditedMotion, Doubt, tray_motion
 from salver.auditing.options import DEFAULT, AuditOptions
+from salver.auditing.recorded import OUTER
 from salver.auditing.slip import Slip, slide
 from salver.auditing.sloshing import unmodelled, unseen
 from salver.contact_margins import MarginModel, Margins, SafeSpeeds, margin_model, safe_speeds
@@ -64,11 +65,14 @@ class Audit(Shown, Tabular):
     def _liquids(self) -> Liquids | None:
         """Along the whole motion: they remember. Where it stands still at an end nothing accelerates the liquid before
         or after, whatever the samples there say."""
-        s, w = self.motion.samples, self._w.copy()
+        s, w, seen = self.motion.samples, self._w.copy(), self.motion.recording
         still, zero = self._resting(), np.zeros((1, 3))
-        for k in (0, -1):
+        outside = 0.0 if seen is None else OUTER / seen.rate  # s, in which a recording does not show an acceleration
+        for k, away in ((0, s.t - s.t[0]), (-1, s.t[-1] - s.t)):
             if still[k]:
-                w[k] = motion_vector(s.R_SB[[k]], zero, zero, zero)[0]
+                rest, near = motion_vector(s.R_SB[[k]], zero, zero, zero)[0], np.flatnonzero(away < outside)
+                w[near] = rest + (w[near] - rest) * (away[near] / outside)[:, None]
+                w[k] = rest
         return Liquids.along(self._model.payload, s.t, w)
 
     def _resting(self) -> tuple[bool, bool]:
@@ -131,8 +135,24 @@ class Audit(Shown, Tabular):
         still = Margins(self._model, np.zeros(1), at_rest()[None])
         resting = (still.exact, still.exact_worst)
         nominal, worst = (
-            Borne(self.motion, 9.81 * margin, 9.81 * float(rest[0]))
-            for margin, rest in zip(self.reserves, resting, strict=True)
+            Borne(self.motion, 9.81 * margin, 9.81 * float(rest[0]), self._pushed(bool(case)))
+            for case, (margin, rest) in enumerate(zip(self.reserves, resting, strict=True))
+        )
+        return nominal, worst
+
+    def _pushed(self, worst: bool) -> float:
+        """m/s^2 by which liquids may push their containers more, or less, than the motion as it was read says."""
+        return max((pushed for _, pushed in self._sloshing[worst].values()), default=0.0)
+
+    @cached_property
+    def _sloshing(self) -> tuple[dict[str, tuple[Spill, float]], dict[str, tuple[Spill, float]]]:
+        """What each liquid comes to at most in the motion that was recorded, and by how much it may push otherwise than
+        in the motion as it was read (m/s^2); nominal, and in the worst case. Nothing where the motion is known."""
+        if self._liquids is None or self.motion.recording is None:
+            return {}, {}
+        nominal, worst = (
+            {name: unseen(name, parts, self.motion) for name, parts in which.items()}
+            for which in (self._liquids.nominal, self._liquids.worst)
         )
         return nominal, worst
 
@@ -177,7 +197,11 @@ class Audit(Shown, Tabular):
                 doubts += unmodelled(name, parts, known, self.motion.options)
             if self.motion.recording is None:
                 continue
-            most, pushed = unseen(name, parts, self.motion)
+            most, pushed = self._sloshing[worst][name]
+            if known.slack[:-1].min() >= 0 > known.slack[-1] and not self._resting()[1]:
+                clause = f"the recording ends moving, and what {name} does after it is not in it"
+                doubts.append(("ended", clause))
+                continue
             told, lost = known.slack.min(), known.slack.min() - most.slack.min()
             if not (told - lost >= 0 or told + lost < 0):
                 higher = 1e3 * float((most.crest - known.crest).max())
