@@ -223,11 +223,16 @@ def test_what_the_research_3_does_not_do_is_said():
     [
         ("goto 1 2 3", "is no JSON"),
         ("[1, 2]", "it is no object of JSON"),
-        ('{"t": 1}', "it has none of goto, posture, twist, chunk, stop, resume; a line has one of them"),
+        (
+            '{"t": 1}',
+            "it has none of goto, posture, twist, chunk, stop, resume, override, hold, release; a line has one of them",
+        ),
         ('{"stop": true, "goto": [1, 2, 3]}', "it has goto and stop of"),
         ('{"stop": false}', "stop is false; it must be true"),
         ('{"stop": 1}', "stop is 1; it must be true"),
         ('{"resume": "yes"}', 'resume is "yes"; it must be true'),
+        ('{"hold": 1}', "hold is 1; it must be true"),
+        ('{"release": false}', "release is false; it must be true"),
         ('{"stop": true, "reason": 3}', "reason is 3; it must be a text"),
         ('{"goto": [1, 2, 3], "queued": "no"}', 'queued is "no"; it must be true or false'),
         ('{"goto": [1, 2, 3], "source": "me"}', 'source is "me"; it must be one of policy, operator, monitor'),

@@ -11,7 +11,8 @@ class LeadOptions:
     """How a lead is learnt.
 
     Attributes:
-        tick, motion: s from the beginning of planning to the hand-over, before it is known how long planning takes.
+        tick, speed, motion: s from the beginning of planning a tick, another speed or a whole motion to the hand-over,
+            before it is known how long that takes.
         of: plans of late from whose times the lead is taken.
         spare: times the longest of them.
         least: s.
@@ -19,6 +20,7 @@ class LeadOptions:
     """
 
     tick: float = 0.05
+    speed: float = 0.1
     motion: float = 0.25
     of: int = 5
     spare: float = 1.3
@@ -28,13 +30,15 @@ class LeadOptions:
 
 
 class Lead:
-    """s from the beginning of planning to the hand-over, of a tick or a whole motion: given, or learnt from how long
+    """s from the beginning of planning to the hand-over, by kind: given, or learnt from how long
     planning each takes. wet: with open liquids."""
 
     def __init__(self, given: float | None, wet: bool, options: LeadOptions | None = None) -> None:
         self._given, self._options = given, options or LeadOptions()
         self._most = self._options.most_with_liquids if wet else self._options.most
-        self._spent: dict[str, deque[float]] = {kind: deque(maxlen=self._options.of) for kind in ("tick", "motion")}
+        self._spent: dict[str, deque[float]] = {
+            kind: deque(maxlen=self._options.of) for kind in ("tick", "speed", "motion")
+        }
 
     def took(self, kind: str, seconds: float) -> None:
         """Planning one took so long."""
@@ -45,5 +49,5 @@ class Lead:
         if self._given is not None:
             return self._given
         options, spent = self._options, self._spent[kind]
-        first = options.tick if kind == "tick" else options.motion
+        first = float(getattr(options, kind))
         return min(max(options.least, options.spare * max(spent) if spent else first), self._most)

@@ -6,6 +6,7 @@ bring the load into danger: what is not verified is not committed, and when noth
 
 Requests have a source. While what a source of higher priority requested is carried out, others are refused. A stop
 latches: until it is lifted by `resume`, nothing but a motion to rest is committed, and every other request is refused.
+A hold brings the arm to rest too, and keeps the requests: on `release` they are gone on with.
 
 Two threads meet here, and neither waits for the other. The robot's loop calls `command`; whoever plans calls `plan`. A
 new motion is laid before the loop, which alone decides whether it still comes in time.
@@ -31,6 +32,7 @@ from salver.live.lookout import Lookout, Sighting
 from salver.live.motion import Committed, resting
 from salver.live.obstacles import Moving, predicted
 from salver.live.planner import Answer, Job, Planner
+from salver.live.profile import STANDARD as SPEED
 from salver.live.reader import Reader
 from salver.live.ready import STOPS_EVERY, Ready
 from salver.live.running import Running
@@ -38,7 +40,7 @@ from salver.live.seal import sealed
 from salver.live.standing import live_scenario, standing
 from salver.live.state import State
 from salver.live.steer import TICK
-from salver.live.stopped import Stopped
+from salver.live.stopped import Held, Stopped
 from salver.live.verify import verified
 from salver.live.wishes import (
     ACCEPTED,
@@ -49,9 +51,11 @@ from salver.live.wishes import (
     Goal,
     Halt,
     Pose,
+    Retime,
     Source,
     Wish,
     chunk_wish,
+    factor_of,
     is_flag,
     numbers,
     pose_goal,
@@ -116,6 +120,9 @@ class Live:
         self._ready = Ready()
         # Written by whoever requests.
         self._stopped: Stopped | None = None  # read by the loop too, which takes nothing but a stop while there is one
+        self._held: Held | None = None  # read by the loop too
+        self._factor = self._most = 1.0  # of full speed; and the most that the operator allows
+        self._tried = -np.inf  # live time, s, when it was tried last to run what is committed at another factor
         self._astray = ""  # why the arm is not where it was commanded to be, as it was measured last
         self._refusals = 0
         self._halt: Running | None = None
@@ -188,7 +195,7 @@ class Live:
         """Whether a motion that was planned for a request may still be committed."""
         if isinstance(wish, Halt):
             return True
-        if self._stopped is not None:
+        if self._stopped is not None or self._held is not None:
             return False
         now = self._wish
         if wish is None or now is None or isinstance(wish, Evade):
@@ -291,6 +298,56 @@ class Live:
         self._stopped = None
         return ACCEPTED
 
+    def hold(self, *, source: Source = OPERATOR) -> Status:
+        """Come to rest as soon as the load allows, as `stop` does, and stay there until `release`; requests are kept.
+
+        Requests that come meanwhile are carried out after it. A hold is never refused; an unknown source counts as the
+        operator. A stop drops what is kept, and is lifted by `resume` alone.
+        """
+        source, held = source if source in PRIORITY else OPERATOR, self._held
+        if held is not None:
+            if PRIORITY[source] > PRIORITY[held.halt.source]:
+                self._held = Held(replace(held.halt, source=source), held.at)
+            return ACCEPTED
+        self._held = Held(Halt(source), self._now)
+        self._halt = self._ready.soonest(self.committed, self._now)
+        return ACCEPTED
+
+    def release(self, *, source: Source = OPERATOR) -> Status:
+        """End the hold: what was requested is gone on with, goals from where the arm is, a chunk with what is left.
+
+        Refused to a policy if the operator holds the arm, and while a stop is latched.
+        """
+        held = self._held
+        if self._stopped is not None or source not in PRIORITY:
+            return self._refuse(self._unable(source), "To release")
+        if held is None:
+            return ACCEPTED
+        if PRIORITY[source] < PRIORITY[held.halt.source]:
+            return self._refuse(f"the {held.halt.source} holds the arm", "To release")
+        if isinstance(wish := self._wish, Follow):
+            self._wish = wish.later(self._now - held.at)
+        self._refused, self._held = "", None
+        return ACCEPTED
+
+    def override(self, factor: float, *, source: Source = OPERATOR) -> Status:
+        """Go to goals at a factor of full speed, 0.05 to 1; twists and the times of chunks are scaled likewise.
+
+        The motion to a goal that is under way changes its speed along its own path, as soon as the load allows; twists
+        and chunks from the next one on. Stops and evasions are as fast as the load allows.
+        """
+        found = factor_of(factor)
+        if unable := self._unable(source):
+            return self._refuse(unable, "The override")
+        if isinstance(found, Status):
+            return self._refuse(found.sentence, "The override")
+        if PRIORITY[source] >= PRIORITY[OPERATOR]:
+            self._most = found
+        elif found > self._most:
+            return self._refuse(f"the operator allows {self._most:g} at most", "The override")
+        self._refused, self._factor = "", found
+        return ACCEPTED
+
     def twist(self, v: npt.ArrayLike, omega: npt.ArrayLike = (0.0, 0.0, 0.0), *, source: Source = OPERATOR) -> Status:
         """Move the tray at v_S (3,), m/s, and omega_S (3,), rad/s, as closely as safety allows.
 
@@ -298,7 +355,7 @@ class Live:
         """
         if unable := self._unable(source):
             return self._refuse(unable, "The twist")
-        wish = twist_wish(list(self._heard), v, omega, self._now)
+        wish = twist_wish(list(self._heard), v, omega, self._now, self._factor)
         if isinstance(wish, Status):
             return self._refuse(wish.sentence, "The twist")
         wish = replace(wish, source=source)
@@ -325,7 +382,7 @@ class Live:
         """
         if unable := self._unable(source):
             return self._refuse(unable, "The chunk")
-        wish = chunk_wish(self._problem, times, poses, joints, self._now)
+        wish = chunk_wish(self._problem, times, poses, joints, self._now, self._factor)
         if isinstance(wish, Status):
             return self._refuse(wish.sentence, "The chunk")
         wish = replace(wish, source=source)
@@ -426,8 +483,8 @@ class Live:
             return self._refuse(f"the load is not safe at rest there: {rest.sentence}", "A restart")
         self._wish, self._done, self._refused, self._attempts = None, None, "", 0
         self._unknown, self._astray = False, ""
-        if (stopped := self._stopped) is not None:
-            self._done = stopped.halt
+        if isinstance(self._asked, Halt):  # the stop or the hold that is latched
+            self._done = self._asked
         self._queue.clear()
         self._heard.clear()
         self._offer = self._offered = None
@@ -522,9 +579,12 @@ class Live:
         )
         passing = self._running.outlook.sentence(now)
         stopped = "" if self._stopped is None else str(self._stopped)
+        slow = "" if self._factor == 1.0 else f"Goals are gone to at {100 * self._factor:.3g} % of full speed."
+        speed = " ".join(filter(None, ("" if self._held is None else str(self._held), slow)))
         return State(
-            doing, rests_in, limit, margin, self._refused, self._clock, self.lead, passing, stopped, self._refusals
-        )
+            doing, rests_in, limit, margin, self._refused, self._clock, self.lead, passing, stopped, self._refusals,
+            speed,
+        )  # fmt: skip
 
     @property
     def refused(self) -> str:
@@ -568,9 +628,9 @@ class Live:
 
     @property
     def _asked(self) -> Wish | None:
-        """What is to be carried out: the stop that is latched, else what was requested last."""
-        stopped = self._stopped
-        return self._wish if stopped is None else stopped.halt
+        """What is to be carried out: the stop that is latched, or the hold, else what was requested last."""
+        stopped, held = self._stopped, self._held
+        return stopped.halt if stopped is not None else held.halt if held is not None else self._wish
 
     def _due(self) -> Wish | None:
         """What is to be planned for now."""
@@ -583,12 +643,18 @@ class Live:
                 self._done, self._attempts = offered.wish, 0
         running = self._running
         resigned = self._resigned == (running, self._sighting.news)
-        if running.outlook.sentence(self._now) and not resigned and self._stopped is None and self._offer is None:
+        free = self._stopped is None and self._held is None
+        if running.outlook.sentence(self._now) and not resigned and free and self._offer is None:
             return EVADE
         if wish is not self._done:
             early = isinstance(wish, Follow) and self._hand_over(self.committed, "tick") <= self.committed.begins + 1e-9
             return None if early else wish
-        if self._stopped is None and self._now >= self.committed.ends:
+        if not free:
+            return None
+        if isinstance(running.wish, Goal) and self._now < running.committed.ends:
+            another = running.committed.run.to != self._factor and self._now >= self._tried + SPEED.again
+            return Retime(self._factor) if another else None
+        if self._now >= self.committed.ends:
             with contextlib.suppress(IndexError):  # none is queued, or not any more
                 self._wish = self._queue.popleft()
                 return self._wish
@@ -600,6 +666,12 @@ class Live:
             return
         running, began, kind = self._running, time.perf_counter(), _kind(wish)
         base, begins = running.committed, self._hand_over(running.committed, kind)
+        if isinstance(wish, Goal):
+            begins = self._hand_over(base, kind, max(begins, self._fits(base)))
+        if isinstance(wish, Retime):
+            self._tried = self._now
+            if begins >= base.ends:
+                return
         sighting, threats = self._sighting, running.outlook.near
         if isinstance(wish, Follow) and self._now > wish.until + CALMING:
             self._done = wish  # what is committed ends at rest
@@ -607,10 +679,10 @@ class Live:
         if isinstance(wish, Halt) and begins >= base.ends:
             self._done = wish
             return
-        answered = answer(Job(wish, base, begins, budget, sighting.obstacles, threats, self._now))
+        answered = answer(Job(wish, base, begins, budget, sighting.obstacles, threats, self._now, self._factor))
         found, status = answered.found, answered.status
         if found is not None and not sealed(found, base):  # whoever proposed it
-            again = verified(self._problem, found.motion, found.begins, base)
+            again = verified(self._problem, found.motion, found.begins, base, profile=found.profile)
             found, status = again.committed, Status("refused", again.sentence, False)
         denied = "" if found is None else self._denied(found)
         if denied:
@@ -622,11 +694,14 @@ class Live:
         if late and found is not None:
             # It came late, but the arm was at rest and is: the same motion, from a little later on; unless waves, which
             # go on, are then such that it would not do.
-            again = verified(self._problem, found.motion, self._hand_over(base, "tick"), base)
+            later = self._hand_over(base, "tick")
+            profile = None if found.profile is None else replace(found.profile, begins=later)
+            again = verified(self._problem, found.motion, later, base, profile=profile)
             found, status = again.committed, Status("refused", again.sentence, False)
         offered = None
         if found is not None:
-            offered = running.then(found, wish, self._now, self._problem)
+            same = running.wish if isinstance(wish, Retime) else None  # as before, at another speed
+            offered = running.then(found, same or wish, self._now, self._problem)
             offered.resigned = isinstance(wish, Halt | Evade)
             self._look(offered)
             if not offered.keeps_clear:
@@ -643,7 +718,7 @@ class Live:
             if not isinstance(wish, Halt):  # of a stop it stays said why the arm is stopped
                 self._refused = ""
             self._offered = self._offer = offered
-        elif wish is not self._done and kind != "tick":
+        elif wish is not self._done and kind == "motion":
             self._attempts += 1
             resting = begins >= base.ends and not late
             last = status.code == "unreachable" or resting or self._attempts >= MOST_ATTEMPTS
@@ -651,6 +726,11 @@ class Live:
                 self._done, self._attempts = wish, 0
                 what = f"The goal {wish.what}" if isinstance(wish, Goal) else "The stop"
                 self._refuse(status.sentence, what)
+
+    def _fits(self, base: Committed) -> float:
+        """Live time, s, from which on what is committed is no faster than goals are to be gone to."""
+        run = base.run
+        return base.ends if run.to > self._factor else min(run.settled, base.ends)
 
     def _hand_over(self, base: Committed, kind: str, earliest: float | None = None) -> float:
         """Live time of the next hand-over: the next tick, or where the base's deviation is known exactly."""
@@ -668,4 +748,6 @@ class Live:
 
 def _kind(wish: Wish | None) -> str:
     """Which lead it has."""
+    if isinstance(wish, Retime):
+        return "speed"
     return "tick" if isinstance(wish, Follow | Evade) else "motion"

@@ -12,6 +12,7 @@ import numpy as np
 
 from salver.geometry import Array
 from salver.live.margins import ConstraintMargins
+from salver.live.profile import SpeedProfile
 from salver.planning.fastest import MotionEvaluation, TransportProblem
 from salver.sensitivity.arm.past import Past
 from salver.trajectory import JointMotion
@@ -32,7 +33,8 @@ class Committed:
     first only when nothing moved before. nodes: (N,) live times at which the deviation is known. deviation:
     (N, 2, n, k) e and e' of each term, see `JointLoop.start`; None where nothing is uncertain. waves: of all liquids
     along it, None without. off: (N,) m by which what stands on the tray may be elsewhere. seal: that of the process
-    which found that it passes (`salver.live.seal`); empty while nothing did.
+    which found that it passes (`salver.live.seal`); empty while nothing did. profile: which motion it is at full speed;
+    None where it is that itself.
     """
 
     begins: float
@@ -43,6 +45,12 @@ class Committed:
     waves: Past | None = None
     off: Array = field(default_factory=lambda: np.zeros(1))
     seal: bytes = b""
+    profile: SpeedProfile | None = None
+
+    @property
+    def run(self) -> SpeedProfile:
+        """Its path, and how fast it is run."""
+        return self.profile or SpeedProfile(self.motion, self.begins)
 
     @property
     def ends(self) -> float:

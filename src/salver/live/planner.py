@@ -5,6 +5,7 @@ What it gives was verified (`salver.live.verify`); whoever asked decides whether
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,10 +15,12 @@ from salver.geometry import Array
 from salver.live.lookout import Near
 from salver.live.motion import Committed, resting
 from salver.live.obstacles import Movable, MovingClearance, Predicted, nearest
+from salver.live.profile import STANDARD, SpeedOptions
 from salver.live.replan import Replanner, Sought
 from salver.live.steer import MOST_CAUTION, Caution, Steering, TwistWanted
+from salver.live.verify import STANDARD as EXACT
 from salver.live.verify import verified
-from salver.live.wishes import Evade, Follow, Goal, Halt, Wish, why_not
+from salver.live.wishes import Evade, Follow, Goal, Halt, Retime, Wish, why_not
 from salver.planning.fastest import Anywhere, AtPosture, TransportProblem
 
 ANOTHER = 0.5  # s by which what is seen again and is too near at another time is another threat
@@ -55,7 +58,7 @@ class Aside:
 class Job:
     """wish: what for. base: what is committed; begins: live time, s, at which it may be left. budget: s. obstacles:
     what is predicted to pass; threats: where what is committed does not keep clear of it. now: live time, s, when it
-    was asked."""
+    was asked. factor: of full speed, at which goals are gone to."""
 
     wish: Wish
     base: Committed
@@ -64,6 +67,7 @@ class Job:
     obstacles: tuple[Predicted, ...] = ()
     threats: tuple[Near, ...] = ()
     now: float = 0.0
+    factor: float = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,8 +83,14 @@ class Answer:
 class Planner:
     """Answers jobs about one problem."""
 
-    def __init__(self, problem: TransportProblem, evasion: EvasionOptions | None = None) -> None:
+    def __init__(
+        self,
+        problem: TransportProblem,
+        evasion: EvasionOptions | None = None,
+        speed: SpeedOptions = STANDARD,
+    ) -> None:
         self.problem, self.evasion = problem, evasion or EvasionOptions()
+        self.speed = speed
         self._replanner = Replanner.of(problem)
         self._steering = Steering.of(problem, Sought.of(problem))
         self._evasive = self._steering
@@ -92,6 +102,8 @@ class Planner:
         if isinstance(wish, Evade):
             return self._evading(job)
         problem = self._among(job)
+        if isinstance(wish, Retime):
+            return Answer(*self._retimed(job, wish.factor, problem))
         replanner = self._replanner if problem is self.problem else Replanner.of(problem)
         if isinstance(wish, Follow):
             wanted = wish.wanted if job.now <= wish.until else wish.then
@@ -110,7 +122,25 @@ class Planner:
         blocked = why_not(self.problem, wish) or self._unsafe(wish)
         if blocked:
             return Answer(None, Status("unreachable", blocked, False))
-        return Answer(*replanner.to(wish.end, base, begins, job.budget))
+        return Answer(*replace(replanner, factor=job.factor).to(wish.end, base, begins, job.budget))
+
+    def _retimed(self, job: Job, factor: float, problem: TransportProblem) -> tuple[Committed | None, Status]:
+        """What is committed, along its own path at another speed factor."""
+        options, within, began = self.speed, self.speed.soonest, time.perf_counter()
+        glance = replace(EXACT, step=options.glance, step_with_liquids=options.glance)
+        while within <= options.latest and time.perf_counter() - began < job.budget:
+            profile = job.base.run.then(job.begins, factor, within)
+            if profile.possible:
+                motion = profile.motion(job.base.state(job.begins))
+                finding = verified(problem, motion, job.begins, job.base, glance)
+                if finding.committed is not None:
+                    finding = verified(problem, motion, job.begins, job.base, profile=profile)
+                if finding.committed is not None:
+                    return finding.committed, Status("optimal", "", True)
+                if profile.over:  # so are those that change it in more time
+                    break
+            within *= options.longer
+        return None, Status("refused", "the load allows no other speed now", False)
 
     def _there(self, goal: Goal, base: Committed) -> bool:
         """Whether what is committed ends at the goal."""

@@ -17,6 +17,7 @@ import numpy as np
 from salver.errors import Status
 from salver.geometry import GRAVITY_S, Array, Indices
 from salver.live.motion import Committed
+from salver.live.profile import SpeedProfile
 from salver.live.verify import STANDARD, Finding, verified
 from salver.models.arm_limits import JointLimits
 from salver.planning.fastest import (
@@ -138,6 +139,7 @@ class Replanner:
     problem: TransportProblem
     sought: TransportProblem
     options: ReplanOptions = STANDARD_REPLANNING
+    factor: float = 1.0  # of full speed, at which what is found is run, and judged
 
     @classmethod
     def of(cls, problem: TransportProblem) -> Replanner:
@@ -148,8 +150,9 @@ class Replanner:
     ) -> tuple[Committed | None, Status]:
         """The shortest motion found from the committed one at live time `begins` to an end. around: whether, from rest,
         there is time to look for ways around what is in the way."""
-        began = time.perf_counter()
-        start = AtPosture(*before.state(begins))
+        began, slow = time.perf_counter(), self.factor
+        q, dq, ddq = before.state(begins)
+        start = AtPosture(q, dq / slow, ddq / slow**2)  # as a motion at full speed has to begin, to go on from it
         at = before.left(begins, replace(self.sought, start=start, goal=end))
         options = self.options
         guess = going_on(at, before, begins, options) if isinstance(end, Anywhere) else straight(at, options)
@@ -212,8 +215,11 @@ class Replanner:
         q, dq, ddq, _ = FreeCurve(at, Grid.of(found.spline, breaks)).motion(found.coefficients, found.duration)
         for rate in (dq, ddq):
             rate[-1] = 0.0  # but for the last digits, it is
-        motion = JointMotion(breaks * found.duration, q, dq, ddq)
-        return verified(self.problem, motion, begins, before, thoroughly=True)
+        motion, profile = JointMotion(breaks * found.duration, q, dq, ddq), None
+        if self.factor < 1.0:
+            profile = SpeedProfile(motion, begins, 0.0, self.factor, 0.0, self.factor)
+            motion = profile.motion()
+        return verified(self.problem, motion, begins, before, thoroughly=True, profile=profile)
 
 
 def going_on(

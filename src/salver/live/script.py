@@ -7,6 +7,9 @@
     {"t": 3.0, "chunk": [0.1, 0.2], "positions": [[...], [...]]}   s from then; or "postures", rad; "quats_wxyz"
     {"t": 4.0, "stop": true, "reason": "a hand is near"}      latches: every other request is refused until
     {"t": 5.0, "resume": true}
+    {"t": 6.0, "override": 0.5}                               half of full speed, for goals, twists and chunks
+    {"t": 7.0, "hold": true}                                  to rest; requests are kept, and gone on with after
+    {"t": 8.0, "release": true}
 
 Each may have a "source": "operator" (the default) or "policy". t is in s from when the motion may begin, and never less
 than in the line before; without it the request follows the one before at once. A twist is sent again and again for so
@@ -38,6 +41,9 @@ KEYS = {
     "chunk": {"positions", "quats_wxyz", "postures"},
     "stop": {"reason"},
     "resume": set(),
+    "override": set(),
+    "hold": set(),
+    "release": set(),
 }
 LONGEST = 3600.0  # s
 MOST_WAITING = 1000  # lines that wait to be carried out, of those that come while the arm moves
@@ -73,8 +79,11 @@ class Said:
             places, turned = words.get("positions"), words.get("quats_wxyz")
             poses: Any = places if turned is None else (places, [_rotation(quat) for quat in turned])
             return live.chunk(words["chunk"], poses, source=source)
-        if "resume" in words:
-            return live.resume(source=source)
+        if "override" in words:
+            return live.override(words["override"], source=source)
+        for say in (live.resume, live.hold, live.release):
+            if say.__name__ in words:
+                return say(source=source)
         return live.stop(words.get("reason", ""), source=source)
 
     @property
@@ -123,7 +132,7 @@ def understood(text: str, line: int, source: str, last: float) -> Said:
     if unknown:
         raise wrong(f'nobody knows what "{unknown[0][:SHOWN]}" means beside {found[0]}')
     seconds("for", 0.0, "a number of seconds, at least 0")
-    for key in ("stop", "resume"):
+    for key in ("stop", "resume", "hold", "release"):
         if key in words and words[key] is not True:
             raise wrong(f"{key} is {_shown(words[key])}; it must be true")
     if not is_flag(words.get("queued", False)):

@@ -16,7 +16,8 @@ class State(Shown):
     limits. refused: the last wish that was not granted, and why; clock: what was wrong with the times that were asked
     for. Both are empty when nothing was. lead: s from now to the next hand-over. passing: what is to be expected of
     obstacles that move, when nothing was found that keeps clear of them. stopped: by whom and why, while a stop is
-    latched; empty when none is. refusals: requests that were refused since the beginning.
+    latched; empty when none is. refusals: requests that were refused since the beginning. speed: that goals are gone
+    to slower, or the arm is held; empty at full speed.
     """
 
     doing: str
@@ -29,10 +30,11 @@ class State(Shown):
     passing: str = ""
     stopped: str = ""
     refusals: int = 0
+    speed: str = ""
 
     def facts(self) -> dict[str, str]:
         told = {"live": self.doing, "at rest in": f"{self.rests_in:.2f} s", "nearest limit": self.nearest}
-        said = ("stopped", "refused", "passing", "clock")
+        said = ("stopped", "speed", "refused", "passing", "clock")
         return {**told, **{name: text for name in said if (text := getattr(self, name))}}
 
     @property
@@ -44,4 +46,4 @@ class State(Shown):
 
     def __str__(self) -> str:
         sentence = "The arm rests." if self.doing == "resting" else f"It is {self.doing}, {self.nearest}."
-        return " ".join([sentence, *filter(None, (self.stopped, self.passing, self.refused, self.clock))])
+        return " ".join([sentence, *filter(None, (self.stopped, self.speed, self.passing, self.refused, self.clock))])

@@ -1,8 +1,18 @@
-"""A stop that latches: from when, by whom and why, and what was refused because of it."""
+"""What keeps the arm at rest: a hold, after which requests are gone on with; or a stop, which refuses them."""
 
 from __future__ import annotations
 
 from salver.live.wishes import PRIORITY, Halt, Source
+
+
+class Held:
+    """The hold until it is released. halt: what the planner is asked for because of it. at: live time, s."""
+
+    def __init__(self, halt: Halt, at: float) -> None:
+        self.halt, self.at = halt, at
+
+    def __str__(self) -> str:
+        return f"Held by the {self.halt.source}."
 
 
 class Stopped:

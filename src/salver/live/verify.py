@@ -17,6 +17,7 @@ import numpy as np
 from salver.geometry import Array, Indices
 from salver.live.margins import ConstraintMargins
 from salver.live.motion import Committed
+from salver.live.profile import SpeedProfile
 from salver.live.seal import seal_of
 from salver.models.arm_geometry import ArmGeometry
 from salver.models.arm_limits import LIMITS
@@ -312,9 +313,11 @@ def verified(
     options: VerdictOptions = STANDARD,
     *,
     thoroughly: bool = False,
+    profile: SpeedProfile | None = None,
 ) -> Finding:
     """The verdict on a motion from live time `begins`, s, on that goes on from the one before (None: a long rest).
-    thoroughly: when a check fails, go through the others too, to say what of all is violated most."""
+    thoroughly: when a check fails, go through the others too, to say what of all is violated most. profile: the path
+    that it is, at which speed, for whoever changes the speed later; nothing here depends on it."""
     if jolt := joins(motion, begins, before, options):
         return Finding(None, np.inf, jolt)
     judged = Judged.of(problem if before is None else before.left(begins, problem), motion, options)
@@ -326,7 +329,7 @@ def verified(
             return _refused(broken, judged, begins)
     if touch := touches(judged, blocks):
         return Finding(None, np.inf, touch)
-    committed = _committed(judged, blocks, begins)
+    committed = replace(_committed(judged, blocks, begins), profile=profile)
     excess, what = settles(judged, blocks, committed)
     if excess > 0.0:
         sentence = f"{what} would be exceeded by {100 * excess:.2g} % while the arm settles at its end"

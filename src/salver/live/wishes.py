@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from numbers import Real
 from typing import Any, Literal
 
@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from salver.errors import Status
 from salver.geometry import Array
+from salver.live.profile import STANDARD
 from salver.live.steer import ChunkWanted, TwistWanted, Wanted
 from salver.planning.fastest import AtPose, AtPosture, End, TransportProblem
 from salver.planning.fastest.constraints import LEVEL_TOLERANCE
@@ -57,6 +58,13 @@ class Follow:
     ends: Goal | Status | None = None
     source: Source = OPERATOR
 
+    def later(self, by: float) -> Follow:
+        """The same chunk, so many s later; a twist counts from when it was said."""
+        if not isinstance(self.wanted, ChunkWanted):
+            return self
+        wanted = replace(self.wanted, t=self.wanted.t + by)
+        return replace(self, wanted=wanted, then=wanted, until=self.until + by)
+
 
 @dataclass(frozen=True, eq=False)
 class Evade:
@@ -65,7 +73,15 @@ class Evade:
     source: Source = "monitor"
 
 
-Wish = Goal | Halt | Follow | Evade
+@dataclass(frozen=True, eq=False)
+class Retime:
+    """To go on along the same path at another factor of full speed."""
+
+    factor: float
+    source: Source = "monitor"
+
+
+Wish = Goal | Halt | Follow | Evade | Retime
 
 MOST_SPEED, MOST_TURN, FARTHEST = 5.0, 20.0, 100.0  # m/s, rad/s, m; what is beyond is in another unit
 SILENCE = 0.1  # s after a twist at which it counts no more
@@ -109,6 +125,14 @@ def numbers(value: Any, shape: tuple[int, ...], what: str) -> Array | Status:
     return array
 
 
+def factor_of(value: Any) -> float | Status:
+    """A factor of full speed."""
+    factor, least = numbers([value], (1,), "the factor"), STANDARD.least
+    if isinstance(factor, Status) or not least <= factor[0] <= 1.0:
+        return refused(f"factor is {str(value)[:40]!r}; it must be a number from {least:g} to 1, and hold() stops")
+    return float(factor[0])
+
+
 def posture_goal(problem: TransportProblem, q: npt.ArrayLike) -> Goal | Status:
     """A posture (n,), rad, at rest."""
     posture = numbers(q, (problem.n,), "the posture")
@@ -149,9 +173,10 @@ def pose_goal(problem: TransportProblem, pose: Pose) -> Goal | Status:
 
 
 def twist_wish(
-    heard: Sequence[tuple[float, Array]], v: npt.ArrayLike, omega: npt.ArrayLike, now: float
+    heard: Sequence[tuple[float, Array]], v: npt.ArrayLike, omega: npt.ArrayLike, now: float, factor: float = 1.0
 ) -> Follow | Status:
-    """v_S (3,), m/s, and omega_S (3,), rad/s, of the tray in S. heard: live times and twists before."""
+    """v_S (3,), m/s, and omega_S (3,), rad/s, of the tray in S, times a factor. heard: live times and what was followed
+    before."""
     twist = []
     for value, most, what, unit in ((v, MOST_SPEED, "v", "m/s"), (omega, MOST_TURN, "omega", "rad/s")):
         found = numbers(value, (3,), what)
@@ -160,7 +185,7 @@ def twist_wish(
         if np.linalg.norm(found) > most:
             return refused(f"{what} is {np.linalg.norm(found):.3g}; it must be at most {most:g} {unit}, in S")
         twist.append(found)
-    latest = np.concatenate(twist)
+    latest = factor * np.concatenate(twist)
     before = [(t, old) for t, old in heard if now - LAST_HEARD <= t < now]
     recent = [*([x for x in before if now - x[0] <= HEARD + 1e-9] or before[-1:]), (now, latest)]
     t = np.array([t for t, _ in recent]) - now
@@ -172,9 +197,10 @@ def twist_wish(
 
 
 def chunk_wish(
-    problem: TransportProblem, times: npt.ArrayLike, poses: Any, joints: npt.ArrayLike | None, now: float
-) -> Follow | Status:
-    """Poses or postures at times (C,) from now on, s."""
+    problem: TransportProblem, times: npt.ArrayLike, poses: Any, joints: npt.ArrayLike | None, now: float,
+    factor: float = 1.0,
+) -> Follow | Status:  # fmt: skip
+    """Poses or postures at times (C,) from now on, s; at a factor of that speed."""
     if (poses is None) == (joints is None):
         return refused("a chunk is of poses or of joints, one of them")
     try:
@@ -186,7 +212,7 @@ def chunk_wish(
         return t
     if not count or t[0] < 0 or np.any(np.diff(t) <= 0):
         return refused("times must be one or more, at least 0, and each later than the one before")
-    t = now + t
+    t = now + t / factor
     if joints is not None:
         q = numbers(joints, (count, problem.n), "joints")
         if isinstance(q, Status):

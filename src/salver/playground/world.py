@@ -126,8 +126,9 @@ class World:
 
     def say(self, message: Any) -> Status:
         """What the page says, as JSON: {"goto": [x, y, z]} of the first object, m; {"twist": [vx, vy, vz, turn]}, m/s
-        and rad/s about the vertical; {"stop": true}, which latches until {"resume": true}; {"protected": bool};
-        {"again": true}; {"record": bool}; {"throw": true}."""
+        and rad/s about the vertical; {"stop": true}, which latches until {"resume": true}; {"hold": true} until
+        {"release": true}; {"override": 0.5} of full speed; {"protected": bool}; {"again": true}; {"record": bool};
+        {"throw": true}."""
         if not isinstance(message, dict) or len(message) != 1:
             return Status("refused", "A message has one key.", False)
         ((key, value),) = message.items()
@@ -142,6 +143,12 @@ class World:
                     return self.live.stop()
                 case "resume":
                     return self.live.resume()
+                case "hold":
+                    return self.live.hold()
+                case "release":
+                    return self.live.release()
+                case "override":
+                    return self.live.override(value)
                 case "protected" if isinstance(value, bool):
                     return self._protect(value)
                 case "throw" if value is True:
