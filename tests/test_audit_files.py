@@ -12,8 +12,10 @@ from salver.auditing.motion import forward, tray_motion
 from salver.errors import FileFormatError, SalverError
 from salver.geometry import exp, quat_wxyz_from_matrix
 from salver.models.arm import load_arm
-from salver.motion_files.readers import read
+from salver.motion_files import MotionSeries, write
+from salver.motion_files.readers import read, read_path
 from salver.motion_files.samples import tray_samples
+from salver.motion_files.units import Units
 
 
 @pytest.fixture(scope="module")
@@ -360,3 +362,111 @@ def test_different_samples_at_one_time_are_spread_till_the_next():
     assert np.allclose(samples.t, t, atol=1e-12)
     assert np.array_equal(samples.p, p)
     assert "20 samples have the time of the one before and were spread" in samples.notes[0]
+
+
+# Tables of industrial controllers -----------------------------------------------------------------------------
+
+
+def decimal_commas(path, header, *columns):
+    """A table as a spreadsheet in German writes it."""
+    rows = [";".join(f"{x:.9f}".replace(".", ",") for x in row) for row in np.column_stack(columns)]
+    path.write_text("\n".join([header, *rows, ""]))
+    return path
+
+
+@pytest.mark.parametrize("names", ["J1 J2 J3 J4 J5 J6 J7", "j1 j2 j3 j4 j5 j6 j7", "A1 A2 A3 A4 A5 A6 A7"])
+def test_a_controllers_table_in_its_units_is_the_motion_in_rad_and_s(tmp_path, names):
+    t, q = joint_motion(rate=100)
+    si = read(write_csv(tmp_path / "si.csv", "t," + ",".join(JOINTS), t, q), lambda: JOINTS)
+    own = decimal_commas(tmp_path / "own.csv", "Time;" + ";".join(names.split()), 1e3 * t, np.rad2deg(q))
+    again = read(own, lambda: JOINTS, units=Units.parse("deg,ms"))
+    assert again.names == tuple(names.split())
+    assert np.allclose(again.t, si.t, rtol=0, atol=1e-11)
+    assert np.allclose(again.q, si.q, rtol=0, atol=1e-10)
+    assert "deg, ms" in again.notes[0]
+    written = read(write(MotionSeries.of(again), tmp_path / "written.csv")[0], lambda: JOINTS)
+    assert written.names == again.names
+    assert np.array_equal(written.q, again.q)
+    assert not si.notes
+
+
+def test_numbered_positions_go_before_columns_that_may_be_accelerations(tmp_path):
+    t, q = joint_motion(rate=100)
+    names = [f"A{k}" for k in range(1, 8)] + [f"q{k}" for k in range(1, 8)]
+    path = write_csv(tmp_path / "a.csv", "t," + ",".join(names), t, 9.0 + q, q)
+    assert np.allclose(read(path, lambda: JOINTS).q, q, atol=1e-9)
+
+
+def test_only_the_named_units_are_converted_and_a_time_whose_name_has_a_unit_is_not(tmp_path):
+    s = line(1.5, 100.0)
+    path = write_csv(tmp_path / "a.csv", HEADER, s.t, 1e3 * s.p_SB, s.quat_SB_wxyz)
+    found = read(path, units=Units.parse("mm"))
+    assert np.allclose(found.p, s.p_SB, atol=1e-9)
+    assert np.allclose(found.t, s.t, atol=1e-11)
+    header = HEADER.replace("t,", "t_us,", 1)
+    named = read(write_csv(tmp_path / "b.csv", header, 1e6 * s.t, s.p_SB, s.quat_SB_wxyz), units=Units.parse("ms"))
+    assert np.allclose(named.t, s.t, atol=1e-11)
+    assert np.allclose(named.p, s.p_SB, atol=1e-9)
+
+
+def test_rates_of_joints_in_degrees_are_per_second_whatever_the_clock(tmp_path):
+    t, q = joint_motion(rate=100)
+    dq = np.gradient(q, t, axis=0)
+    header = "t," + ",".join(JOINTS) + "," + ",".join(f"{name}_velocity" for name in JOINTS)
+    path = write_csv(tmp_path / "a.csv", header, 1e3 * t, np.rad2deg(q), np.rad2deg(dq))
+    assert np.allclose(read(path, lambda: JOINTS, units=Units.parse("deg,ms")).dq, dq, atol=1e-9)
+
+
+def test_a_prismatic_joint_has_the_unit_of_lengths(tmp_path):
+    t, names = np.arange(20) * 0.01, ("lift", "turn")
+    q = np.column_stack([0.2 + 0.1 * t, 0.5 - 0.3 * t])
+    path = write_csv(tmp_path / "a.csv", "t,J1,J2", t, 1e3 * q[:, 0], np.rad2deg(q[:, 1]))
+    found = read(path, lambda: names, units=Units.parse("deg,mm", (True, False)))
+    assert np.allclose(found.q, q, atol=1e-9)
+    postures = write_csv(tmp_path / "b.csv", "", 1e3 * q[:, 0], np.rad2deg(q[:, 1]))
+    assert np.allclose(read_path(postures, names, units=Units.parse("deg,mm", (True, False))), q, atol=1e-9)
+
+
+def test_postures_with_decimal_commas_need_no_heading(tmp_path):
+    path = tmp_path / "taught.csv"
+    path.write_text("10,5;-20\n30;40,25\n")
+    assert read_path(path, ("a", "b")).tolist() == [[10.5, -20.0], [30.0, 40.25]]
+
+
+@pytest.mark.parametrize(
+    ("rows", "sentence"),
+    [
+        ("0;1.234,5;0\n", r'line 2: "1.234,5" is not a number; decimal commas are read where no number has a point'),
+        ("0.5;1,234;0\n", r'line 2: "1,234" is not a number; decimal commas'),  # thousands, or a little over one
+        ("0,5;1,2;x\n", r'line 2: "x" is not a number'),
+    ],
+)
+def test_a_comma_that_may_stand_between_thousands_is_refused(tmp_path, rows, sentence):
+    path = tmp_path / "a.csv"
+    path.write_text("t;J1;J2\n" + rows)
+    with pytest.raises(FileFormatError, match=sentence):
+        read(path)
+
+
+@pytest.mark.parametrize("text", ["deg,rad", "inch", "", "deg,,mm", "deg,deg"])
+def test_units_that_are_none_or_are_named_twice_are_refused(text):
+    with pytest.raises(SalverError, match=r"must name at most one of each.*rad or deg; m or cm or mm; s or ms"):
+        Units.parse(text)
+
+
+def test_a_message_has_units_of_its_own(tmp_path):
+    t, q = joint_motion(rate=100)
+    (tmp_path / "b.json").write_text(json.dumps({"trajectory": trajectory_message(t, q)}))
+    with pytest.raises(FileFormatError, match=r"b\.json is no table .* leave --units out"):
+        read(tmp_path / "b.json", units=Units.parse("deg"))
+
+
+def test_an_audit_in_degrees_is_the_audit_in_radians_and_the_refusal_says_how(tmp_path):
+    case, (t, q) = scenarios.load("panda-cube"), joint_motion(rate=100)
+    path = decimal_commas(tmp_path / "own.csv", "t;" + ";".join(f"J{k}" for k in range(1, 8)), 1e3 * t, np.rad2deg(q))
+    with pytest.raises(FileFormatError, match="these are degrees: give --units deg"):
+        audit(path, case, units="ms")
+    found = audit(path, case, units="deg,ms")
+    expected = audit({"t": t, **dict(zip(JOINTS, q.T, strict=True))}, case)
+    assert np.allclose(found.motion.samples.a_S, expected.motion.samples.a_S, atol=1e-5)
+    assert found.worst.sentence == expected.worst.sentence

@@ -11,10 +11,11 @@ from hypothesis.extra.numpy import arrays
 from typer.testing import CliRunner
 
 import salver as sv
+from salver import scenario as scenarios
 from salver.auditing import AuditOptions
 from salver.cli import app
 from salver.errors import FileFormatError, SalverError
-from salver.given import at_pace
+from salver.given import at_pace, read_waypoints
 from salver.motion_files import (
     ENDINGS,
     JointSamples,
@@ -381,8 +382,9 @@ def test_what_a_run_did_is_a_recording_without_velocities(tmp_path):
         (["export", "a.csv", "--format", "mujoco"], 'A motion file cannot be written as "mujoco"; known are csv, json'),
         (["export", "a.csv", "--format", "csv"], "a.csv would be written over itself; name another file with -o"),
         (["export", "a.csv", "--format", "json", "--rate", "10"], "a motion file keeps its own instants"),
-        (["export", ".", "--format", "json", "--topic", "a"], "--scenario and --topic are for motion files"),
+        (["export", ".", "--format", "json", "--topic", "a"], "--scenario, --topic and --units are for motion files"),
         (["simulate", "a.csv", "-s", "panda-cube", "--write", "a.xlsx"], "a.xlsx is no name for a motion"),
+        (["audit", "a.csv", "-s", "panda-cube", "--units", "inch"], '--units "inch" must name at most one of each'),
         (["simulate", ".", "--stem", "both", "--write", "b.csv"], "--write is for one run; name its plan with --stem"),
     ],
 )
@@ -393,3 +395,33 @@ def test_wrong_use_of_motion_files_is_one_sentence(tmp_path, monkeypatch, words,
     assert done.exit_code == 2
     assert sentence in " ".join(done.output.split())
     assert sorted(file.name for file in tmp_path.iterdir()) == ["a.csv"]
+
+
+def test_every_command_that_reads_a_table_takes_its_units_and_writes_si(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    case = scenarios.load("panda-cube")
+    start = np.array(case.arm.start_posture)
+    t = np.arange(0, 2.001, 0.01)
+    u = t / 2
+    q = start + np.outer(10 * u**3 - 15 * u**4 + 6 * u**5, [0.2, 0, 0, 0, 0, 0, 0])
+    header = "t;" + ";".join(f"A{k}" for k in range(1, 8))
+    np.savetxt("own.csv", np.column_stack([1e3 * t, np.rad2deg(q)]), delimiter=";", header=header, comments="")
+    np.savetxt("taught.csv", np.rad2deg(q[::50]), delimiter=";")
+    with_units = ["own.csv", "-s", "panda-cube", "--units", "deg,ms"]
+    for words in (
+        ["export", "--format", "json", "-o", "exported.json"],
+        ["retime", "--pace", "1", "--write", "paced.csv"],
+        ["simulate", "--write", "done.csv", "--json"],
+        ["report", "-o", "page.html"],
+        ["audit", "--json"],
+    ):
+        done = CliRunner().invoke(app, [words[0], *with_units, *words[1:]])
+        assert done.exit_code == 0, done.output
+        if words[0] in ("export", "retime"):
+            assert "Units of the table: deg, ms" in done.output
+    for name in ("exported.json", "paced.csv"):
+        assert np.allclose(read(tmp_path / name, lambda: JOINTS).q, q, atol=1e-9)
+    assert np.ptp(read(tmp_path / "done.csv").t) == pytest.approx(2.0, abs=1.0)
+    with pytest.raises(FileFormatError, match=r"taught\.csv has panda_joint\d at .*degrees: give --units deg"):
+        read_waypoints(tmp_path / "taught.csv", case)
+    assert np.allclose(read_waypoints(tmp_path / "taught.csv", case, units="deg"), q[::50], atol=1e-9)

@@ -208,6 +208,7 @@ def audit(
     scenario: Scenario | str | Path,
     *,
     topic: str | None = None,
+    units: str | None = None,
     highest: float = 50.0,
     noise: float | None = None,
     gap: float | None = None,
@@ -219,6 +220,7 @@ def audit(
             of arrays or a pandas DataFrame.
         scenario: what is carried.
         topic: of a bag with several.
+        units: of a table or of columns, where they are not rad, m and s: "deg,mm,ms", or some of these.
         highest: Hz; nothing shakes the tray faster.
         noise: standard deviation of the samples, m or rad; estimated if None.
         gap: s without samples that is bridged.
@@ -236,7 +238,7 @@ def audit(
 
     if isinstance(motion, Plan):
         raise ScenarioError("audit is for motions that salver did not plan; a Plan knows its own: sv.margins(plan).")
-    return run(motion, _scenario(scenario), topic, AuditOptions(highest, noise, gap))
+    return run(motion, _scenario(scenario), topic, AuditOptions(highest, noise, gap), units)
 
 
 def load_plan(directory: str | Path, stem: str = "plan") -> Plan:

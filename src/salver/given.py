@@ -13,12 +13,15 @@ from pathlib import Path
 import numpy as np
 
 from salver.auditing import Audit, AuditOptions, audit_samples
+from salver.auditing.motion import check_radians
 from salver.auditing.options import DEFAULT
 from salver.errors import FileFormatError, SalverError, ScenarioError
 from salver.geometry import Array
 from salver.models.arm import load_arm
 from salver.motion_files import JointSamples, Samples, read_path
+from salver.motion_files.readers import TABLES
 from salver.motion_files.samples import AT_REST
+from salver.motion_files.units import Units
 from salver.motion_files.verdict import SPEED, UNSAFE, one_line
 from salver.planning.plan import Plan, load_plan
 from salver.run_directory import SCENARIO
@@ -34,15 +37,19 @@ _TRIES = 40
 _APART = 1e-6  # s
 
 
-def read_waypoints(path: Path, scenario: Scenario, topic: str | None = None) -> Array:
+def read_waypoints(path: Path, scenario: Scenario, topic: str | None = None, units: str | None = None) -> Array:
     """(K, n) joint waypoints: of any motion file (`salver.motion_files`), of a table of postures without times, or the
-    joint path of a run directory. Raises FileFormatError; ScenarioError for a scenario without an arm.
+    joint path of a run directory. units: of a table, as in "deg,mm". Raises FileFormatError; ScenarioError for a
+    scenario without an arm.
     """
-    if (path / SCENARIO).is_file():
+    if (path / SCENARIO).is_file() and units is None:
         return waypoints_of(load_plan(path), str(path))
     if scenario.arm is None:
         raise ScenarioError(f"{scenario.name} has no arm; a path of the joints needs one ([arm] in the scenario).")
-    waypoints = read_path(path, load_arm(scenario.arm, scenario.tray).joint_names, topic)
+    arm = load_arm(scenario.arm, scenario.tray)
+    waypoints = read_path(path, arm.joint_names, topic, Units.parse(units, arm.linear))
+    if path.suffix.lower() in TABLES:
+        check_radians(waypoints, arm, str(path))
     if len(waypoints) > MOST_WAYPOINTS:
         raise FileFormatError(f"{path} has {len(waypoints)} waypoints; at most {MOST_WAYPOINTS} are accepted.")
     return waypoints

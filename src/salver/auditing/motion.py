@@ -15,7 +15,7 @@ from salver.auditing.recorded import LEVER, Sensor, read_motion, sensor_of
 from salver.display import Outlined
 from salver.errors import FileFormatError, SalverError
 from salver.geometry import Array, hat, quat_wxyz_from_matrix
-from salver.motion_files.samples import JointSamples, Samples, TraySamples, reordered
+from salver.motion_files.samples import Samples, TraySamples, reordered
 from salver.trajectory import MotionSamples
 
 if TYPE_CHECKING:
@@ -83,7 +83,7 @@ def tray_motion(
     samples = reordered(samples, arm.joint_names)
     if samples.q.shape[1] != arm.n:
         raise FileFormatError(f"{samples.source} has {samples.q.shape[1]} joints; the arm {arm.name} has {arm.n}.")
-    _in_radians(samples, arm)
+    check_radians(samples.q, arm, samples.source, samples.form)
     if samples.commanded:
         kind = "quintics" if samples.ddq is not None else "cubics"
         note = f"{len(samples.t)} waypoints with velocities, joined by {kind} as ros2_control's controller joins them."
@@ -100,17 +100,19 @@ def tray_motion(
     return _recorded(seen, _gains(arm, found), found, options)
 
 
-def _in_radians(samples: JointSamples, arm: ArmModel) -> None:
-    """Raises FileFormatError for angles that no joint of the arm has, and that all have if they are degrees."""
+def check_radians(q: Array, arm: ArmModel, source: str, form: str = "csv") -> None:
+    """Raises FileFormatError for positions q (N, n) that no joint of the arm has, and that all have if they are
+    degrees. form: of the file that they are from."""
     low, high = arm.limits.q_min, arm.limits.q_max
-    turned = np.deg2rad(samples.q)
-    if np.abs(samples.q).max() > LEAST_DEGREES and np.all((turned >= low) & (turned <= high)):
-        beyond = np.maximum(samples.q - high, low - samples.q)
+    turned = np.deg2rad(q)
+    if np.abs(q).max() > LEAST_DEGREES and np.all((turned >= low) & (turned <= high)):
+        beyond = np.maximum(q - high, low - q)
         k, j = np.unravel_index(int(np.argmax(beyond)), beyond.shape)
         if beyond[k, j] > 0:
+            advice = "give --units deg" if form == "csv" else "joint positions must be in rad"
             raise FileFormatError(
-                f"{samples.source} has {arm.joint_names[j]} at {samples.q[k, j]:.4g}, which goes from {low[j]:.4g} to "
-                f"{high[j]:.4g} rad; these are degrees, and joint positions must be in rad."
+                f"{source} has {arm.joint_names[j]} at {q[k, j]:.4g}, which goes from {low[j]:.4g} to {high[j]:.4g} "
+                f"rad; these are degrees: {advice}."
             )
 
 
@@ -180,7 +182,7 @@ def _recorded(
 def _sampling(t: Array, step: float, options: AuditOptions) -> list[Doubt]:
     found = []
     if step >= SUSPECT_STEP:
-        clause = f"samples come every {step:g} s, as if the times were in ms: name the column t_ms if they are"
+        clause = f"samples come every {step:g} s, as if the times were in ms: if they are, give --units ms"
         found.append(("clock", clause))
     if len(t) < options.fewest:
         found.append(("short", f"{len(t)} samples are too few to tell noise from motion; {options.fewest} are needed"))

@@ -29,6 +29,7 @@ from salver.geometry import Array, Indices, invert
 from salver.models.tray_motion import at_rest, motion_vector
 from salver.motion_files import JointSamples, Samples, of_columns, read
 from salver.motion_files.samples import cut_at_rests
+from salver.motion_files.units import Units
 from salver.scenario import Scenario
 from salver.sensitivity.spills import Liquids, Spill
 from salver.tables import Table, Tabular
@@ -367,12 +368,13 @@ def audit(
     scenario: Scenario,
     topic: str | None = None,
     options: AuditOptions = DEFAULT,
+    units: str | None = None,
 ) -> Audit:
     """Audit a trajectory file (formats: `salver.motion_files`), or columns of one, for the objects of a scenario.
 
-    topic: of a bag. Raises SalverError, one sentence for each mistake.
+    topic: of a bag. units: of a table, as in "deg,mm,ms". Raises SalverError, one sentence for each mistake.
     """
-    return audit_samples(read_for(scenario, path, topic), scenario, options)
+    return audit_samples(read_for(scenario, path, topic, units=units), scenario, options)
 
 
 def audit_legs(
@@ -380,27 +382,35 @@ def audit_legs(
     scenario: Scenario,
     topic: str | None = None,
     options: AuditOptions = DEFAULT,
+    units: str | None = None,
 ) -> tuple[Audit, ...]:
     """`audit` of a motion of several legs, which rests between them: each leg with what is then on the tray."""
-    parts = cut_at_rests(read_for(scenario, path, topic), len(scenario.legs))
+    parts = cut_at_rests(read_for(scenario, path, topic, units=units), len(scenario.legs))
     return tuple(audit_samples(part, leg, options) for part, leg in zip(parts, scenario.each_leg, strict=True))
 
 
 def read_for(
-    scenario: Scenario, path: str | Path | Mapping[str, Any], topic: str | None = None, joints_first: bool = False
+    scenario: Scenario,
+    path: str | Path | Mapping[str, Any],
+    topic: str | None = None,
+    joints_first: bool = False,
+    units: str | None = None,
 ) -> Samples:
     """Read a motion file, or columns by name, with the joint names of the scenario's arm.
 
-    joints_first: a file with tray and joints is one of the joints, if there is an arm. Raises FileFormatError.
+    joints_first: a file with tray and joints is one of the joints, if there is an arm. units: of a table, as in
+    "deg,mm,ms". Raises FileFormatError; SalverError for unknown units.
     """
 
     def names() -> tuple[str, ...]:
         arm = _arm(scenario)
         return arm.joint_names if arm else ()
 
+    arm = _arm(scenario) if units else None
+    known = Units.parse(units, arm.linear if arm else ())
     if isinstance(path, str | Path):
-        return read(path, names, topic, as_path=joints_first and scenario.arm is not None)
-    return of_columns(path, names)
+        return read(path, names, topic, as_path=joints_first and scenario.arm is not None, units=known)
+    return of_columns(path, names, known)
 
 
 def audit_samples(samples: Samples, scenario: Scenario, options: AuditOptions = DEFAULT) -> Audit:

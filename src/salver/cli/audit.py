@@ -20,6 +20,13 @@ OnTray = Annotated[
     typer.Option("-s", "--scenario", help="What is on the tray, for a motion file: a name or a .toml file."),
 ]
 Topic = Annotated[str | None, typer.Option(help="Topic of the motion, when a bag has several.")]
+Units = Annotated[
+    str | None,
+    typer.Option(
+        help="Units of a table where they are not rad, m and s: some of deg, mm, ms, as in --units deg,ms. Velocities "
+        "are per second; what is written is in rad, m, s."
+    ),
+]
 Highest = Annotated[
     float, typer.Option(help="Nothing on the arm shakes the tray faster than this, Hz: what a recording must show.")
 ]
@@ -41,6 +48,7 @@ def audit(
     ],
     scenario: Annotated[str, typer.Option("--scenario", "-s", help="What is on the tray: a name or a .toml file.")],
     topic: Topic = None,
+    units: Units = None,
     highest: Highest = 50.0,
     noise: Noise = None,
     gap: Gap = None,
@@ -54,7 +62,8 @@ def audit(
 
     A motion of several legs is cut at its longest rests, and each leg judged with what is then on the tray.
 
-    CSV columns: t (s), then x, y, z (m), qw, qx, qy, qz of the tray, or the arm's joint names or q1 ... qn (rad).
+    CSV columns: t (s), then x, y, z (m), qw, qx, qy, qz of the tray, or the arm's joint names or q1 ... qn, J1 ... Jn
+    (rad); other units with --units.
 
     Example: `salver audit motion.csv --scenario panda-cube`
     """
@@ -64,7 +73,7 @@ def audit(
 
     case, options_given = model.load(scenario), AuditOptions(highest, noise, gap)
     if case.legs:
-        legs = audit_legs(trajectory, case, topic, options_given)
+        legs = audit_legs(trajectory, case, topic, options_given, units)
         if json:
             print_json({"legs": [leg.summary() for leg in legs]})
         for number, leg in enumerate(legs, 1):
@@ -74,11 +83,17 @@ def audit(
         if not all(leg.ok for leg in legs):
             raise typer.Exit(NO_SAFE_PLAN)
         return
-    result = run(trajectory, case, topic, options_given)
+    result = run(trajectory, case, topic, options_given, units)
     if json:
         print_json(result.summary())
     else:
-        given = {"topic": topic, "highest": None if highest == 50.0 else highest, "noise": noise, "gap": gap}
+        given = {
+            "topic": topic,
+            "units": units,
+            "highest": None if highest == 50.0 else highest,
+            "noise": noise,
+            "gap": gap,
+        }
         options = "".join(f" --{name} {quote(str(value))}" for name, value in given.items() if value is not None)
         _show(result, f"{quote(str(trajectory))} -s {quote(scenario)}", options)
     if not result.ok:

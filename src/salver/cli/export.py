@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from salver.cli.audit import Topic
+from salver.cli.audit import Topic, Units
 from salver.cli.common import Json, Unsafe, print_json, say
 from salver.errors import SalverError
 
@@ -30,6 +30,7 @@ def export(
         typer.Option("-s", "--scenario", help="Whose arm names the joints of a motion file that only numbers them."),
     ] = None,
     topic: Topic = None,
+    units: Units = None,
     stop_input: Annotated[
         int, typer.Option(help="urscript: the standard digital input, 0 to 7, that stops a plan with stops when low.")
     ] = 0,
@@ -60,12 +61,12 @@ def export(
                 "--rate, --stem and --pause are for run directories; a motion file keeps its own instants."
             )
         chosen = None if scenario is None else scenarios.load(scenario)
-        paths, notes = convert(directory, file_format, output, chosen, topic, unsafe=unsafe)
+        paths, notes = convert(directory, file_format, output, chosen, topic, units, unsafe=unsafe)
         for note in notes:
             say(f"salver: {note}")
     else:
-        if scenario is not None or topic is not None:
-            raise SalverError(f"--scenario and --topic are for motion files; {directory} is none.")
+        if (scenario, topic, units) != (None, None, None):
+            raise SalverError(f"--scenario, --topic and --units are for motion files; {directory} is none.")
         from salver.export.motion import PAUSE
         from salver.planning.round import has_legs
 

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from salver.cli.audit import Gap, Highest, Noise, OnTray, Topic
+from salver.cli.audit import Gap, Highest, Noise, OnTray, Topic, Units
 from salver.cli.common import Json, of_a_run, print_json, say
 
 
@@ -20,6 +20,7 @@ def report(
     ] = None,
     scenario: OnTray = None,
     topic: Topic = None,
+    units: Units = None,
     highest: Highest = 50.0,
     noise: Noise = None,
     gap: Gap = None,
@@ -39,7 +40,7 @@ def report(
         from salver.auditing import AuditOptions, audit
         from salver.reports.audit_page import write_audit_page
 
-        found = audit(directory, scenarios.load(scenario), topic, AuditOptions(highest, noise, gap))
+        found = audit(directory, scenarios.load(scenario), topic, AuditOptions(highest, noise, gap), units)
         path = write_audit_page(found, output or directory.with_suffix(".html"))
     else:
         from salver.reports.page import write_report

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from salver.cli.audit import Gap, Highest, Noise, Topic
+from salver.cli.audit import Gap, Highest, Noise, Topic, Units
 from salver.cli.common import NO_SAFE_PLAN, Json, Stops, Unsafe, print_json, result_console, save_plans, say
 from salver.cli.searching import stopping
 from salver.errors import ScenarioError, UnsafeError
@@ -47,6 +47,7 @@ def retime(
         ),
     ] = None,
     topic: Topic = None,
+    units: Units = None,
     highest: Highest = 50.0,
     noise: Noise = None,
     gap: Gap = None,
@@ -86,7 +87,7 @@ def retime(
         from salver.auditing import AuditOptions, read_for
 
         _at_pace(
-            read_for(chosen, path, topic, joints_first=True),
+            read_for(chosen, path, topic, joints_first=True, units=units),
             chosen,
             pace,
             write or _beside(path),
@@ -102,7 +103,7 @@ def retime(
         paths = [waypoints_of(leg) for leg in load_round(path).legs]
         plan = plan_retimed_legs(chosen, paths, robust=robust)
     else:
-        plan = plan_retimed(chosen, read_waypoints(path, chosen, topic), robust=robust)
+        plan = plan_retimed(chosen, read_waypoints(path, chosen, topic, units), robust=robust)
     if stops:
         plan = stopping(plan, lambda: save_plans(directory, {"plan": plan}))
     save_plans(directory, {"plan": plan})
@@ -193,8 +194,8 @@ def _at_pace(
         tell(f"In {found.factor:.3f} of the time, {duration:.3f} s: {found.audit.worst.sentence}")
         if found.too_fast is not None:
             tell(f"The arm cannot follow: {found.too_fast}.")
-        for file in files:
-            say(f"Wrote {file}")
+        for sentence in [*found.samples.notes, *(f"Wrote {file}" for file in files)]:
+            say(sentence)
         if files and isinstance(found.samples, JointSamples) and found.samples.commanded and form_of(target) == "csv":
             say("Judged as a command. A table is a recording: salver audit does not join its rows by their velocities.")
     if refused is not None:

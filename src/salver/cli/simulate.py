@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from salver.cli.audit import OnTray, Topic
+from salver.cli.audit import OnTray, Topic, Units
 from salver.cli.common import Json, headed, of_a_run, print_json, result_console, say
 from salver.errors import ScenarioError
 
@@ -49,6 +49,7 @@ def simulate(
     ] = 1.0,
     scenario: OnTray = None,
     topic: Topic = None,
+    units: Units = None,
     write: Annotated[
         Path | None,
         typer.Option(
@@ -83,6 +84,8 @@ def simulate(
         raise ScenarioError(f'--stem = "{stem}"; it must be {", ".join(STEMS)} or both; or leg1, leg2, ...')
     if scenario is None:
         of_a_run(directory)
+        if topic is not None or units is not None:
+            raise ScenarioError("--topic and --units are for motion files; give --scenario with one.")
     asked = _Asked(directory, stem, true_values(set_ or []), seed, run, folder, stop_at, write, speed)
     if speed != 1.0 and (scenario is not None or run is not None or stop_at is not None):
         raise ScenarioError("--speed is for a run of a plan; leave out --scenario, --run and --stop-at.")
@@ -93,7 +96,7 @@ def simulate(
         if stem == "both" and scenario is None:
             raise ScenarioError("--write is for one run; name its plan with --stem.")
     if scenario is not None:
-        results = _motion(asked, scenario, topic)
+        results = _motion(asked, scenario, topic, units)
     elif stem in ("plan", "both") and has_legs(directory):
         _legs(asked, json)
         return
@@ -212,7 +215,7 @@ def _write(records: Sequence[SimulationRecord], scenario: Scenario, path: Path, 
         say(f"Wrote {file}")
 
 
-def _motion(asked: _Asked, scenario: str, topic: str | None) -> dict[str, SimulationRecord]:
+def _motion(asked: _Asked, scenario: str, topic: str | None, units: str | None) -> dict[str, SimulationRecord]:
     """A motion file in the engine."""
     from salver import scenario as scenarios
     from salver.auditing import read_for
@@ -221,7 +224,7 @@ def _motion(asked: _Asked, scenario: str, topic: str | None) -> dict[str, Simula
     if asked.run is not None or asked.stop_at is not None or asked.stem != "plan":
         raise ScenarioError("--run, --stop-at and --stem are for run directories; a motion file has none of them.")
     chosen, path = scenarios.load(scenario), asked.directory
-    samples = read_for(chosen, path, topic)
+    samples = read_for(chosen, path, topic, units=units)
     record = simulate_given(samples, chosen, asked.parameters)
     if asked.write is not None:
         _write([record], chosen, asked.write, samples.verdict)

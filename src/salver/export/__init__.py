@@ -75,6 +75,7 @@ def convert(
     target: str | Path | None = None,
     scenario: Scenario | None = None,
     topic: str | None = None,
+    units: str | None = None,
     *,
     unsafe: bool = False,
 ) -> tuple[list[Path], tuple[str, ...]]:
@@ -82,7 +83,8 @@ def convert(
     file, with the ending of the format.
 
     scenario: whose arm names the joints, where the file only numbers them. topic: of a bag with several motions.
-    unsafe: write also what calls itself unsafe, as `write_export`. Raises SalverError, FileFormatError.
+    units: of a table, as in "deg,mm,ms"; what is written is in rad, m, s. unsafe: write also what calls itself unsafe,
+    as `write_export`. Raises SalverError, FileFormatError.
     """
     if file_format not in FORMATS or file_format in OF_PLANS:
         known = ", ".join(name for name in FORMATS if name not in OF_PLANS)
@@ -93,7 +95,7 @@ def convert(
     from salver.export.motion import motion_of_file
     from salver.motion_files import ENDINGS, write
 
-    motion, notes = motion_of_file(Path(path), scenario, topic)
+    motion, notes = motion_of_file(Path(path), scenario, topic, units)
     place = Path(path).with_name(Path(path).stem + FORMATS[file_format]) if target is None else Path(target)
     if target is None and place == Path(path):
         raise SalverError(f"{path} would be written over itself; name another file with -o.")

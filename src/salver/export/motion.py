@@ -14,6 +14,7 @@ from salver.files import provenance
 from salver.geometry import Array, quat_wxyz_from_matrix
 from salver.motion_files import JointSamples, MotionSeries, TraySamples, read
 from salver.motion_files.samples import reordered
+from salver.motion_files.units import Units
 from salver.planning.plan import COMMAND_LEAD, Plan
 from salver.planning.round import MultiLegPlan, load
 from salver.scenario import Scenario
@@ -106,18 +107,19 @@ def _stops(plan: Plan, names: tuple[str, ...], rate: float | None) -> tuple[tupl
 
 
 def motion_of_file(
-    path: Path, scenario: Scenario | None = None, topic: str | None = None
+    path: Path, scenario: Scenario | None = None, topic: str | None = None, units: str | None = None
 ) -> tuple[MotionSeries, tuple[str, ...]]:
     """The motion of a file: joints with velocities and accelerations, the tray if it is in the same table, and repairs.
 
-    scenario: whose arm names the joints. Raises FileFormatError.
+    scenario: whose arm names the joints. units: of a table, as in "deg,mm,ms". Raises FileFormatError.
     """
-    names: tuple[str, ...] = ()
+    names, known = tuple[str, ...](), Units.parse(units)
     if scenario is not None and scenario.arm is not None:
         from salver.models.arm import load_arm
 
-        names = load_arm(scenario.arm, scenario.tray).joint_names
-    found = read(path, lambda: names, topic, as_path=True)
+        arm = load_arm(scenario.arm, scenario.tray)
+        names, known = arm.joint_names, Units.parse(units, arm.linear)
+    found = read(path, lambda: names, topic, as_path=True, units=known)
     motion, notes = MotionSeries.of(found), found.notes
     if not isinstance(found, JointSamples):
         return motion, notes
@@ -125,7 +127,7 @@ def motion_of_file(
         motion = MotionSeries.of(reordered(found, names))
         motion = replace(motion, joint_names=names)  # of joints that were only numbered
     if found.form in ("csv", "json"):
-        tray = read(path, lambda: found.names)
+        tray = read(path, lambda: found.names, units=known)
         if isinstance(tray, TraySamples) and tray.frame == "E":
             motion = replace(motion, p_SE=tray.p, quat_SE_wxyz=tray.quat_wxyz)
     return motion, notes

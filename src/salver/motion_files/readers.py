@@ -1,16 +1,17 @@
 """Reading a motion: which format, tables (CSV, or columns that are there already), salver's JSON. Formats of ROS are in
 `salver.motion_files.ros_readers`.
 
-CSV, one header line, separated by commas, semicolons, tabs or blanks:
+CSV, one header line, separated by commas, semicolons, tabs or blanks (decimal commas where commas do not separate):
 
 - time: `t`, `time`, `time_s`, `timestamp`, `time_from_start` (s), or `t_`, `time_`, `stamp_` with ms, us or ns;
 - a tray motion: `x, y, z` (m) and `qw, qx, qy, qz`: the names say which component is which, so wxyz and xyzw
   are both read rightly. Also `p_SE_x, ..., quat_SE_w, ...`, `pose.position.x, ..., pose.orientation.w, ...`.
   `p_SB_x, ..., quat_SB_w, ...` is the motion of the object's frame B instead;
-- a joint motion: the joints' own names (with or without `_position`, or `q_` before), or `q1 ... qn`, in rad; with
-  `dq_` or `_velocity` their velocities, with `ddq_` or `_acceleration` their accelerations. It remains a recording.
+- a joint motion: the joints' own names (with or without `_position`, or `q_` before), or `q1 ... qn`, `J1 ... Jn`,
+  `A1 ... An`, in rad; with `dq_` or `_velocity` their velocities, with `ddq_` or `_acceleration` their accelerations.
+  It remains a recording.
 
-Other columns are left out.
+Other columns are left out. Other units: `salver.motion_files.units`.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ import re
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -29,21 +31,29 @@ from salver.errors import FileFormatError
 from salver.files import load_npz
 from salver.geometry import Array
 from salver.motion_files.motion import QUANTITIES
-from salver.motion_files.samples import FEWEST, JointSamples, Samples, joint_samples, reordered, tray_samples
+from salver.motion_files.samples import (
+    FEWEST,
+    NUMBERED,
+    JointSamples,
+    Samples,
+    joint_samples,
+    reordered,
+    tray_samples,
+)
+from salver.motion_files.units import PARTS, SI, Units
 from salver.motion_files.verdict import verdict_in
 
-_PARTS = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-_TIME = {"t": 1.0, "time": 1.0, "time_s": 1.0, "timestamp": 1.0, "time_from_start": 1.0}
-_TIME |= {f"{name}_{unit}": size for name in ("t", "time", "stamp") for unit, size in _PARTS.items()}
+_TIME: dict[str, float | None] = dict.fromkeys(("t", "time", "timestamp", "time_from_start"))  # s, or as is given
+_TIME |= {"time_s": 1.0, **{f"{name}_{unit}": size for name in ("t", "time", "stamp") for unit, size in PARTS.items()}}
 _POSITION = re.compile(r"(?:pose[._])?(?:p|pos|position)?(?:[._]?(s[eb]))?[._]?([xyz])")
 _QUATERNION = re.compile(r"(?:pose[._])?(?:q|quat|quaternion|orientation)(?:[._]?(s[eb]))?[._]?([wxyz])")
-_NUMBERED = re.compile(r"q_?\[?(\d+)\]?")
 _POSE = ("px", "py", "pz", "qw", "qx", "qy", "qz")
 JointNames = Callable[[], tuple[str, ...]]
 
 LARGEST = 500_000_000  # bytes of a text file
 FORMAT = "salver motion"  # of JSON that salver wrote
 BAGS = (".bag", ".mcap", ".db3")
+TABLES = (".csv", ".txt", ".tsv")
 
 
 def no_joints() -> tuple[str, ...]:
@@ -52,7 +62,11 @@ def no_joints() -> tuple[str, ...]:
 
 
 def read(
-    path: str | Path, joint_names: JointNames = no_joints, topic: str | None = None, as_path: bool = False
+    path: str | Path,
+    joint_names: JointNames = no_joints,
+    topic: str | None = None,
+    as_path: bool = False,
+    units: Units = SI,
 ) -> Samples:
     """A motion of the tray (or the object), or of the arm's joints, from a file.
 
@@ -60,19 +74,21 @@ def read(
     .json with a trajectory_msgs/JointTrajectory (also in a MoveIt RobotTrajectory) or a nav_msgs/Path; .json as salver
     writes it; a bag (.bag, .mcap, .db3, or a directory with metadata.yaml). joint_names: gives the arm's names, called
     only when they are needed to understand a table. topic: which one of a bag. as_path: only the way matters, not the
-    time: joints go before the tray where a table has both, and two samples are enough. Raises FileFormatError, one
-    sentence for each mistake.
+    time: joints go before the tray where a table has both, and two samples are enough. units: of a table. Raises
+    FileFormatError, one sentence for each mistake.
     """
     path = Path(path)
     if not _exists(path):
         raise FileFormatError(f"{path} does not exist; give a .csv, .yaml or .json file or a ROS bag.")
-    found = _read(path, joint_names, topic, as_path)
+    found = _read(path, joint_names, topic, as_path, units)
     return replace(found, verdict=verdict_in(path))
 
 
-def _read(path: Path, joint_names: JointNames, topic: str | None, as_path: bool) -> Samples:
+def _read(path: Path, joint_names: JointNames, topic: str | None, as_path: bool, units: Units) -> Samples:
     """`read`, without what the file says of itself."""
     ending = path.suffix.lower()
+    if units.text and ending not in TABLES:
+        raise FileFormatError(f"{path} is no table ({', '.join(TABLES)}), so it is in rad, m and s; leave --units out.")
     if path.is_file() and path.stat().st_size > LARGEST and ending not in BAGS:
         raise FileFormatError(f"{path} is larger than {LARGEST // 1_000_000} MB; cut it.")
     if path.is_dir() or ending in BAGS:
@@ -90,8 +106,8 @@ def _read(path: Path, joint_names: JointNames, topic: str | None, as_path: bool)
         return samples_of(document, path, as_path)
     if ending == ".npz":
         return _of_arrays(path)
-    if ending in (".csv", ".txt", ".tsv"):
-        return of_table(*read_table(path), str(path), joint_names, as_path)
+    if ending in TABLES:
+        return of_table(*read_table(path), str(path), joint_names, as_path, units)
     raise FileFormatError(
         f'{path} ends in "{path.suffix}"; accepted are .csv, .txt, .tsv, .yaml, .yml, .json, .bag, .mcap, .db3 and '
         "directories of ROS 2 bags."
@@ -153,7 +169,7 @@ def column_names(quantity: str, joint_names: tuple[str, ...]) -> list[str]:
     return [f"{quantity.removesuffix('_wxyz')}_{part}" for part in parts]
 
 
-def of_columns(columns: Mapping[str, Any], joint_names: JointNames = no_joints) -> Samples:
+def of_columns(columns: Mapping[str, Any], joint_names: JointNames = no_joints, units: Units = SI) -> Samples:
     """A motion of columns by name: a mapping of arrays, or a pandas DataFrame (whose index is the time where no column
     is). Raises FileFormatError."""
     source = f"the {type(columns).__name__}"
@@ -168,11 +184,16 @@ def of_columns(columns: Mapping[str, Any], joint_names: JointNames = no_joints) 
         table = np.column_stack([np.asarray(part, dtype=float) for part in parts])
     except (TypeError, ValueError):
         raise FileFormatError(f"{source} must have columns of numbers of one length; it has {header}.") from None
-    return of_table(header, table, source, joint_names)
+    return of_table(header, table, source, joint_names, units=units)
 
 
 def of_table(
-    header: list[str], values: Array, source: str, joint_names: JointNames = no_joints, as_path: bool = False
+    header: list[str],
+    values: Array,
+    source: str,
+    joint_names: JointNames = no_joints,
+    as_path: bool = False,
+    units: Units = SI,
 ) -> Samples:
     """Tray or joint motion; the header decides which. With both it is the tray's, or the joints' `as_path`."""
     lowered = [name.lower() for name in header]
@@ -189,7 +210,7 @@ def of_table(
             f"header is {', '.join(header)}."
         )
     column, unit = clocks[0]
-    t = values[:, column] * unit
+    t = values[:, column] * (units.time if unit is None else unit)
     poses = _pose_columns(lowered)
     whole = {frame: place for frame, place in poses.items() if len(place) == len(_POSE)}
     names = joint_names() if as_path or not whole else ()
@@ -197,11 +218,15 @@ def of_table(
     if whole and not joints:
         frame, place = next(iter(whole.items()))
         pose = values[:, [place[name] for name in _POSE]]
-        return tray_samples(t, pose[:, :3], pose[:, 3:], "B" if frame == "sb" else "E", source)
+        tray = tray_samples(t, units.length * pose[:, :3], pose[:, 3:], "B" if frame == "sb" else "E", source)
+        return replace(tray, notes=units.notes + tray.notes)
     if joints:
-        dq, ddq = (_rates(header, values, tuple(joints), order) for order in (1, 2))
-        q = values[:, list(joints.values())]
-        return joint_samples(t, tuple(joints), q, dq, ddq, source, fewest=2 if as_path else FEWEST)
+        size = units.of_joints(len(joints))
+        rates = [_rates(header, values, tuple(joints), order) for order in (1, 2)]
+        dq, ddq = (None if rate is None else rate * size for rate in rates)
+        q = values[:, list(joints.values())] * size
+        arm = joint_samples(t, tuple(joints), q, dq, ddq, source, fewest=2 if as_path else FEWEST)
+        return replace(arm, notes=units.notes + arm.notes)
     best = max(poses.values(), key=len) if poses else {}
     missing = [name.removeprefix("p") for name in _POSE if name not in best]
     expected = f"joints {', '.join(names)} or q1 ... q{len(names)}" if names else "joints q1 ... qn"
@@ -230,9 +255,11 @@ def _joint_columns(header: list[str], joint_names: tuple[str, ...]) -> dict[str,
     named = {name: position[name] for name in joint_names if name in position}
     if named:
         return named
-    numbered = [(int(m[1]), name, j) for j, name in enumerate(header) if (m := _NUMBERED.fullmatch(name.lower()))]
+    found = [(NUMBERED.fullmatch(name), j) for j, name in enumerate(header)]
+    numbered = [(match[2].lower(), int(match[3]), match[1], j) for match, j in found if match]
     if numbered or joint_names:
-        return {name: j for _, name, j in sorted(numbered)}
+        letter = max((each[0] for each in numbered), default="")  # q1 before j1 before a1
+        return {name: j for each, _, name, j in sorted(numbered) if each == letter}
     poses = (_POSITION, _QUATERNION)
     return {
         name: j
@@ -253,10 +280,10 @@ def _rates(header: list[str], values: Array, joints: tuple[str, ...], order: int
     return None
 
 
-def read_path(path: Path, joint_names: tuple[str, ...], topic: str | None = None) -> Array:
+def read_path(path: Path, joint_names: tuple[str, ...], topic: str | None = None, units: Units = SI) -> Array:
     """(K, n) joint positions, rad, in the order of `joint_names`: of any motion file, or of a table without times, one
     posture a row; its columns go by the joints' names where it has a heading. Raises FileFormatError."""
-    if path.suffix.lower() in (".csv", ".txt", ".tsv") and _exists(path):
+    if path.suffix.lower() in TABLES and _exists(path):
         header, values = read_table(path, headless=True)
         if not any(name.lower() in _TIME for name in header):
             count = values.shape[1]
@@ -281,8 +308,8 @@ def read_path(path: Path, joint_names: tuple[str, ...], topic: str | None = None
             bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
             if len(bad):
                 raise FileFormatError(f"{path}: posture {bad[0] + 1} has an angle that is no finite number.")
-            return values
-    samples = read(path, lambda: joint_names, topic, as_path=True)
+            return values * units.of_joints(values.shape[1])
+    samples = read(path, lambda: joint_names, topic, as_path=True, units=units)
     if not isinstance(samples, JointSamples):
         raise FileFormatError(f"{path} is a motion of the tray; a path of the arm needs joint positions.")
     return reordered(samples, joint_names).q
@@ -300,9 +327,9 @@ def read_table(path: Path, headless: bool = False) -> tuple[list[str], Array]:
     if start is None:
         raise FileFormatError(f"{path} is empty; the first line must name the columns.")
     skipped, first = start
-    separator = next((s for s in (",", ";", "\t") if s in first), None)
+    separator = next((s for s in (";", ",", "\t") if s in first), None)
     header = [name.strip().strip('"') for name in first.split(separator)]
-    if all(_is_number(name) for name in header):
+    if all(_is_number(name.replace(",", ".")) for name in header):
         if headless:
             return [], _numbers(path, skipped - 1, separator, len(header))
         raise FileFormatError(
@@ -313,21 +340,33 @@ def read_table(path: Path, headless: bool = False) -> tuple[list[str], Array]:
 
 def _numbers(path: Path, skipped: int, separator: str | None, columns: int) -> Array:
     """(N, columns) below line `skipped`, which is the header's, counted from 0."""
+    table: Any = path
+    point = "."
     try:
+        if separator != "," and _has_decimal_commas(path, skipped):
+            point = ","
+            table = [line.replace(point, ".") for line in path.read_text(encoding="utf-8-sig").splitlines()]
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)  # of a file without rows, which is told below
-            values = np.loadtxt(path, delimiter=separator, ndmin=2, skiprows=skipped + 1, encoding="utf-8-sig")
+            values = np.loadtxt(table, delimiter=separator, ndmin=2, skiprows=skipped + 1, encoding="utf-8-sig")
     except (ValueError, UnicodeDecodeError):
         values = np.zeros((1, 0))
     if values.size == 0 and values.shape[0] == 0:
         raise FileFormatError(f"{path} has no samples below its header; an audit needs at least {FEWEST}.")
     if values.shape[1] != columns:
-        _point_at_fault(path, skipped, separator, columns)
+        _point_at_fault(path, skipped, separator, columns, point)
         raise FileFormatError(f"{path} is not a table of numbers.")
     return values
 
 
-def _point_at_fault(path: Path, skipped: int, separator: str | None, columns: int) -> None:
+def _has_decimal_commas(path: Path, skipped: int) -> bool:
+    """Whether numbers have commas and none has a point: with both, a comma could stand between thousands."""
+    with open(path, encoding="utf-8-sig") as file:
+        rows = [line for line in islice(file, skipped + 1, None) if not line.startswith("#")]
+    return any("," in row for row in rows) and not any("." in row for row in rows)
+
+
+def _point_at_fault(path: Path, skipped: int, separator: str | None, columns: int, point: str) -> None:
     """Raise FileFormatError that names the first line that is no row of numbers."""
     with open(path, encoding="utf-8-sig", errors="replace") as file:
         for k, line in enumerate(file, 1):
@@ -337,8 +376,9 @@ def _point_at_fault(path: Path, skipped: int, separator: str | None, columns: in
             if len(cells) != columns:
                 raise FileFormatError(f"{path}, line {k}: {len(cells)} values, but the header names {columns} columns.")
             for cell in cells:
-                if not _is_number(cell):
-                    raise FileFormatError(f'{path}, line {k}: "{cell.strip()}" is not a number.')
+                if not _is_number(cell.replace(point, ".")):
+                    rule = "; decimal commas are read where no number has a point" if "," in cell else ""
+                    raise FileFormatError(f'{path}, line {k}: "{cell.strip()}" is not a number{rule}.')
 
 
 def _is_number(text: str) -> bool:

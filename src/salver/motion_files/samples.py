@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -13,6 +14,7 @@ from salver.geometry import Array
 
 FEWEST = 8  # samples of a recording: below that no acceleration can be told from noise
 SHORTEST_STEP = 1e-5  # s
+NUMBERED = re.compile(r"(?:q_)?(([qja])_?\[?(\d+)\]?)", re.IGNORECASE)  # names that only number the joints: q1, J1, A1
 AT_REST = 0.02  # m/s, rad/s: below that a motion rests between two legs
 
 
@@ -104,7 +106,8 @@ def tray_samples(t: Array, p: Array, quat_wxyz: Array, frame: str, source: str) 
     if np.abs(p).max() > 100:
         k = int(np.argmax(np.abs(p).max(axis=1)))
         raise FileFormatError(
-            f"{source}: the position of sample {k + 1} is {np.abs(p[k]).max():.4g} m away; positions are in metres."
+            f"{source}: the position of sample {k + 1} is {np.abs(p[k]).max():.4g} m away; positions are in metres "
+            "(of a table also in others: --units mm)."
         )
     quat = quat_wxyz / np.median(norm)  # one factor for all: what the file rounds to stays a step
     flips = np.cumprod(np.where(np.einsum("ij,ij->i", quat[1:], quat[:-1]) < 0, -1.0, 1.0))
@@ -146,8 +149,8 @@ def reordered(samples: JointSamples, names: tuple[str, ...]) -> JointSamples:
 
 
 def _numbered(names: tuple[str, ...]) -> bool:
-    """Whether the names only number the joints (q1, q2, ...), so that they fit any arm of that many joints."""
-    return all(name.lower().strip("q_[]").isdigit() for name in names)
+    """Whether the names only number the joints (q1, J1, A1, ...), so that they fit any arm of that many joints."""
+    return all(NUMBERED.fullmatch(name) or name.isdigit() for name in names)
 
 
 def _refuse_names(samples: JointSamples, names: tuple[str, ...], missing: list[str]) -> JointSamples:
@@ -192,6 +195,6 @@ def _clock(t: Array, y: Array, source: str, fewest: int = FEWEST) -> tuple[Array
     if usual < SHORTEST_STEP:
         raise FileFormatError(
             f"{source}: samples come every {usual:.3g} s; an audit reads up to {1 / SHORTEST_STEP:g} a second, so the "
-            "unit of its times is another (columns t are in s, t_ms, t_us and t_ns in theirs)."
+            "unit of its times is another (columns t are in s or in that of --units, t_ms, t_us and t_ns in theirs)."
         )
     return t, keep, tuple(notes)
