@@ -131,14 +131,6 @@ def test_nominal_rows_are_the_facets_of_each_body() -> None:
         assert_allclose(rows.worst(vector(motion)), true_values(body, {}, motion, facets(body.contacts)), atol=1e-12)
 
 
-def test_rows_seen_from_the_object() -> None:
-    made = scenario([BOX | {"uncertainty": EVERYTHING}])
-    body, rows = made.payload.first, contact_rows(made.payload)[0]
-    motion = tray_motions(10, 5, 1.0)
-    seen = rows.seen_from(body.p_EB, body.R_EB).worst(vector(motion.of_frame(body.p_EB, body.R_EB)))
-    assert_allclose(seen, rows.worst(vector(motion)), atol=1e-11)
-
-
 def die(name: str, on: str, **more: object) -> dict:
     shape = {"type": "box", "size": [0.065, 0.065, 0.065]}
     return {"name": name, "shape": shape, "mass": 0.02, "friction": 0.54, "on": on, **more}

@@ -18,6 +18,7 @@ from salver.models.arm_geometry import ArmGeometry, arm_geometry
 from salver.models.arm_limits import LIMITS
 from salver.models.known_arms import KNOWN_ARMS, robot_file
 from salver.models.link_shapes import link_shapes
+from salver.models.parameters import unshaken
 from salver.planning.fastest import transport_problem
 from salver.planning.fastest.starts import ends
 from salver.planning.follow.limits import verdict
@@ -312,7 +313,7 @@ def test_a_round_says_first_what_any_of_its_legs_says() -> None:
     unmodelled = case.payload.unmodelled
     assert len(unmodelled) == 1
     assert liquid.unchecked[:1] == unmodelled
-    assert arm.unchecked == ("jerk of all joints (nobody gave a limit)",)
+    assert arm.unchecked == ("jerk of all joints (nobody gave a limit)", *arm.unshaken)
     both = MultiLegPlan(case, (liquid, arm), Status("optimal", "", True)).unchecked
     assert both[0].startswith("what happens at the stops")
     assert set(both[1:]) == {*liquid.unchecked, *arm.unchecked}
@@ -398,10 +399,10 @@ def test_a_plan_says_first_what_was_not_checked(tmp_path: Path) -> None:
     )
     with_arm = make_plan(cube)
     with_arm.save(tmp_path)
-    told = "links that share a joint against one another"
-    assert json.loads((tmp_path / "plan.json").read_text())["unchecked"] == [told]
+    told, shake = "links that share a joint against one another", unshaken()
+    assert json.loads((tmp_path / "plan.json").read_text())["unchecked"] == [told, shake]
     run = read_run(tmp_path)
-    assert words.verdict(run).detail.startswith(f"Not checked: {told}. Needs")
+    assert words.verdict(run).detail.startswith(f"Not checked: {told}; {shake}. Needs")
     assert words.asked(run).count("clear of the lamp") == 1
     assert ("lamp", "obstacle, sphere, radius 0.05 m, at (0.5, 0, 1.2) m") in tables.scenario_rows(run)
     scene = replay_scene(run, load_arm(cube.arm, cube.tray))  # type: ignore[arg-type]
@@ -410,11 +411,16 @@ def test_a_plan_says_first_what_was_not_checked(tmp_path: Path) -> None:
     assert alone.unchecked == (
         "whether the arm can follow (planned without it)",
         "whether anything hits an obstacle (planned without an arm)",
+        shake,
     )
     assert make_plan(cube.with_changes(arm=None)).unchecked == (
         "whether anything hits an obstacle (planned without an arm)",
+        shake,
     )
-    assert make_plan(cube.with_changes(arm=None, obstacles=None)).unchecked == ()
+    bare = cube.with_changes(arm=None, obstacles=None)
+    assert make_plan(bare).unchecked == (shake,)
+    still = bare.with_changes(contact__condition="exact", uncertainty__shake={"frequency": 20.0})
+    assert make_plan(still).unchecked == ()
 
 
 @pytest.mark.slow

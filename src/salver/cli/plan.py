@@ -312,7 +312,7 @@ def show(plan: Plan, other: Plan, beside: str) -> None:
         table.add_row(label, value(plan), value(other))
     console.print(table)
     # What is not checked of the arm, its own sentence says.
-    blind = plan.unchecked if plan.arm_status is None else plan.scenario.payload.unmodelled
+    blind = plan.unchecked if plan.arm_status is None else (*plan.scenario.payload.unmodelled, *plan.unshaken)
     if blind:
         console.print(f"Not checked: {'; '.join(blind)}.")
     for name, item in zip(names, (plan, other), strict=True):

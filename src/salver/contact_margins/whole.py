@@ -84,8 +84,10 @@ class Margins(Shown, RowValues):
         "holds" is sure, "slides" and "tips" say that it cannot be excluded.
         """
         failures = [f for m in self.interfaces if (f := m.failure(worst)) is not None]
-        case = "in the worst case of the uncertain parameters " if worst else ""
         payload = self.model.payload
+        shake = payload.uncertain.shake
+        shaken = f"and of a tray that shakes by {shake.words} " if shake is not None else ""
+        case = f"in the worst case of the uncertain parameters {shaken}" if worst else ""
         lost = [name for net in payload.networks for name in regions_lost(net, payload.tray_half, payload.uncertain)]
         if worst and lost:
             sentence = f"{lost[0]} may stand beside it: the uncertain position is as large as the contact region."

@@ -106,6 +106,7 @@ class SimulatedRobot:
             return
         recorder.joints(self._t[recorder.count], data.qpos[:n], data.qvel[:n], self._torque)
         data.qfrc_applied[:n] = self._torque
+        self._run.scene.shake(data, float(self._t[recorder.count]))
         self._engine.mj_step(self._run.scene.model, data)
         recorder.take(data)
         self._engine.mj_step(self._run.scene.model, data, nstep=self._steps - 1)

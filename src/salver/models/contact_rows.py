@@ -23,7 +23,7 @@ from salver.errors import ScenarioError
 from salver.geometry import Array, Indices
 from salver.models.bodies import Body
 from salver.models.contact import ContactSet
-from salver.models.contents import INERTIA_OF_MOMENTS, Filling, Hull, moments_of_inertia, most_second_moments
+from salver.models.contents import INERTIA_OF_MOMENTS, Filling, Hull, moments_of_inertia
 from salver.models.interfaces import ContactNetwork, shift_ranges, sure_contacts, to_tray
 from salver.models.parameters import TILT, Parameter, UncertainSet, tilt_at
 from salver.models.payload import Payload
@@ -143,6 +143,7 @@ def network_rows(
         internal,
         np.concatenate([block[4] for block in blocks], axis=1),
         fillings=tuple(fillings),
+        shake=uncertain.shake,
     )
 
 
@@ -187,8 +188,6 @@ def _placed(
     corners: list[dict[Parameter, int]],
 ) -> list[Array]:
     """Products of a place and a moment of the contents (9, n, 12), one by one, each at the largest both can be."""
-    most = np.concatenate([filling.mean, most_second_moments(body.points_B, filling.mean)])
-    most = most + np.abs(filling.nominal).max(axis=0)
     found = []
     for p in places:
         blocks = []
@@ -197,7 +196,7 @@ def _placed(
             mass = body.inertial.mass + sum(value for m, value in base.items() if _of(m, body))
             change = model.of_moments(body, base | {p: half[p]}) - model.of_moments(body, base | {p: -half[p]})
             blocks.append(0.5 * mass * change / model.weights(base)[:, None])
-        found.append(np.concatenate(blocks, axis=1) * most[:, None, None])
+        found.append(np.concatenate(blocks, axis=1) * filling.farthest[:, None, None])
     return found
 
 

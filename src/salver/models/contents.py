@@ -282,6 +282,11 @@ class Filling:
         return largest_mean(self.hull, self.mean, of[:, :3], Q, enough)
 
     @property
+    def farthest(self) -> Array:
+        """(9,) most by which each moment can differ from what the nominal part has."""
+        return np.concatenate([self.mean, self._most]) + np.abs(self.nominal).max(axis=0)
+
+    @property
     def _reach(self) -> Array:
         return self.hull.offset + self.hull.normal @ (self.hull.centre / self.hull.half)
 

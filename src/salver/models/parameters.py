@@ -13,7 +13,7 @@ from typing import Literal, Self
 
 import numpy as np
 
-from salver.geometry import Array, exp
+from salver.geometry import GRAVITY_S, Array, exp
 from salver.models.rigid_body import RigidBody, inertia_entries, parallel_axis
 
 INERTIAL = ("mass", "com_x", "com_y", "com_z", *(f"inertia_{s}" for s in ("xx", "xy", "yy", "xz", "yz", "zz")))
@@ -93,12 +93,52 @@ def parse(name: str, objects: Sequence[str]) -> Parameter:
 
 
 @dataclass(frozen=True)
+class Vibration:
+    """How the tray shakes beside its motion: sinusoids up to a frequency, Hz, that shift it by up to an amplitude, m,
+    in any direction, and turn it by up to `tilt`, rad, about any axis through the origin of E."""
+
+    amplitude: float
+    tilt: float
+    frequency: float
+
+    @property
+    def acceleration(self) -> float:
+        """m/s^2, most by which the specific force at E changes: A (2 pi f)^2, and of the weight what leans."""
+        return self.amplitude * (2 * np.pi * self.frequency) ** 2 + self.tilt * float(np.linalg.norm(GRAVITY_S))
+
+    @property
+    def angular_acceleration(self) -> float:
+        """rad/s^2, largest."""
+        return self.tilt * (2 * np.pi * self.frequency) ** 2
+
+    def support(self, rows: Array) -> Array:
+        """(...) most that it adds to rows (..., 12) over what E feels. What its velocity does to a tray that turns is a
+        quarter of a cycle late, and below a hundredth of that."""
+        force, turn = (np.linalg.norm(rows[..., k : k + 3], axis=-1) for k in (0, 3))
+        return np.asarray(self.acceleration * force + self.angular_acceleration * turn)
+
+    @property
+    def words(self) -> str:
+        """Such as "0.02 mm at up to 20 Hz"."""
+        each = ((1e3 * self.amplitude, " mm"), (np.rad2deg(self.tilt), " deg"))
+        return f"{' and '.join(f'{x:.3g}{unit}' for x, unit in each if x) or '0 mm'} at up to {self.frequency:.3g} Hz"
+
+
+def unshaken() -> str:
+    """What is left out where nothing is said of how the tray shakes, in words."""
+    usual = Vibration(2e-5, 0.0, 20.0)
+    share = 100 * usual.acceleration / float(np.linalg.norm(GRAVITY_S))
+    return f"vibration of the tray ({usual.words} pushes with {share:.2g} % of the weight; uncertainty.shake counts it)"
+
+
+@dataclass(frozen=True)
 class UncertainSet:
     """Which parameters are uncertain and how far they may lie from nominal.
 
     parameters: n_p of them. nominal, half_range: (n_p,) in the parameter's own unit.
     kind: "box" (eq 8: each within its range, all corners possible) or "ellipsoid" (eq 9).
     correlation: (n_p, n_p) unit-diagonal matrix, for an ellipsoid only; the identity is the paper's W.
+    shake: how the tray shakes, whatever the parameters; None for not at all.
     """
 
     parameters: tuple[Parameter, ...]
@@ -106,6 +146,7 @@ class UncertainSet:
     half_range: Array
     kind: SetKind = "box"
     correlation: Array | None = None
+    shake: Vibration | None = None
 
     @classmethod
     def named(cls, names: Sequence[str], nominal: Array, half_range: Array) -> Self:
@@ -141,7 +182,7 @@ class UncertainSet:
         return np.eye(self.size) if self.correlation is None else np.asarray(np.linalg.cholesky(self.correlation))
 
     def restricted(self, parameters: Collection[Parameter]) -> UncertainSet:
-        """The same set seen in some of its parameters (projection)."""
+        """The same set seen in some of its parameters (projection), on a tray that does not shake."""
         keep = [i for i, parameter in enumerate(self.parameters) if parameter in parameters]
         correlation = None if self.correlation is None else self.correlation[np.ix_(keep, keep)]
         return UncertainSet(

@@ -15,6 +15,9 @@ acts through both, so c_0 . dw_k is added to c_k . w before h is taken; what no 
 bounded by itself. Of two it is the larger: the tray strays, or it follows exactly (a controller better than assumed).
 Commands that are held put w off by a swing to either side, whatever the parameters: both sides are tried.
 
+A tray that shakes by any dw of a ball (`Vibration`) adds the support of that ball, a |c_f| + b |c_alpha| with the parts
+of c that take specific force and angular acceleration: a constant of each row, whatever is planned, at every speed.
+
 A body with unknown contents adds the largest mean of a quadratic over all its mass distributions (`models.contents`);
 its drift is linear in the same moments, and so in the same mean.
 
@@ -32,8 +35,7 @@ import numpy as np
 
 from salver.geometry import Array, Indices
 from salver.models.contents import Filling
-from salver.models.parameters import Parameter, support
-from salver.models.tray_motion import frame_map
+from salver.models.parameters import Parameter, Vibration, support
 from salver.models.worst_contents import SURE, ContentsCase, bounded, fill
 
 Some = Indices | slice
@@ -62,6 +64,7 @@ class UncertainRows:
     nominal: (n, 12) c_0. acting: the n_p parameters in `parameter` (n_p, n, 12), c_k, per half-range. remainder:
     (n_r, n, 12) d_l. spread: (n_p, n_p) A of an ellipsoid, None for a box. masses, mass_signs: masses that are taken at
     their extremes, and at which of them (n, n_m) each row is. fillings: bodies whose contents are unknown.
+    shake: of the tray whose frame w is of.
     """
 
     nominal: Array
@@ -72,6 +75,7 @@ class UncertainRows:
     masses: tuple[Parameter, ...]
     mass_signs: Array
     fillings: tuple[Filling, ...] = field(default=(), kw_only=True)
+    shake: Vibration | None = field(default=None, kw_only=True)
 
     @property
     def certain(self) -> bool:
@@ -93,6 +97,16 @@ class UncertainRows:
         """(n, 36) c_0, what all other terms come to at most by the size of each of w, and the size of c_0."""
         each = np.abs(np.concatenate([self.parameter, self.remainder])).sum(axis=0)
         return np.hstack([self.nominal, each, np.abs(self.nominal)])
+
+    @cached_property
+    def shaken(self) -> Array:
+        """(n,) most that the shake of the tray adds, at whatever parameters: of every term of c(p) by itself."""
+        if self.shake is None:
+            return np.zeros(len(self.nominal))
+        found = self.shake.support(np.concatenate([self.nominal[None], self.parameter, self.remainder])).sum(axis=0)
+        for filling in self.fillings:
+            found += (filling.farthest[:, None] * self.shake.support(filling.rows)).sum(axis=0)
+        return np.asarray(found)
 
     def terms(self, w: Array) -> Array:
         """(T, n, n_p + n_r) c_k . w and then d_l . w, of w (T, 12)."""
@@ -132,11 +146,6 @@ class UncertainRows:
             moments = filling.largest(filling.coefficients(w[None])[0])[1]
             point |= dict(zip(filling.moved, (filling.per[:, 0] @ moments[0] - filling.less).tolist(), strict=True))
         return point | dict(zip(self.masses, self.mass_signs[row].tolist(), strict=True))
-
-    def seen_from(self, p_EX: Array, R_EX: Array) -> Self:
-        """The same rows for w of another frame X that is fixed to the tray, for example an object's B."""
-        back = frame_map(-R_EX.T @ p_EX, R_EX.T)
-        return self.mapped(lambda rows: rows @ back)
 
     def mapped(self, change: Callable[[Array], Array]) -> Self:
         """With every array (..., n, 12) of rows changed."""
@@ -298,7 +307,7 @@ def _values(rows: UncertainRows, w: Array, drift: Drift | None, some: Some = ALL
     that matter is sought for all pieces together."""
     nominal = rows.nominal[some]
     if rows.certain and (drift is None or not drift.terms):
-        either = [side @ nominal.T for _, side in _sides(w, drift)]
+        either = [side @ nominal.T + rows.shaken[some] for _, side in _sides(w, drift)]
         return np.maximum(*either) if len(either) > 1 else either[0]
     n_k, n = 0 if drift is None else len(drift.terms), len(nominal)
     per_row = len(rows.parameter) + len(rows.remainder) + n_k + 30 * len(rows.fillings)
@@ -332,7 +341,7 @@ def values_near(
         return _values(rows, w, drift) + (0.0 if added is None else added(ALL, ALL, False))
     moved = np.zeros_like(w) if drift is None else np.abs(drift.dw).sum(axis=2)
     swing = np.zeros_like(w) if drift is None or drift.swing is None else np.abs(drift.swing)
-    values = np.hstack([w, np.abs(w) + swing, swing + moved]) @ rows.largest.T
+    values = np.hstack([w, np.abs(w) + swing, swing + moved]) @ rows.largest.T + rows.shaken
     if added is not None:
         values += added(ALL, ALL, True)
     due = values > SURE - margin
@@ -374,7 +383,7 @@ def _cases(rows: UncertainRows, w: Array, drift: Drift | None, some: Some) -> Ca
         for side in sides:
             terms = (side[part] @ flat).reshape(count, n_c, n)
             own = [filling.coefficients(side[part]) for filling in fillings]
-            level = side[part] @ nominal + np.abs(terms[:, n_p:]).sum(axis=1)
+            level = side[part] @ nominal + np.abs(terms[:, n_p:]).sum(axis=1) + rows.shaken[some]
             for filling, of in zip(fillings, own, strict=True):
                 level -= np.einsum("np,tnp->tn", filling.nominal, of)
             radius = support(terms[:, :n_p], rows.spread, axis=1)

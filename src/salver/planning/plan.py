@@ -15,6 +15,7 @@ from salver.display import Shown
 from salver.errors import FileFormatError, ScenarioError, Status
 from salver.files import provenance
 from salver.geometry import Array, invert, log, matrix_from_quat_wxyz
+from salver.models.parameters import unshaken
 from salver.motion_files.verdict import SPEED, UNSAFE, one_line
 from salver.planning.extent import Extent, extent
 from salver.planning.object.conditions import TILT, apart, unit_of
@@ -56,7 +57,7 @@ class Verification:
     slack: least contact condition minus its tube, in `unit`; at time `time`, for object or interface `body`.
     violation: how far that is below zero; 0 when the condition holds everywhere.
     passes: the most by which a pose to pass is missed, m (`salver.planning.passing`); infinite when the order is not
-    theirs. exactly: whether nothing is uncertain.
+    theirs. exactly: whether nothing is uncertain. shake: of the tray, in words; "" for none that is counted.
     """
 
     instants: int
@@ -67,6 +68,7 @@ class Verification:
     unit: str
     passes: float = 0.0
     exactly: bool = False
+    shake: str = ""
 
     @property
     def violation(self) -> float:
@@ -91,7 +93,8 @@ class Verification:
         kept = f"the contact condition keeps {self.slack:.3g} {self.unit} over its tube"
         passed = f" Every pose to pass is passed within {1e3 * self.passes:.2g} mm." if self.passes else ""
         exactly = ", for exactly these values" if self.exactly else ""
-        return f"Checked at {self.instants} instants{exactly}: {kept} (least for {where}).{passed}"
+        shaken = f" There is margin for a tray that shakes by {self.shake}." if self.shake else ""
+        return f"Checked at {self.instants} instants{exactly}: {kept} (least for {where}).{shaken}{passed}"
 
 
 @dataclass(frozen=True, repr=False)
@@ -207,13 +210,20 @@ class Plan(Shown, Tabular):
     @property
     def unchecked(self) -> tuple[str, ...]:
         """What the verdict does not cover, in words; to be said before anything that is said to be safe."""
-        load = self.scenario.payload.unmodelled
+        load, shake = self.scenario.payload.unmodelled, self.unshaken
         if self.arm_status is not None:
-            return (*load, *self.arm_status.details.get("unchecked", ()))
+            return (*load, *self.arm_status.details.get("unchecked", ()), *shake)
         out = [] if self.scenario.arm is None else ["whether the arm can follow (planned without it)"]
         if self.scenario.obstacles:
             out.append("whether anything hits an obstacle (planned without an arm)")
-        return (*load, *out)
+        return (*load, *out, *shake)
+
+    @property
+    def unshaken(self) -> tuple[str, ...]:
+        """What of a tray that shakes is not counted, in words."""
+        if self.uncertain.shake is None:
+            return (unshaken(),)
+        return ("how waves answer a tray that shakes",) if self.scenario.payload.liquids else ()
 
     @cached_property
     def warnings(self) -> tuple[str, ...]:
@@ -240,8 +250,9 @@ class Plan(Shown, Tabular):
         error = max(float(np.abs(x).max()) for x in (samples.p_SB[ends] - goals, turn, *still))
         slack, when, body = self._worst
         unit = unit_of(self.scenario, body)
-        exactly = self.uncertain.size == 0
-        return Verification(len(self._checked.t), error, slack, when, body, unit, self._passes(), exactly)
+        exactly, shake = self.uncertain.size == 0, self.uncertain.shake
+        shaken = shake.words if shake is not None else ""
+        return Verification(len(self._checked.t), error, slack, when, body, unit, self._passes(), exactly, shaken)
 
     @property
     def _worst(self) -> tuple[float, float, str]:

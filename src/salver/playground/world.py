@@ -103,6 +103,7 @@ class World:
             state = ArmState(data.qpos[:n].copy(), data.qvel[:n].copy())
             self._torque = (self._controller if self.protected else self._jogging).step(state, self.t)
             data.qfrc_applied[:n] = self._torque
+            self.scene.shake(data, self.t)
             recording = self._recording
             mujoco.mj_step(self.scene.model, data)
             self.liquids.took(self.t, state.q, state.dq, self._torque, data)

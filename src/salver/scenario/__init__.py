@@ -17,6 +17,7 @@ from salver.scenario.objects import (
     Mesh,
     Part,
     Prism,
+    Shake,
     Uncertainty,
     UncertaintySet,
 )
@@ -45,6 +46,7 @@ __all__ = [
     "RobotBehaviour",
     "Scenario",
     "SensitivityWeighting",
+    "Shake",
     "Surroundings",
     "Tray",
     "Uncertainty",

@@ -26,7 +26,7 @@ from salver.scenario.liquid import LiquidIn
 
 if TYPE_CHECKING:
     from salver.models.bodies import LooseObject
-    from salver.models.parameters import Parameter, UncertainSet
+    from salver.models.parameters import Parameter, UncertainSet, Vibration
     from salver.models.shapes import Solid
 
 
@@ -362,11 +362,27 @@ class CarriedObject(Model):
 Tilt = Annotated[Number, Field(ge=0, le=45)]  # degrees
 
 
+class Shake(Model):
+    """How the tray shakes beside its motion: by up to `amplitude`, m, in any direction, and `tilt_deg` about any axis
+    through its middle, at up to `frequency`, Hz."""
+
+    amplitude: Annotated[Number, Field(ge=0, le=0.05)] = 0.0
+    tilt_deg: Annotated[Number, Field(ge=0, le=5)] = 0.0
+    frequency: Annotated[Number, Field(gt=0, le=200)]
+
+    @property
+    def vibration(self) -> Vibration:
+        from salver.models.parameters import Vibration
+
+        return Vibration(self.amplitude, float(np.deg2rad(self.tilt_deg)), self.frequency)
+
+
 class UncertaintySet(Model):
     """Shape of the uncertain set, and what is uncertain beyond the objects themselves."""
 
     set: Literal["box", "ellipsoid"] = "box"
     tilt_deg: tuple[Tilt, Tilt] | None = None
+    shake: Shake | None = None
     correlation: dict[str, Annotated[Number, Field(gt=-1, lt=1)]] = Field(
         default={}, max_length=1000, description='numbers between -1 and 1 under keys such as "mass,com_x"'
     )
@@ -384,9 +400,9 @@ class UncertaintySet(Model):
             if degrees > 0:
                 found.append((parameter, 0.0, float(np.deg2rad(degrees))))
         parameters, nominal, half = zip(*found, strict=True) if found else ((), (), ())
-        return UncertainSet(
-            parameters, np.array(nominal), np.array(half), self.set, self._matrix([p.name for p in parameters])
-        )
+        correlation = self._matrix([p.name for p in parameters])
+        shake = None if self.shake is None else self.shake.vibration
+        return UncertainSet(parameters, np.array(nominal), np.array(half), self.set, correlation, shake)
 
     def _matrix(self, names: list[str]) -> np.ndarray | None:
         """(n_p, n_p) correlation matrix; None when there is none."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -94,7 +94,7 @@ class Experiment:
         if scenario.arm is None:
             if self.stop_at is not None:
                 raise ScenarioError(f"{scenario.name} has no arm; stops are motions of an arm.")
-            return simulate_tray(plan.reference, scenario, parameters, options)
+            return simulate_tray(plan.reference, scenario, parameters, options, seed)
         began = time.perf_counter()
         run, trace = self._carried(parameters, seed)
         scene = run.scene
@@ -129,7 +129,7 @@ class Experiment:
 
     def _carried(self, parameters: Mapping[str, float] | None, seed: int, strapped: bool = False) -> tuple[Run, Trace]:
         scenario = self.plan.scenario
-        scene = build(scenario, true_world(scenario, parameters), self.arm, strapped=strapped)
+        scene = build(scenario, true_world(scenario, parameters), self.arm, strapped=strapped, seed=seed)
         run = Run(scenario, dict(parameters or {}), self.options, self.moved.reference, scene, self.wanted)
         self.controller.reset()
         q_start = self.joint.sample(0.0)[0][0]
@@ -146,8 +146,9 @@ def simulate(
 ) -> SimulationRecord:
     """Run a plan in the physics engine; with its arm when the scenario has one, else with an exactly moving tray.
 
-    parameters: true values by name, where not nominal (docs/conventions.md). seed: of the sensor noise, 0 or more.
-    stop_at: s of the plan's time at which a stop is asked for; the plan must have stops (`salver.planning.stops`).
+    parameters: true values by name, where not nominal (docs/conventions.md). seed: of sensor noise and of how the tray
+    shakes, 0 or more. stop_at: s of the plan's time at which a stop is asked for; the plan must have stops
+    (`salver.planning.stops`).
     Raises ScenarioError for parameters that cannot be and for a stop that cannot, UnreachableError when the plan has no
     joint motion, SalverError when the engine diverges.
     """
@@ -178,6 +179,7 @@ def _run_arm(run: Run, controller: ArmController | Relay, q_start: Array, rng: n
         tau = controller.step(sensed[0], now)
         recorder.joints(now, q, dq, tau)
         applied[:] = tau
+        scene.shake(data, now)
         mujoco.mj_step(model, data)
         recorder.take(data)
         if steps > 1:
@@ -223,17 +225,22 @@ def simulate_tray(
     scenario: Scenario,
     parameters: Mapping[str, float] | None = None,
     options: Options | None = None,
+    seed: int = 0,
 ) -> SimulationRecord:
     """Move the tray so that frame B of the first object, were it glued on, follows `reference`. No arm, no controller.
 
-    parameters: true values by name, where not nominal (docs/conventions.md). The tray's tilt adds to its motion.
+    parameters: true values by name, where not nominal (docs/conventions.md). The tray's tilt adds to its motion. seed:
+    of how it shakes.
     Raises ScenarioError for parameters that cannot be, SalverError when the engine diverges.
     """
     began = time.perf_counter()
-    run = prepare(scenario, parameters, options, reference, None)
+    run = prepare(scenario, parameters, options, reference, None, seed)
     scene, steps = run.scene, _steps_per_command(scenario)
     fine = run.t[0] + scenario.physics.timestep * np.arange(len(run.t) * steps)
     real = of_tray(reference.sample(fine), scene).of_frame(np.zeros(3), scene.world.R_tilt)
+    if scene.shaking is not None:
+        a, alpha = scene.shaking.at(fine)
+        real = replace(real, a_S=real.a_S + a, alpha_B=real.alpha_B + np.einsum("tji,tj->ti", real.R_SB, alpha))
     motion = tray_frame.TrayMotion.of(real)
     model, data = scene.model, mujoco.MjData(scene.model)
     scene.place(data, down=motion.specific[0])

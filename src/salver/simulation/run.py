@@ -59,9 +59,10 @@ def prepare(
     options: Options | None,
     reference: Reference,
     arm: ArmModel | None,
+    seed: int = 0,
 ) -> Run:
-    """The scene with its true parameters, and the times of the commands."""
-    scene = build(scenario, true_world(scenario, parameters), arm)
+    """The scene with its true parameters, and the times of the commands. seed: of how the tray shakes."""
+    scene = build(scenario, true_world(scenario, parameters), arm, seed=seed)
     wanted = at_commands(scenario, reference)
     return Run(scenario, dict(parameters or {}), options or Options(), reference, scene, wanted)
 

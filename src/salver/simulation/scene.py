@@ -10,13 +10,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from salver.errors import ScenarioError
-from salver.geometry import Array, quat_wxyz_from_matrix
+from salver.geometry import Array, Indices, quat_wxyz_from_matrix
 from salver.models.arm import ArmModel
 from salver.models.bodies import TRAY
 from salver.scenario import Scenario
@@ -44,6 +45,7 @@ from salver.simulation.elements import (
 from salver.simulation.engine import mujoco
 from salver.simulation.loads import Load, TrueWorld
 from salver.simulation.robots import each_joint
+from salver.simulation.shaking import Shaking
 
 DOWN = np.array([0.0, 0.0, -1.0])
 HINGE = (-1.0, 1.0)  # about y and x: which way a mass that hangs goes along x and y when the angle grows
@@ -60,7 +62,7 @@ class Scene:
     foot_object, foot_support, foot_number: (n_geom,) per geom: index of the object whose foot it is (-1: no
     foot), index of the object it rests on (-1: tray),
     number of the foot in `Load.outline_B`. obstacle: (n_geom,) whether it is one, or the floor.
-    swings: what moves of the liquids, in the order of the objects that hold one.
+    swings: what moves of the liquids, in the order of the objects that hold one. shaking: of the tray, or None.
     """
 
     model: Any
@@ -76,6 +78,7 @@ class Scene:
     foot_number: Array
     obstacle: Array
     swings: tuple[Swing, ...] = ()
+    shaking: Shaking | None = None
 
     @property
     def n(self) -> int:
@@ -85,6 +88,15 @@ class Scene:
     def point_ids(self) -> list[int]:
         """MuJoCo bodies that are points: what swings in the liquids."""
         return [int(i) for swing in self.swings for i in swing.body_ids]
+
+    @cached_property
+    def _loose_ids(self) -> Indices:
+        return np.array([*self.object_ids, *self.point_ids], dtype=np.intp)
+
+    def shake(self, data: Any, t: float) -> None:
+        """What stands on a tray that is held by an arm feels of its shaking at t, s."""
+        if self.shaking is not None:
+            self.shaking.push(self.model, data, self._loose_ids, data.xpos[self.tray_id], t)
 
     @property
     def loads(self) -> tuple[Load, ...]:
@@ -139,13 +151,17 @@ def build(
     visual: bool = False,
     strapped: bool = False,
     also: Callable[[Any], None] | None = None,
+    seed: int = 0,
 ) -> Scene:
     """Compile the scene of one run. visual: with meshes and light, for pictures; physics is the same. strapped:
-    objects are fixed to the tray, and touch nothing. also: adds to the mujoco.MjSpec what else there is."""
+    objects are fixed to the tray, and touch nothing. also: adds to the mujoco.MjSpec what else there is. seed: of how
+    the tray shakes."""
     spec = specify(scenario, world, arm, visual=visual, strapped=strapped)
     if also is not None:
         also(spec)
-    return _compiled(spec, arm, world, 2 * scenario.physics.timestep)
+    shake = scenario.uncertainty.shake
+    shaking = None if shake is None or strapped else Shaking.drawn(shake.vibration, seed)
+    return replace(_compiled(spec, arm, world, 2 * scenario.physics.timestep), shaking=shaking)
 
 
 def specify(

@@ -50,6 +50,10 @@ def scaled(scenario: Scenario, factor: float) -> Scenario:
     tilt = scenario.uncertainty.tilt_deg
     if tilt is not None:
         changes["uncertainty__tilt_deg"] = _times(list(tilt), factor)
+    shake = scenario.uncertainty.shake
+    if shake is not None:
+        changes["uncertainty__shake__amplitude"] = factor * shake.amplitude
+        changes["uncertainty__shake__tilt_deg"] = factor * shake.tilt_deg
     if factor == 0.0:
         changes["uncertainty__correlation"] = {}
     return scenario.with_changes(**changes)
@@ -83,8 +87,10 @@ class TradeoffTask:
         """Of a scenario what `salver plan --fastest` asks, with something uncertain."""
         left_open, asked = scenario.motion.duration, scenario.with_changes(motion__duration=None)
         tray = "may tilt" if asked.motion.may_turn else "stays level"
-        named = asked.uncertainty.tilt_deg or any(
-            item.uncertainty.model_dump(exclude_none=True, exclude_defaults=True) for item in asked.objects
+        named = (
+            asked.uncertainty.tilt_deg
+            or asked.uncertainty.shake
+            or any(item.uncertainty.model_dump(exclude_none=True, exclude_defaults=True) for item in asked.objects)
         )
         if named:
             return cls(asked, 1.0, tray, "", left_open)

@@ -64,7 +64,8 @@ def conditions_along(
     """The contact conditions of everything that a scenario carries, and its limit on tilt, along a motion of the first
     object's B at t (T,), with its closed loop's sensitivity and derivatives by n_z variables.
 
-    Raises ScenarioError when the paper's condition is asked for liquids, or for objects that stand on each other.
+    Raises ScenarioError when the paper's condition is asked for liquids, for objects that stand on each other, or for a
+    tray that shakes.
     """
     payload, largest = scenario.payload, scenario.motion.max_tilt_deg
     payload.check_places()
@@ -127,6 +128,8 @@ class WrenchRows:
 
 def _check_known_to_paper(scenario: Scenario) -> None:
     payload, knows = scenario.payload, f'{scenario.name}: contact.condition = "paper" knows'
+    if payload.uncertain.shake is not None:
+        raise ScenarioError(f'{knows} no tray that shakes (uncertainty.shake); use "exact".')
     if payload.liquids:
         raise ScenarioError(f'{knows} no liquids, and there is one in {payload.liquids[0].name}; use "exact".')
     for body in payload.bodies:
@@ -239,7 +242,8 @@ class MotionRows:
     def tangents(self, step: Array, instant: Indices, row: Indices) -> tuple[Array, Array]:
         w, by_step = self.felt.after(step)[instant], self.felt.w_jacobian
         own = -self.rows.slope(w, row)
-        value, slope = np.einsum("mi,mi->m", own, w), np.einsum("mi,miz->mz", own, by_step[instant])
+        value = np.einsum("mi,mi->m", own, w) - self.rows.shaken[row]
+        slope = np.einsum("mi,miz->mz", own, by_step[instant])
         if self.felt.payload.liquids:
             sloshed = Sloshed.of(self.rows, self.felt.sloshing(step))
             value = value - sloshed.values[instant, row]
