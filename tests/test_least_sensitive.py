@@ -32,7 +32,7 @@ BOTTLE = scenario.load("panda-tall-bottle").with_changes(motion__duration=1.2)
 def cost_of(plan: Plan) -> float:
     """Eq (13) of what the plan says its object does, by the loop's response to that reference."""
     t = np.linspace(0, plan.duration, 601)
-    return sensitivity_cost(plan.scenario, t, tray_loop(plan.scenario).along(plan.reference, t).state)
+    return sensitivity_cost(plan.scenario, t, tray_loop(plan.scenario).along(plan.reference, t))
 
 
 @pytest.mark.parametrize("weighting", ["paper", "pose", "scaled"])
@@ -58,7 +58,7 @@ def test_the_cost_of_a_joint_motion_is_that_of_what_the_object_does_and_its_slop
     joint = JointMotion(t, *z[:3])
     seen = SampledReference(object_motion(problem, joint.t, joint.q, joint.dq, joint.ddq))
     instants = objective.grid.t
-    own = sensitivity_cost(case, instants, tray_loop(case).along(seen, instants).state)
+    own = sensitivity_cost(case, instants, tray_loop(case).along(seen, instants))
     assert cost(q) == pytest.approx(own, rel=1e-5)  # what interpolation of the samples leaves
 
     way = rng.standard_normal(q.shape)

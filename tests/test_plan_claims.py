@@ -22,7 +22,7 @@ from salver.planning.fastest import FastestOptions, fastest, transport_problem
 from salver.planning.make import make_plan, plan_baseline, plan_object
 from salver.planning.object.evaluation import evaluate
 from salver.planning.object.problem import Problem
-from salver.planning.object.solvers import solve, solve_sequential
+from salver.planning.object.solvers import SequentialOptions, solve, solve_sequential
 from salver.planning.plan import Plan, load_plan
 from salver.planning.postures import PoseTarget, candidate_postures
 from salver.scenario import Scenario, load
@@ -181,7 +181,7 @@ def test_a_step_that_makes_it_worse_is_not_taken() -> None:
     """A tilt that is bounded tightly: the more steps, the less is violated, from the first one on."""
     changes = {"motion__orientation": "free", "motion__duration": 0.7, "motion__max_tilt_deg": 5.0}
     problem = Problem(PAPER.with_changes(**changes), 15)
-    left = [solve_sequential(problem, None, steps).violation for steps in (0, 1, 2, 4, 6)]
+    left = [solve_sequential(problem, None, SequentialOptions(steps)).violation for steps in (0, 1, 2, 4, 6)]
     assert left[0] > 0.05
     assert np.all(np.diff(left) <= 1e-9)
     assert left[-1] < 0.8 * left[0]

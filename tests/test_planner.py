@@ -8,7 +8,7 @@ import nasty
 from salver.errors import ScenarioError
 from salver.geometry import GRAVITY_S
 from salver.planning.make import plan_baseline, plan_object
-from salver.planning.object.cost import integration_weights, row_scale
+from salver.planning.object.cost import CostWeights, integration_weights
 from salver.planning.object.problem import Problem
 from salver.planning.object.solvers import _waiter, solve, solve_convex
 from salver.scenario import load
@@ -158,11 +158,15 @@ def test_sequential_answer_is_a_local_optimum():
 
 
 def test_weightings_differ_as_documented():
-    body, gains = Problem(PAPER, 11).body, Problem(PAPER, 11).loop.gains
-    assert row_scale("paper", body, gains) == (1, 1, 1, 1)
-    assert row_scale("pose", body, gains) == (1, 1, 0, 0)
+    def weights(weighting):
+        return CostWeights.of(changed(objective__weighting=weighting), np.linspace(0, 1, 11))
+
+    assert weights("paper").rows == (1, 1, 1, 1)
+    assert weights("pose").rows == (1, 1, 0, 0)
     radius = 0.02 * np.sqrt(3)
-    assert row_scale("scaled", body, gains) == pytest.approx((1, radius, 500**-0.5, radius * 300**-0.5))
+    assert weights("scaled").rows == pytest.approx((1, radius, 500**-0.5, radius * 300**-0.5))
+    assert weights("paper").columns == pytest.approx(np.eye(PAPER.payload.uncertain.size))
+    assert weights("scaled").columns == pytest.approx(np.diag(PAPER.payload.uncertain.half_range))
 
 
 @pytest.mark.parametrize("nodes", [2, 5, 6, 7, 21, 50])

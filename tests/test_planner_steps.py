@@ -10,8 +10,7 @@ from salver.planning import qp
 from salver.planning.object import solvers
 from salver.planning.object.conditions import TiltRows
 from salver.planning.object.problem import Linearisation, Problem
-from salver.planning.object.solvers import _merit, _model_merit, solve_sequential
-from salver.planning.object.subproblem import Step, _dual_value, solve_model
+from salver.planning.object.solvers import _dual_value, _merit, solve_model, solve_sequential
 from salver.planning.qp import Optimum, Quadratic
 from salver.scenario import load
 
@@ -138,19 +137,19 @@ def test_the_nearest_place_on_a_curve_outside_a_circle_is_found_on_it_and_every_
 
 
 def test_what_a_step_promises_is_what_it_brings_where_all_is_linear():
-    """Also one that misses a row: the merit of the model after the step is that of what is there."""
+    """Also one that misses a row and the goal: the merit of the model after a step is that of what is there."""
     rng = np.random.default_rng(3)
     jacobian, residual, onto = rng.normal(size=(7, 5)), rng.normal(size=7), rng.normal(size=(2, 5))
     left, slope = np.array([0.2, 1.0]), rng.normal(size=(2, 5))
     for _ in range(5):
         d = rng.normal(size=5)
-        here = Linearisation(residual, jacobian, (TiltRows(("tilt",), left, slope),), -onto @ d, onto)
+        goal = rng.normal(size=2)
+        here = Linearisation(residual, jacobian, (TiltRows(("tilt",), left, slope),), goal - onto @ d, onto)
         row = TiltRows(("tilt",), left + slope @ d, slope)
-        there = Linearisation(residual + jacobian @ d, jacobian, (row,), np.zeros(2), onto)
-        step = Step(d, 0.0, 0.0, 1)
-        assert _model_merit(here, step, 0.5, 7.0) == pytest.approx(_merit(there, 0.5, 7.0))
+        there = Linearisation(residual + jacobian @ d, jacobian, (row,), goal, onto)
+        assert _merit(here, 0.5, 7.0, d) == pytest.approx(_merit(there, 0.5, 7.0))
         missed = max(0.0, *(0.5 - row.left))
-        assert _merit(there, 0.5, 7.0) == pytest.approx(np.sum(there.residual**2) + 7.0 * missed)
+        assert _merit(there, 0.5, 7.0) == pytest.approx(np.sum(there.residual**2) + 7.0 * (missed + np.abs(goal).sum()))
 
 
 def test_a_step_to_a_goal_that_no_row_hinders_is_the_least_of_those_that_reach_it():

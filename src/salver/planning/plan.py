@@ -180,7 +180,7 @@ class Plan(Shown, Tabular):
     @cached_property
     def cost(self) -> float:
         """Integral (13) with the scenario's weighting."""
-        return sensitivity_cost(self.scenario, self.t, self.state_sensitivity)
+        return sensitivity_cost(self.scenario, self.t, self.evaluation.closed_loop.sensitivity)
 
     @property
     def ok(self) -> bool:

@@ -21,15 +21,7 @@ from salver.planning.fastest.safest import optima, quickest_within
 from salver.planning.fastest.speeds import at_every_speed
 from salver.planning.fastest.spline import RestSpline
 from salver.planning.fastest.watch import Watch
-from salver.planning.object.cost import (
-    column_scale,
-    cost_residual,
-    integration_weights,
-    refinement,
-    row_scale,
-    sensitivity_cost,
-    tray_loop,
-)
+from salver.planning.object.cost import CostWeights, cost_residual, refinement, sensitivity_cost, tray_loop
 from salver.scenario import Scenario
 from salver.sensitivity.arm.terms import motion_terms
 from salver.sensitivity.dual import Dual, DualRotation
@@ -71,7 +63,7 @@ class SensitivityCost(Objective):
         """Residuals whose squares add up to the cost, and their Jacobian by the coefficients."""
         at_grid, at_times = (self._felt(curve, coefficients, derivatives) for curve in self._curves)
         sensitivity = self.loop.sensitivity(self.grid, at_grid, at_times)
-        residual, jacobian = cost_residual(sensitivity, *self._scales, coefficients.size if derivatives else 0)
+        residual, jacobian = cost_residual(sensitivity, self._weights, coefficients.size if derivatives else 0)
         return residual / np.sqrt(self.unit), jacobian / np.sqrt(self.unit)
 
     def _felt(self, curve: FreeCurve, coefficients: Array, derivatives: bool) -> BodyMotion:
@@ -115,12 +107,8 @@ class SensitivityCost(Objective):
         return FreeCurve(self.problem, at_grid), FreeCurve(self.problem, at_times)
 
     @cached_property
-    def _scales(self) -> tuple[tuple[float, float, float, float], Array, Array]:
-        scenario, payload = self.problem.scenario, self.problem.payload
-        weighting = scenario.objective.weighting
-        rows = row_scale(weighting, payload.first, self.loop.gains)
-        weights = integration_weights(len(self.grid.t), self.duration)
-        return rows, column_scale(weighting, payload.uncertain), weights
+    def _weights(self) -> CostWeights:
+        return CostWeights.of(self.problem.scenario, self.grid.t)
 
 
 def plan_least_sensitive(
@@ -184,4 +172,4 @@ def _cost_of_line(scenario: Scenario) -> float:
     ends = (np.array(motion.start.position), np.array(motion.goal.position))
     line = min_jerk_line(motion.duration, *ends, motion.start.rotation, motion.goal.rotation)
     t = _instants(loop, motion.duration)
-    return sensitivity_cost(scenario, t, loop.along(line, t).state)
+    return sensitivity_cost(scenario, t, loop.along(line, t))

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from salver.control.object import Gains
 from salver.geometry import Array, Indices
 from salver.models.bodies import Body
-from salver.models.parameters import UncertainSet
 from salver.scenario import Scenario
 from salver.sensitivity.dual import Dual
 from salver.sensitivity.filter import fastest_rate
@@ -23,8 +24,12 @@ def tray_loop(scenario: Scenario) -> TrayLoop:
     return TrayLoop(first.inertial, gains, first.phi_jacobian(uncertain.parameters))
 
 
-def row_scale(weighting: str, body: Body, gains: Gains) -> tuple[float, float, float, float]:
-    """Weights of the blocks (dp, dtheta, dv, domega) of the state sensitivity in the cost.
+@dataclass(frozen=True, eq=False)
+class CostWeights:
+    """How rows and columns of Pi count in the cost, and instants in its integral.
+
+    rows: of the blocks (dp, dtheta, dv, domega). columns: (n_p, n_p), multiplies Pi from the right. times: (T,) s.
+    The weightings of the scenario are:
 
     paper: the plain norm of the whole state, metres beside radians. pose: the plain norm of its pose rows.
     scaled: every row as a displacement of the contact points, in m: rotations by the radius of the base,
@@ -32,18 +37,25 @@ def row_scale(weighting: str, body: Body, gains: Gains) -> tuple[float, float, f
     error over its stiffness; columns by their half-range. It depends neither on units nor on which parameters
     are listed, and rates count as much as the displacements that they turn into.
     """
-    if weighting == "paper":
-        return 1.0, 1.0, 1.0, 1.0
-    if weighting == "pose":
-        return 1.0, 1.0, 0.0, 0.0
-    radius = float(np.linalg.norm(body.base_polygon_B, axis=1).max())
-    (kp, kp_R) = gains.kp
-    return 1.0, radius, kp**-0.5, radius * kp_R**-0.5
+
+    rows: tuple[float, float, float, float]
+    columns: Array
+    times: Array
+
+    @classmethod
+    def of(cls, scenario: Scenario, t: Array) -> CostWeights:
+        """As a scenario asks for, at uniform instants t (T,) from 0 on."""
+        times, uncertain = integration_weights(len(t), float(t[-1])), scenario.payload.uncertain
+        if scenario.objective.weighting != "scaled":
+            rates = 1.0 if scenario.objective.weighting == "paper" else 0.0
+            return cls((1.0, 1.0, rates, rates), np.eye(uncertain.size), times)
+        radius, (kp, kp_R) = base_radius(scenario.payload.first), scenario.control.kp
+        return cls((1.0, radius, kp**-0.5, radius * kp_R**-0.5), uncertain.factor, times)
 
 
-def column_scale(weighting: str, uncertain: UncertainSet) -> Array:
-    """(n_p, n_p) that multiplies Pi from the right: half-ranges when scaled, nothing in the paper's norms."""
-    return uncertain.factor if weighting == "scaled" else np.eye(uncertain.size)
+def base_radius(body: Body) -> float:
+    """m, from B to the furthest corner of what a body stands on."""
+    return float(np.linalg.norm(body.base_polygon_B, axis=1).max())
 
 
 def refinement(loop: TrayLoop, step: float) -> int:
@@ -61,35 +73,22 @@ def integration_weights(instants: int, duration: float) -> Array:
     return weights
 
 
-def sensitivity_cost(scenario: Scenario, t: Array, state_sensitivity: Array) -> float:
-    """Integral (13) of the weighted squared norm of Pi (T, 12, n_p) over uniform instants t (T,)."""
-    weighting = scenario.objective.weighting
-    blocks = row_scale(weighting, scenario.payload.first, tray_loop(scenario).gains)
-    columns = column_scale(weighting, scenario.payload.uncertain)
-    weighted = np.repeat(blocks, 3)[:, None] * (state_sensitivity @ columns)
-    return float(np.einsum("t,tij->", integration_weights(len(t), float(t[-1])), weighted**2))
+def sensitivity_cost(scenario: Scenario, t: Array, sensitivity: TraySensitivity) -> float:
+    """Integral (13) of the weighted squared norm of Pi over uniform instants t (T,) from 0 on."""
+    return float(np.sum(np.square(cost_residual(sensitivity, CostWeights.of(scenario, t))[0])))
 
 
-def cost_residual(
-    sensitivity: TraySensitivity,
-    rows: tuple[float, float, float, float],
-    columns: Array,
-    time_weights: Array,
-    size: int,
-) -> tuple[Array, Array]:
-    """Weighted Pi as residuals (n_r,), whose squares add up to the integral (13), with their Jacobian (n_r, size).
-
-    rows, columns, time_weights: see `row_scale`, `column_scale`, `integration_weights`.
-    """
-    weights = np.sqrt(time_weights)[:, None, None]
+def cost_residual(sensitivity: TraySensitivity, weights: CostWeights, size: int = 0) -> tuple[Array, Array]:
+    """Weighted Pi as residuals (n_r,), whose squares add up to the integral (13), with their Jacobian (n_r, size)."""
+    instants = np.sqrt(weights.times)[:, None, None]
     residual, jacobian = [np.zeros(0)], [np.zeros((0, size))]
     blocks = (sensitivity.dp, sensitivity.dtheta, sensitivity.dv, sensitivity.domega)
     moving = (sensitivity.loop.pushing, sensitivity.loop.turning) * 2  # the others' rows are zero
-    for scale, block, which in zip(rows, blocks, moving, strict=True):
+    for scale, block, which in zip(weights.rows, blocks, moving, strict=True):
         if scale > 0 and len(which):
-            value, tangent = _times_columns(block, which, columns, size)
-            residual.append((scale * weights * value).ravel())
-            jacobian.append((scale * weights[..., None] * tangent).reshape(value.size, size))
+            value, tangent = _times_columns(block, which, weights.columns, size)
+            residual.append((scale * instants * value).ravel())
+            jacobian.append((scale * instants[..., None] * tangent).reshape(value.size, size))
     return np.concatenate(residual), np.concatenate(jacobian)
 
 

@@ -23,14 +23,7 @@ from salver.geometry import Array, hat, log, right_jacobian_inverse
 from salver.models.bodies import Body
 from salver.models.parameters import UncertainSet
 from salver.planning.object.conditions import Rows, conditions_along
-from salver.planning.object.cost import (
-    column_scale,
-    cost_residual,
-    integration_weights,
-    refinement,
-    row_scale,
-    tray_loop,
-)
+from salver.planning.object.cost import CostWeights, base_radius, cost_residual, refinement, tray_loop
 from salver.scenario import Scenario
 from salver.sensitivity.filter import QuadratureGrid
 from salver.sensitivity.tray import BodyMotion, TrayLoop
@@ -167,17 +160,8 @@ class Problem:
     # Cost ------------------------------------------------------------------------------------------------
 
     @cached_property
-    def row_scale(self) -> tuple[float, float, float, float]:
-        """Weights of the blocks (dp, dtheta, dv, domega) of Pi; see `salver.planning.object.cost`."""
-        return row_scale(self.scenario.objective.weighting, self.body, self.loop.gains)
-
-    @cached_property
-    def column_scale(self) -> Array:
-        return column_scale(self.scenario.objective.weighting, self.uncertain)
-
-    @cached_property
-    def time_weights(self) -> Array:
-        return integration_weights(len(self.grid.t), self.duration)
+    def weights(self) -> CostWeights:
+        return CostWeights.of(self.scenario, self.grid.t)
 
     @cached_property
     def smoothness(self) -> tuple[Array, Array]:
@@ -187,10 +171,10 @@ class Problem:
         closed loop (friction alone, say), there is no other cost.
         """
         s, rate = 2 * self.grid.t / self.duration - 1, 2 / self.duration
-        weights = np.sqrt(self.time_weights)[:, None, None]
+        weights = np.sqrt(self.weights.times)[:, None, None]
         parts = [(self._position, 3, 1.0)]
         if self.rotates:
-            parts.append((self._spin, 2, float(np.linalg.norm(self.body.base_polygon_B, axis=1).max())))
+            parts.append((self._spin, 2, base_radius(self.body)))
         residual, jacobian, offset = [], [], 0
         for (particular, null_space), order, scale in parts:
             basis = scale * rate**order * chebyshev_basis(s, len(particular) - 1, order)
@@ -209,7 +193,7 @@ class Problem:
         zero = np.zeros((1, 3))
         still = MotionSamples(np.zeros(1), zero, zero, zero, np.eye(3)[None], zero, push)
         forcing = self.loop.forcing(BodyMotion.of(still))
-        pairs = zip(forcing, self.row_scale[:2], self.loop.gains.kp, strict=True)
+        pairs = zip(forcing, self.weights.rows[:2], self.loop.gains.kp, strict=True)
         settled = sum(float(np.sum((scale * part.value / kp) ** 2)) for part, scale, kp in pairs)
         return _SMOOTH * self.duration * settled if settled > 0 else 1.0
 
@@ -224,10 +208,11 @@ class Problem:
     # Derivatives -----------------------------------------------------------------------------------------
 
     @cached_property
-    def _bases(self) -> tuple[_Bases, _Bases]:
-        return self._basis_at(self.grid.t), self._basis_at(self.grid.times)
+    def _bases(self) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
+        return self.bases_at(self.grid.t), self.bases_at(self.grid.times)
 
-    def _basis_at(self, t: Array) -> _Bases:
+    def bases_at(self, t: Array) -> tuple[Array, ...]:
+        """Derivatives (T, 3, n_z) by z of v_S and a_S, and where the orientation is free, of omega_B and alpha_B."""
         s, rate = 2 * t / self.duration - 1, 2 / self.duration
         null_position = self._position[1]
 
@@ -235,35 +220,26 @@ class Problem:
             self._blocks(rate**k * chebyshev_basis(s, len(null_position) - 1, k) @ null_position, 0) for k in (1, 2)
         )
         if not self.rotates:
-            return _Bases(v, a, None, None)
+            return v, a
         null_spin = self._spin[1]
         spin = [rate**k * chebyshev_basis(s, len(null_spin) - 1, k) @ null_spin for k in range(2)]
-        return _Bases(v, a, self._blocks(spin[0], self.n_position), self._blocks(spin[1], self.n_position))
-
-    @property
-    def spin_basis(self) -> Array:
-        """d omega_B / d z (T, 3, n_z) on the grid, of a problem that rotates."""
-        omega = self._bases[0].omega
-        assert omega is not None
-        return omega
+        return v, a, *(self._blocks(basis, self.n_position) for basis in spin)
 
     def _motions(self, reference: PolynomialReference) -> tuple[MotionSamples, BodyMotion, BodyMotion, Array | None]:
         """Samples on the grid, body motions there and between with derivatives by z, and dtheta/dz on the grid."""
         on_grid, between = reference.sample(self.grid.t), reference.sample(self.grid.times)
-        basis_grid, basis_between = self._bases
-        theta_grid = theta_between = None
-        if basis_between.omega is not None:
-            # dtheta' = domega - omega x dtheta, so R dtheta is the running integral of R domega.
-            turned_grid, turned_between = self.grid.cumulative(between.R_SB @ basis_between.omega)
-            theta_grid = np.swapaxes(on_grid.R_SB, 1, 2) @ turned_grid
-            theta_between = np.swapaxes(between.R_SB, 1, 2) @ turned_between
+        (v, a, *spin), (v_between, a_between, *spin_between) = self._bases
+        if not self.rotates:
+            return on_grid, BodyMotion.of(on_grid, v, a), BodyMotion.of(between, v_between, a_between), None
+        # dtheta' = domega - omega x dtheta, so R dtheta is the running integral of R domega.
+        turned, turned_between = self.grid.cumulative(between.R_SB @ spin_between[0])
+        theta = np.swapaxes(on_grid.R_SB, 1, 2) @ turned
+        theta_between = np.swapaxes(between.R_SB, 1, 2) @ turned_between
         return (
             on_grid,
-            BodyMotion.of(on_grid, basis_grid.v, basis_grid.a, theta_grid, basis_grid.omega, basis_grid.alpha),
-            BodyMotion.of(
-                between, basis_between.v, basis_between.a, theta_between, basis_between.omega, basis_between.alpha
-            ),
-            theta_grid,
+            BodyMotion.of(on_grid, v, a, theta, *spin),
+            BodyMotion.of(between, v_between, a_between, theta_between, *spin_between),
+            theta,
         )
 
     def linearise(self, z: Array) -> Linearisation:
@@ -271,8 +247,7 @@ class Problem:
         reference = self.reference(z)
         on_grid, motion, between, theta = self._motions(reference)
         sensitivity = self.loop.sensitivity(self.grid, motion, between)
-        scales = self.row_scale, self.column_scale, self.time_weights
-        residual, jacobian = cost_residual(sensitivity, *scales, self.size)
+        residual, jacobian = cost_residual(sensitivity, self.weights, self.size)
         smooth, smooth_jacobian = self.smoothness
         residual = np.concatenate([residual, smooth + smooth_jacobian @ z])
         jacobian = np.concatenate([jacobian, smooth_jacobian])
@@ -284,25 +259,7 @@ class Problem:
 
     def _goal(self, R_end: Array, theta_end: Array) -> tuple[Array, Array]:
         """What is left to the goal orientation, (3,), with its derivative; (2,), of the vertical, with free yaw."""
-        turn, goal = self.scenario.motion.goal.rotation.T @ R_end, self._missed(R_end)
-        if self.scenario.motion.goal_yaw == "fixed":
-            return goal, right_jacobian_inverse(goal) @ theta_end
-        return goal, -(turn @ hat([0.0, 0.0, 1.0]) @ theta_end)[:2]
-
-    def _missed(self, R_end: Array) -> Array:
         turn = self.scenario.motion.goal.rotation.T @ R_end
-        return log(turn) if self.scenario.motion.goal_yaw == "fixed" else turn[:2, 2]
-
-    def goal_missed(self, z: Array) -> Array:
-        """What is left to the goal orientation, of a problem that rotates: `Linearisation.goal`."""
-        return self._missed(self.reference(z).R_end)
-
-
-@dataclass(frozen=True)
-class _Bases:
-    """d v_S, d a_S, d omega_B, d alpha_B by z at some instants: (T, 3, n_z), or None when the orientation is fixed."""
-
-    v: Array
-    a: Array
-    omega: Array | None
-    alpha: Array | None
+        if self.scenario.motion.goal_yaw == "fixed":
+            return log(turn), right_jacobian_inverse(log(turn)) @ theta_end
+        return turn[:2, 2], -(turn @ hat([0.0, 0.0, 1.0]) @ theta_end)[:2]

@@ -1,4 +1,10 @@
-"""Solvers of the planning problem: the convex programme to global optimality, the rest by a sequence of such."""
+"""Solvers of the planning problem, eqs (13) to (17): the convex programme to global optimality, the rest by a sequence
+of such.
+
+A convex programme has a quadratic cost and thousands of concave constraints, few of which bind. The quadratic solver
+gets the tangents that its last answer violates, until none is. Every programme with fewer constraints bounds the
+optimum from below, which gives the duality gap that is reported.
+"""
 
 from __future__ import annotations
 
@@ -8,15 +14,31 @@ import numpy as np
 
 from salver.errors import Status
 from salver.geometry import GRAVITY_S, Array, exp, log
-from salver.planning.object.conditions import apart, unit_of
+from salver.planning import qp
+from salver.planning.object.conditions import Rows, apart, unit_of
 from salver.planning.object.problem import MISSED, Linearisation, Problem
-from salver.planning.object.subproblem import TOLERANCE, Step, solve_model
+from salver.planning.qp import Optimum, Quadratic
 
-_PROGRESS = 1e-6  # the sequential method ends when a step promises less, relative to the cost
-_SMALLEST_RADIUS = 1e-8  # of its trust region
-_HIGHEST_PENALTY = 1e7  # price at which a violation that no step lowers is taken for infeasible
-_LINEAR = 1e-8  # of z, m and rad/s: after a step this small a linear model is right to rounding
-_PENALTY = 10.0  # first price of a unit of violation in the sequential method, in units of the starting cost
+TOLERANCE = 1e-9  # N (or the row's own unit): a constraint of a convex programme counts as kept within this
+PROGRAMME_TOLERANCE = 1e-12  # of the scaled rows: the bound that a programme proves is only as good
+
+
+@dataclass(frozen=True)
+class SequentialOptions:
+    """How a local optimum is sought.
+
+    iterations: at most. progress: relative improvement of the cost that counts as none; doubled, a search ends up to
+    twice as far from its optimum. radius: first size of the trust region, in units of z. least_radius: at which a
+    search ends. penalty: first price of a unit of violation, in units of the starting cost. highest_penalty: at which a
+    violation that no step lowers is taken for infeasible.
+    """
+
+    iterations: int = 60
+    progress: float = 1e-6
+    radius: float = 1.0
+    least_radius: float = 1e-8
+    penalty: float = 10.0
+    highest_penalty: float = 1e7
 
 
 @dataclass(frozen=True)
@@ -38,9 +60,7 @@ class Solution:
     @property
     def gap(self) -> float | None:
         """Relative duality gap: |cost - lower bound| / cost. The bound has an error of some 1e-10 of its own."""
-        if self.lower_bound is None:
-            return None
-        return _relative(self.cost, self.lower_bound)
+        return None if self.lower_bound is None else _relative(self.cost, self.lower_bound)
 
 
 def solve(problem: Problem, start: Array | None = None) -> Solution:
@@ -59,94 +79,89 @@ def solve(problem: Problem, start: Array | None = None) -> Solution:
 
 def solve_convex(problem: Problem) -> Solution:
     """Global optimum of the fixed-orientation problem, with the duality gap; or the least violation possible."""
-    model = problem.linearise(np.zeros(problem.size))
-    margin = problem.margin
-    step = solve_model(model, margin, 0.0, np.inf)
-    method = "convex quadratic programme, PIQP with tangent cuts"
+    model, margin = problem.linearise(np.zeros(problem.size)), problem.margin
+    method = "convex quadratic programme with tangent cuts"
+    step = solve_model(model, margin)
     if step is not None and step.violation <= TOLERANCE:
         cost = _cost(model, step.d)
         gap = _relative(cost, step.lower_bound)
-        status = Status(
-            "optimal",
-            f"Optimal: no reference of this degree costs less (duality gap {gap:.1e}).",
-            True,
-            {"gap": gap},
-        )
+        sentence = f"Optimal: no reference of this degree costs less (duality gap {gap:.1e})."
+        status = Status("optimal", sentence, True, {"gap": gap})
         return Solution(step.d, cost, step.lower_bound, step.violation, step.rounds, method, status)
-    relaxed = solve_model(model, margin, 0.0, np.inf, elastic=True)
+    relaxed = solve_model(model, margin, penalty=np.inf)
     if relaxed is None:  # numbers too far apart for the programme: the motion that z = 0 stands for, without a proof
-        z = np.zeros(problem.size)
-        violation = _violation(model, margin)
-        return Solution(z, _cost(model), None, violation, 0, method, infeasible(problem, model, None, False))
-    z, rounds = relaxed.d, relaxed.rounds
-    if relaxed.violation <= TOLERANCE:  # only the programme of least cost was too hard
+        zero = np.zeros(problem.size)
+        step = Step(zero, -np.inf, _violation(model, margin, zero), 0, 0.0)
+    else:
+        step = relaxed
+    if step.violation <= TOLERANCE:  # only the programme of least cost was too hard
         status = Status("iteration_limit", "The plan is safe; whether it is optimal could not be shown.", True)
-        return Solution(z, _cost(model, z), None, relaxed.violation, rounds, method, status)
-    return Solution(z, _cost(model, z), None, relaxed.violation, rounds, method, infeasible(problem, model, z, True))
+    else:
+        status = infeasible(problem, model, step.d, relaxed is not None)
+    return Solution(step.d, _cost(model, step.d), None, step.violation, step.rounds, method, status)
 
 
-def solve_sequential(problem: Problem, start: Array | None = None, iteration_limit: int = 60) -> Solution:
-    """Local optimum by Gauss-Newton steps inside a trust region, each a convex programme with the cuts above.
+def solve_sequential(
+    problem: Problem, start: Array | None = None, options: SequentialOptions = SequentialOptions()
+) -> Solution:
+    """Local optimum by Gauss-Newton steps inside a trust region, each a convex programme, from a start (n_z,), 0 unless
+    given. The cost's curvature beyond Gauss-Newton's is left to the trust region.
 
-    Starts from the solution with fixed orientation when start and goal agree in it, else from z = 0, which turns
-    about one axis. The cost's curvature beyond Gauss-Newton's is left to the trust region.
+    Where constraints bend, a step is corrected with what they turned out to be (Fletcher 1982).
     """
-    z = _initial(problem) if start is None else start
-    margin = problem.margin
+    z, margin = np.zeros(problem.size) if start is None else start, problem.margin
     model = problem.linearise(z)
     scale = max(_cost(model), 1e-12)
-    radius, programmes, penalty, reason = 1.0, 0, _PENALTY * scale, "iteration_limit"
-    for _ in range(iteration_limit):
+    radius, penalty, programmes, ended = options.radius, options.penalty * scale, 0, "iteration_limit"
+    for _ in range(options.iterations):
         step = solve_model(model, margin, 1e-9 * scale, radius)
         if step is None:
-            step = solve_model(model, margin, 1e-9 * scale, radius, elastic=True, penalty=10 * penalty)
+            step = solve_model(model, margin, 1e-9 * scale, radius, penalty=10 * penalty)
         if step is None:
             radius *= 0.35
-            if radius < _SMALLEST_RADIUS:
+            if radius < options.least_radius:
                 break
             continue
         programmes += step.rounds
         penalty = max(penalty, 2 * step.price)
         merit = _merit(model, margin, penalty)
-        predicted = merit - _model_merit(model, step, margin, penalty)
-        if predicted <= _PROGRESS * _cost(model):
-            if _violation(model, margin) > MISSED and penalty < _HIGHEST_PENALTY * scale:
+        predicted = merit - _merit(model, margin, penalty, step.d)
+        if predicted <= options.progress * _cost(model):
+            if _violation(model, margin) > MISSED and penalty < options.highest_penalty * scale:
                 penalty *= 10
                 continue
-            reason = "optimal"
+            ended = "optimal"
             break
         d, trial = step.d, problem.linearise(z + step.d)
         ratio = (merit - _merit(trial, margin, penalty)) / predicted
-        if ratio < 0.5:  # the constraints bend: try again with what they turned out to be
-            corrected = _correction(trial, margin, radius)
-            if corrected is not None:
+        if ratio < 0.5:
+            correction = _correction(trial, margin, radius)
+            if correction is not None:
                 programmes += 1
-                again = problem.linearise(z + d + corrected)
+                again = problem.linearise(z + d + correction)
                 better = (merit - _merit(again, margin, penalty)) / predicted
                 if better > ratio:
-                    d, trial, ratio = d + corrected, again, better
+                    d, trial, ratio = d + correction, again, better
         if ratio > 1e-3:
             z, model = z + d, trial
-        radius = radius * 2.5 if ratio > 0.7 else radius * 0.35 if ratio < 0.2 else radius
-        if radius < _SMALLEST_RADIUS:
-            reason = "optimal"
+        radius *= 2.5 if ratio > 0.7 else 0.35 if ratio < 0.2 else 1.0
+        if radius < options.least_radius:
+            ended = "optimal"
             break
-    z, model, d = _meet_goal(problem, z, model)
-    violation = _violation(model, margin, d)
+    z, model = _met_goal(problem, z, model)
+    violation = _violation(model, margin)
     if violation > MISSED:
-        status = infeasible(problem, model, d, False)
+        status = infeasible(problem, model, np.zeros(len(z)), False)
     else:
-        words = {
-            "optimal": "Locally optimal: a small change of the reference would save less than a millionth of the cost.",
-            "iteration_limit": f"Stopped after {iteration_limit} iterations; the plan is safe but not quite optimal.",
-        }
-        status = Status(reason, words[reason], True)
-    bound = _convex_bound(problem)
-    method = "sequential convex programming, PIQP"
-    return Solution(z + d, _cost(model, d), bound, violation, programmes, method, status)
+        sentence = "Locally optimal: a small change of the reference would save less than a millionth of the cost."
+        if ended != "optimal":
+            sentence = f"Stopped after {options.iterations} iterations; the plan is safe but not quite optimal."
+        status = Status(ended, sentence, True)
+    method = "sequential convex programming"
+    return Solution(z, _cost(model), _convex_bound(problem), violation, programmes, method, status)
 
 
-def infeasible(problem: Problem, model: Linearisation, d: Array | None, proven: bool) -> Status:
+def infeasible(problem: Problem, model: Linearisation, d: Array, proven: bool) -> Status:
     """The constraint that is violated most after the step d of least violation, with instant and amount."""
     contact = problem.scenario.contact
     worst = min(model.rows, key=lambda rows: float(rows.slack(d).min()))
@@ -184,12 +199,10 @@ def _violation(model: Linearisation, margin: float, d: Array | None = None) -> f
     return max(0.0, *(margin - float(rows.slack(d).min()) for rows in model.rows))
 
 
-def _merit(model: Linearisation, margin: float, penalty: float) -> float:
-    return _cost(model) + penalty * (_violation(model, margin) + float(np.abs(model.goal).sum()))
-
-
-def _model_merit(model: Linearisation, step: Step, margin: float, penalty: float) -> float:
-    return _cost(model, step.d) + penalty * _violation(model, margin, step.d)
+def _merit(model: Linearisation, margin: float, penalty: float, d: Array | None = None) -> float:
+    """Exact penalty on the largest violation and on the goal, after a step of the model."""
+    goal = model.goal if d is None else model.goal + model.goal_jacobian @ d
+    return _cost(model, d) + penalty * (_violation(model, margin, d) + float(np.abs(goal).sum()))
 
 
 def _correction(trial: Linearisation, margin: float, radius: float) -> Array | None:
@@ -200,37 +213,33 @@ def _correction(trial: Linearisation, margin: float, radius: float) -> Array | N
     return None if step is None else step.d
 
 
-def _initial(problem: Problem) -> Array:
-    """z of the fixed-orientation solution; z = 0 when the orientation has to change."""
-    z = np.zeros(problem.size)
-    fixed = replace(problem, scenario=problem.scenario.with_changes(motion__orientation="fixed"))
-    if problem.rotates and fixed.is_affine:
-        found = solve_convex(fixed).z
-        z[: len(found)] = found
-    return z
+def _met_goal(problem: Problem, z: Array, model: Linearisation) -> tuple[Array, Linearisation]:
+    """z after Newton steps of least norm until the goal orientation is met to rounding, and the model there."""
+    for _ in range(5):
+        if np.abs(model.goal).max(initial=0.0) < 1e-13:
+            break
+        z = z - np.linalg.pinv(model.goal_jacobian) @ model.goal
+        model = problem.linearise(z)
+    return z, model
 
 
 def _waiter(problem: Problem) -> Array:
     """z of the min-jerk line with the tray tilted as a waiter does: its normal along a - g, as far as z allows."""
-    z = np.zeros(problem.size)
+    z, n = np.zeros(problem.size), problem.n_position
     # The straight line is a minimum-jerk problem: least squares on the jerk that z leaves free.
     residual, jacobian = problem.smoothness
-    n_position = problem.n_position
-    z[:n_position] = np.linalg.lstsq(jacobian[:, :n_position], -residual, rcond=None)[0]
+    z[:n] = np.linalg.lstsq(jacobian[:, :n], -residual, rcond=None)[0]
     t = problem.grid.t
     line = problem.reference(z).sample(t)
     normal = line.a_S - GRAVITY_S
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     axis = np.cross([0.0, 0.0, 1.0], normal)
     sine = np.linalg.norm(axis, axis=1, keepdims=True)
-    tilt = exp(np.arctan2(sine, normal[:, 2:]) * axis / np.maximum(sine, 1e-12))
-    wanted = tilt @ line.R_SB
+    wanted = exp(np.arctan2(sine, normal[:, 2:]) * axis / np.maximum(sine, 1e-12)) @ line.R_SB
     steps = log(np.swapaxes(wanted[:-1], 1, 2) @ wanted[1:]) / (t[1] - t[0])
     omega = 0.5 * (np.vstack([steps[:1], steps]) + np.vstack([steps, steps[-1:]]))
-    basis = problem.spin_basis
-    z[n_position:] = np.linalg.lstsq(
-        basis[:, :, n_position:].reshape(-1, problem.size - n_position), (omega - line.omega_B).ravel(), rcond=None
-    )[0]
+    by_spin = problem.bases_at(t)[2][:, :, n:].reshape(-1, problem.size - n)
+    z[n:] = np.linalg.lstsq(by_spin, (omega - line.omega_B).ravel(), rcond=None)[0]
     return z
 
 
@@ -239,27 +248,142 @@ def _convex_bound(problem: Problem) -> float | None:
     if problem.rotates:
         return None
     model = problem.linearise(np.zeros(problem.size))
-    jacobian, residual = model.residual_jacobian, model.residual
-    d: Array = np.linalg.lstsq(jacobian, -residual, rcond=None)[0].astype(float)
+    d: Array = np.linalg.lstsq(model.residual_jacobian, -model.residual, rcond=None)[0].astype(float)
     return _cost(model, d)
-
-
-def _meet_goal(problem: Problem, z: Array, model: Linearisation) -> tuple[Array, Linearisation, Array]:
-    """Newton steps of least norm until the goal orientation is met to rounding: z, the model there, and a step from
-    there too small for another model."""
-    goal, d = model.goal, np.zeros(len(z))
-    for _ in range(5):
-        if np.abs(goal).max(initial=0.0) < 1e-13:
-            break
-        d = d - np.linalg.pinv(model.goal_jacobian) @ goal
-        if np.abs(d).max() < _LINEAR:
-            goal = problem.goal_missed(z + d)
-        else:
-            z, d = z + d, np.zeros(len(z))
-            model = problem.linearise(z)
-            goal = model.goal
-    return z, model, d
 
 
 def _relative(cost: float, bound: float) -> float:
     return abs(cost - bound) / max(cost, 1e-300)
+
+
+# The convex programme ----------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Step:
+    """Answer of one convex programme.
+
+    d: the step. lower_bound, violation: of the model. rounds: quadratic programmes solved. price: sum of the
+    multipliers, what one unit of violation is worth.
+    """
+
+    d: Array
+    lower_bound: float
+    violation: float
+    rounds: int
+    price: float
+
+
+def solve_model(
+    model: Linearisation,
+    margin: float,
+    damping: float = 0.0,
+    radius: float = np.inf,
+    penalty: float | None = None,
+    most_rounds: int = 60,
+) -> Step | None:
+    """Minimise |r + J d|^2 + damping |d|^2 over |d_i| <= radius, goal met, all rows above the margin.
+
+    penalty: price of one common violation s >= 0 of the rows, which must be kept without one; if it is infinite only s
+    counts (and the cost decides among equals by a hair). most_rounds: of tangents. Returns None when the rows
+    contradict each other.
+    """
+    n, elastic = model.residual_jacobian.shape[1], penalty is not None
+    if n == 0:  # the boundary conditions leave nothing free
+        none = Step(np.zeros(0), _cost(model), _violation(model, margin), 1, 0.0)
+        return none if elastic or none.violation <= TOLERANCE else None
+    jacobian, residual = model.residual_jacobian, model.residual
+    hessian, gradient, constant = 2 * (jacobian.T @ jacobian), 2 * (jacobian.T @ residual), float(residual @ residual)
+    hessian = hessian + (2 * damping + 1e-14 * np.trace(hessian) / n) * np.eye(n)
+    if penalty == np.inf:
+        unit = max(constant, 1e-12)
+        hessian, gradient, penalty = 1e-6 * hessian / unit, 1e-6 * gradient / unit, 1.0
+    programme, step = _Programme(hessian, gradient, model, radius, penalty), None
+    for rounds in range(1, most_rounds + 1):
+        answer = programme.solve()
+        if answer is None:  # of an elastic one the latest tangents differ by rounding: the step before is as good
+            return step if elastic else None
+        d, s, dual_value, price = answer
+        offset, slope, violation = _violated(model.rows, d, margin, s)
+        step = Step(d, constant + dual_value, violation, rounds, price)
+        if len(offset) == 0:
+            break
+        programme.add(offset, slope)
+    return step
+
+
+def _violated(rows: tuple[Rows, ...], d: Array, margin: float, s: float) -> tuple[Array, Array, float]:
+    """Tangents at d of what is violated there: for each row, at its local minima over time."""
+    offsets, slopes, violation = [np.zeros(0)], [np.zeros((0, len(d)))], 0.0
+    for item in rows:
+        slack = item.slack(d) - margin
+        least = float(slack.min())
+        violation = max(violation, -least)
+        if least + s < -TOLERANCE:
+            around = np.full((len(slack) + 2, slack.shape[1]), np.inf)
+            around[1:-1] = slack
+            lowest = (slack <= around[:-2]) & (slack <= around[2:])
+            instant, row = np.nonzero((slack + s < -TOLERANCE) & lowest)
+            offset, slope = item.tangents(d, instant, row)
+            offsets.append(offset - margin)
+            slopes.append(slope)
+    return np.concatenate(offsets), np.concatenate(slopes), violation
+
+
+class _Programme:
+    """The dense quadratic programme of a subproblem, which gets more rows from round to round.
+
+    Scaled so that cost and rows are of order one, whatever their units. With a penalty, one unknown more: the common
+    violation s.
+    """
+
+    def __init__(
+        self, hessian: Array, gradient: Array, model: Linearisation, radius: float, penalty: float | None
+    ) -> None:
+        self.n, self.elastic = len(gradient), penalty is not None
+        n, size = self.n, self.n + self.elastic
+        self.unit = max(float(np.abs(gradient).max(initial=0.0)), float(np.abs(hessian).max(initial=0.0)), 1e-300)
+        h, g = np.zeros((size, size)), np.zeros(size)
+        h[:n, :n], g[:n] = hessian / self.unit, gradient / self.unit
+        low, high = np.full(size, -radius), np.full(size, radius)
+        if penalty is not None:
+            g[n], h[n, n] = penalty / self.unit, 1e-9 * penalty / self.unit
+            low[n], high[n] = 0.0, np.inf
+        equal = np.hstack([model.goal_jacobian, np.zeros((len(model.goal), int(self.elastic)))])
+        self.norm = np.zeros(0)
+        self.quadratic = Quadratic(h, g, np.zeros((0, size)), np.zeros(0), equal, -model.goal, low, high)
+
+    def add(self, offset: Array, slope: Array) -> None:
+        """Rows offset (m,) + slope (m, n) d >= 0."""
+        # What d cannot change keeps a row of order one when s can: its slope is rounding.
+        norm = np.maximum(np.linalg.norm(slope, axis=1), 1.0 if self.elastic else 1e-12)
+        rows = np.empty((len(slope), self.n + self.elastic))
+        rows[:, : self.n] = slope / -norm[:, None]
+        rows[:, self.n :] = -1 / norm[:, None]
+        self.norm, before = np.concatenate([self.norm, norm]), self.quadratic
+        self.quadratic = replace(
+            before,
+            rows=np.concatenate([before.rows, rows]),
+            bound=np.concatenate([before.bound, offset / norm]),
+        )
+
+    def solve(self) -> tuple[Array, float, float, float] | None:
+        """(d, s, value of the dual, sum of multipliers), or None when it is infeasible. The dual value is computed from
+        the multipliers themselves, so it is a bound even where the solver stopped early."""
+        found = qp.solve(self.quadratic, PROGRAMME_TOLERANCE)
+        if found is None:
+            return None
+        price = self.unit * float(np.sum(found.rows / self.norm) + np.abs(found.equal).max(initial=0.0))
+        s = float(found.x[self.n]) if self.elastic else 0.0
+        return found.x[: self.n], s, self.unit * _dual_value(self.quadratic, found), price
+
+
+def _dual_value(p: Quadratic, found: Optimum) -> float:
+    """Value of the dual at the solver's multipliers."""
+    low, high = np.isfinite(p.low), np.isfinite(p.high)
+    linear = p.cost + p.equal.T @ found.equal + p.rows.T @ found.rows + found.high * high - found.low * low
+    value = (
+        -found.equal @ p.target - found.rows @ p.bound + found.low[low] @ p.low[low] - found.high[high] @ p.high[high]
+    )
+    x = np.linalg.solve(p.hessian, -linear)
+    return float(value + 0.5 * linear @ x)
