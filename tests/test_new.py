@@ -129,7 +129,7 @@ def test_what_is_not_given_is_asked_and_asked_again_until_it_can_be_read(tmp_pat
         ({"mass": "-1 10%"}, "objects[0].mass = -1.0: must be a finite number at least 1e-06 and at most 100"),
         ({"path": "0 0 0"}, "write x y z to x y z"),
         ({"tray": "0.3"}, "it must be 2 numbers"),
-        ({"liquid": "water deep"}, '"deep" must be a number and a percentage'),
+        ({"liquid": "water 0.06 0.005"}, '--liquid: "0.06 0.005" must be a number and a percentage, as in "0.06 10%"'),
         ({"liquid": "milk 0.05 20%"}, "objects[0].liquid.kind"),
         ({"obstacles": "box 1 1 1"}, "is no obstacle"),
         ({"arm": "arm.urdf"}, "the link that carries the tray"),

@@ -117,6 +117,16 @@ def test_a_liquid_at_a_part_of_the_speed_is_that_of_the_slower_motion(coffee, fa
     assert scaled.slack(factor) != pytest.approx(scaled.slack(1.0), rel=0.05)
 
 
+def test_a_slow_motion_of_a_liquid_can_be_run_faster_until_it_fails(coffee):
+    """The level line in 3 s: it keeps the coffee at the largest factor that is found, and not at the next."""
+    level = min_jerk_line(3.0, START, GOAL, np.eye(3), np.eye(3)).sample(np.linspace(0.0, 3.0, 41))
+    scaled = TimeScaled(margin_model(coffee, 16), level, True)
+    found = safe_speeds(scaled.model, level, worst=True)
+    assert 1.2 < found.fastest < 5.0
+    assert scaled.slack(found.fastest) >= 0 > scaled.slack(found.fastest + 1e-3)
+    assert found.pace.details["factor"] == pytest.approx(1 / found.fastest)
+
+
 def test_factors_between_which_alone_it_holds_are_found():
     """Neither standing still nor at full speed: half the instants need acceleration, the others bear little."""
     angle, count = np.deg2rad(20.0), 21

@@ -50,6 +50,10 @@ def heads(files: list[Path]) -> list[str]:
     return [file.read_text()[:2000] for file in files if file.suffix in (".csv", ".json", ".yaml", ".script", ".xml")]
 
 
+def test_a_verdict_gives_each_reason_once(run: Path) -> None:
+    assert load_plan(run, "baseline").verdict.count(FAILING["baseline"]) == 1
+
+
 @pytest.mark.parametrize("stem", FAILING)
 @pytest.mark.parametrize("file_format", FORMATS)
 def test_no_format_is_written_unless_its_name_and_its_first_line_say_so(

@@ -39,7 +39,9 @@ ScenarioName = Annotated[
 Stops = Annotated[
     bool,
     typer.Option(
-        "--stops", help="Plan load-safe stops too: motions to rest from all along the plan; takes some seconds."
+        "--stops",
+        help="Plan load-safe stops too: motions to rest from all along the plan; takes several times as long as the "
+        "plan, minutes with a liquid.",
     ),
 ]
 

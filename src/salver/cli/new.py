@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 from shlex import quote
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -15,16 +15,14 @@ from salver.errors import SalverError, ScenarioError
 if TYPE_CHECKING:
     from salver.models.arm import ArmModel
 
-T = TypeVar("T")
-
 QUESTIONS = {
     "load": ("The load: box LENGTH WIDTH HEIGHT, or cylinder RADIUS HEIGHT, in metres", "cylinder 0.03 0.24"),
     "liquid": (
-        "An open liquid in it: water, coffee or oil, height of fill in m, how far that may be wrong; or none",
+        "An open liquid in it: water, coffee or oil, its height in m, how far that may be wrong in percent; or none",
         "none",
     ),
-    "mass": ("Mass of the load in kg, without an open liquid, and how far that may be wrong", "0.4 20%"),
-    "friction": ("Friction coefficient between load and tray, and how far that may be wrong", "0.4 10%"),
+    "mass": ("Mass of the load in kg, without an open liquid, and how far that may be wrong in percent", "0.4 20%"),
+    "friction": ("Friction coefficient between load and tray, and how far that may be wrong in percent", "0.4 10%"),
     "tray": ("Length and width of the tray, in metres", ""),
     "arm": (
         "The arm: a ready-made one such as panda or ur10, or a URDF file and the link that carries the tray",
@@ -77,7 +75,7 @@ def new(
         elif key == "tray":
             default = _room_for(answers["load"])
         word = default if given[key] is None and not asking else given[key]
-        answers[key] = _answer(question, default, word, READERS[key])
+        answers[key] = _answer(key, question, default, word)
 
     from salver import scenario as scenarios
     from salver.files import write_atomic
@@ -113,10 +111,14 @@ def new(
         raise typer.Exit(NO_SAFE_PLAN)
 
 
-def _answer(question: str, default: str, given: str | None, read: Callable[[str], T]) -> T:
+def _answer(key: str, question: str, default: str, given: str | None) -> Any:
     """The answer to a question, given or asked; asked again until it can be read."""
+    read = READERS[key]
     if given is not None:
-        return read(given)
+        try:
+            return read(given)
+        except ScenarioError as error:
+            raise ScenarioError(f"--{key}: {error}") from None
     while True:
         try:
             return read(typer.prompt(question, default=default, err=True))
@@ -155,7 +157,7 @@ def _liquid(text: str) -> tuple[str, float, str] | None:
     kind, _, rest = text.strip().partition(" ")
     if kind in ("none", ""):
         return None
-    return kind, *_value_and_range(rest)
+    return kind, *_value_and_range(rest, "0.06 10%")
 
 
 def _obstacles(text: str) -> list[str]:
@@ -177,10 +179,10 @@ def _obstacles(text: str) -> list[str]:
     return found
 
 
-def _value_and_range(text: str) -> tuple[float, str]:
+def _value_and_range(text: str, example: str = "0.4 20%") -> tuple[float, str]:
     words = text.replace("+-", " ").replace("±", " ").split()
     if len(words) != 2 or not words[1].endswith("%"):
-        raise ScenarioError(f'"{text}" must be a number and a percentage, as in "0.4 20%".')
+        raise ScenarioError(f'"{text}" must be a number and a percentage, as in "{example}".')
     return _numbers(words[:1], "a number", 1)[0], words[1]
 
 

@@ -315,7 +315,19 @@ def _tried(scaled: TimeScaled) -> tuple[Intervals, float | None, int, tuple[floa
             holds.append((together[0], together[-1]))
         else:
             lacking.append(min(together, key=known.__getitem__))
-    return tuple(holds), holds[-1][1] if holds else None, len(known), tuple(lacking)
+    fastest = holds[-1][1] if holds else None
+    return tuple(holds), _above(scaled) if fastest == 1.0 else fastest, len(known), tuple(lacking)
+
+
+def _above(scaled: TimeScaled) -> float:
+    """The factor from 1 to which all that are tried hold, of a load with a liquid."""
+    low, high = 1.0, 1.04
+    while high < FASTEST and scaled.slack(high) >= 0:
+        low, high = high, 1.04 * high
+    while high - low > FINEST and high < FASTEST:
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if scaled.slack(middle) >= 0 else (low, middle)
+    return low
 
 
 def least_root(f: Callable[[float, Indices], Array], low: float, high: float, begin: Array, end: Array) -> float:

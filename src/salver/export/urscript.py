@@ -23,7 +23,7 @@ STOP = 2.0  # rad/s^2, of stopj; the arm rests by then
 HEAD = """\
 # {verdict}
 # {name}: {duration:.4g} s, {samples} joint positions at {rate:g} Hz. Written by salver {version} from a plan.
-# For the arm {arm} only: another model of the maker goes elsewhere by the same joints. {series}
+# For the arm {arm} only: the same joint angles take the tray of another model elsewhere (a UR5e is no UR5). {series}
 # {slider}
 # {stops}
 # Set the payload to tray and load.
@@ -71,8 +71,8 @@ ANY_SPEED = (
     "it does that was not tried."
 )
 FULL_SPEED = "Speed slider at 100 %, no reduced mode: run slower, this motion does not keep its load."
-E_SERIES = "For an e-Series: a CB3 would be slower (salver export --rate 125)."
-ANY_SERIES = "For a CB3 or an e-Series."
+E_SERIES = "For an e-Series controller: a CB3 would be slower (salver export --rate 125)."
+ANY_SERIES = "Controllers of both series, CB3 and e-Series, take positions at this rate."
 TAIL = """\
   stopj({stop})
 end

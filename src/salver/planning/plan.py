@@ -194,7 +194,7 @@ class Plan(Shown, Tabular):
         failed = dict.fromkeys(found.sentence for found in verdicts if found is not None and not found.ok)
         if not failed and self.scenario.motion.speeds == "any" and not self.speeds.every:
             failed[f"{self.speeds.verdict} motion.speeds asks for every speed."] = None
-        return tuple(failed)
+        return tuple(one for one in failed if not any(one != other and one in other for other in failed))
 
     @property
     def verdict(self) -> str:
