@@ -312,6 +312,9 @@ def test_commands_take_a_task_of_several_legs(directory, capsys):
     """Simulated, run in a campaign, shown, exported leg by leg; what is for one motion says so."""
     assert main_of("simulate", directory, "--set", "first.mass=0.22") == 0
     assert "leg 2" in capsys.readouterr().out
+    assert main_of("simulate", directory, "--set", "second.mass=0.9") == 0
+    assert "What if: second.mass = 0.9" in capsys.readouterr().out
+    assert (directory / "simulation" / "leg2-what-if.npz").is_file()
     run_campaign(directory, 1, jobs=1)
     written = write_report(directory)
     text = written.read_text()
@@ -319,7 +322,7 @@ def test_commands_take_a_task_of_several_legs(directory, capsys):
         assert f'id="{anchor}"' in text, anchor
     assert "stayed put on all legs in 1 of 1 perturbed runs" in text
     assert 'href="report-leg2.html"' in text
-    assert "second" in written.with_name("report-leg2.html").read_text()
+    assert "mass of second 900 g (" in written.with_name("report-leg2.html").read_text()
     assert [path.name for path in write_export(directory, "csv", stem="leg2")] == ["leg2.csv"]
     for refused in (
         ("export", directory, "--format", "mujoco"),

@@ -222,11 +222,13 @@ def test_every_simulation_is_kept(run, plans):
     for mass in (0.26, 0.27):
         simulate(plans["plan"], parameters={"mass": mass}).save(run)
     folder = run / "simulation"
-    assert (folder / "plan-1.npz").read_bytes() == first
-    kept = [json.loads((folder / f"{name}.json").read_text())["parameters"] for name in ("plan-1", "plan-2", "plan")]
-    assert [k.get("mass") for k in kept] == [None, 0.26, 0.27]
+    assert (folder / "plan.npz").read_bytes() == first  # the plan takes the mass as known: these are what-if runs
+    kept = [json.loads((folder / f"plan-what-if{n}.json").read_text())["parameters"]["mass"] for n in ("-1", "")]
+    assert kept == [0.26, 0.27]
     simulate(plans["plan"], parameters={"mass": 0.27}).save(run)
-    assert not (folder / "plan-3.npz").exists()  # the same run again
+    assert not (folder / "plan-what-if-2.npz").exists()  # the same run again
+    simulate(plans["plan"], parameters={"friction": 0.11}).save(run)  # within its range: a run of the plan
+    assert (folder / "plan-1.npz").read_bytes() == first
 
 
 def test_results_of_another_plan_are_named_and_not_reported(run, plans):

@@ -64,7 +64,8 @@ def simulate(
     Tells whether each object held, slid, tipped or left the tray, how far the arm was from its limits, and how far the
     measured contact forces are from the plan's tube. Without an arm in the scenario, the tray is moved exactly.
     Writes DIRECTORY/simulation/STEM.npz (time histories) and .json (summary); earlier runs are kept as STEM-1, STEM-2.
-    A stopped run is STEM-stop, one at another speed STEM-slow, and neither a run of the plan to the page.
+    A stopped run is STEM-stop, one at another speed STEM-slow, and neither a run of the plan to the page. A run with
+    a value outside the range that the plan was made for is STEM-what-if: the page shows it apart, with that range.
 
     The legs of a task of several are run one after the other: what stays on the tray begins each where the one before
     has left it. They are written as leg1, leg2 and so on.
@@ -257,6 +258,13 @@ def show(results: dict[str, SimulationRecord], parameters: Mapping[str, float] |
     true = next(iter(results.values())).parameters if parameters is None else parameters
     drawn = ", ".join(f"{name} = {value:.6g}" for name, value in true.items())
     console.print(f"True parameters (SI units): {drawn or 'nominal'}")
+    for name, ends in next(iter(results.values())).summary.get("outside", {}).items():
+        known = (
+            f" is outside its range, {ends[0]:.4g} to {ends[1]:.4g}"
+            if ends
+            else ", which the plan takes as known exactly"
+        )
+        console.print(f"What if: {name} = {true[name]:.6g}{known}; this run says nothing for or against the plan.")
     table = Table(box=None, padding=(0, 3, 0, 0))
     table.add_column("")
     for name in results:

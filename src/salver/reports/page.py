@@ -215,5 +215,5 @@ def _caption(run: ReportedRun, motion: ReportedMotion) -> str:
         return "as planned"
     summary = motion.seen.summary
     true = true_parameters(run, summary)
-    source = summary.get("source", "physics engine")
+    source = "what if" if motion.seen is motion.what_if else summary.get("source", "physics engine")
     return f"{source}{f', {true}' if true else ''}: {outcome_in_words(str(summary.get('outcome', 'unknown')))}"

@@ -19,6 +19,7 @@ from salver.models.parameters import Parameter
 from salver.planning.plan_files import read_plan
 from salver.reports.contact import ContactCurves, contact_curves
 from salver.run_directory import RECORDS, STEMS, check_digest, known_stems, plan_digest, scenario_of
+from salver.simulation.record import FOLDER, WHAT_IF
 
 if TYPE_CHECKING:
     from salver.sensitivity.spills import Liquids
@@ -47,6 +48,7 @@ class ReportedMotion:
 
     stem: "plan", "baseline" or "nominal". arrays: those of plan.npz (docs: file formats). summary: plan.json.
     simulation: its run in the physics engine, if there was one. execution: its run on an arm, real or simulated.
+    what_if: its run in the engine with values outside the ranges that it was planned for.
     """
 
     stem: str
@@ -54,11 +56,12 @@ class ReportedMotion:
     summary: dict[str, Any]
     simulation: Record | None = None
     execution: Record | None = None
+    what_if: Record | None = None
 
     @property
     def seen(self) -> Record | None:
-        """The run that the replay shows: in the physics engine, or on an arm."""
-        return self.simulation or self.execution
+        """The run that the replay shows: in the physics engine, or on an arm; without one, what would happen if."""
+        return self.simulation or self.execution or self.what_if
 
     @property
     def label(self) -> str:
@@ -188,8 +191,9 @@ def _with_records(directory: Path, motion: ReportedMotion, notes: list[str], ste
     """
     found: dict[str, Any] = {}
     stem = stem or motion.stem
-    for folder in RECORDS:
-        path = directory / folder / f"{stem}.npz"
+    places = {folder: directory / folder / f"{stem}.npz" for folder in RECORDS}
+    places["what_if"] = directory / FOLDER / f"{stem}{WHAT_IF}.npz"
+    for kind, path in places.items():
         if not path.is_file():
             continue
         record = Record(*read_result(path, ("t",)))
@@ -197,7 +201,7 @@ def _with_records(directory: Path, motion: ReportedMotion, notes: list[str], ste
             check_digest(record.summary, path, directory, stem)
             if len(record.t) < 2:
                 raise FileFormatError(f"{path} ends before it begins. {record.summary.get('stopped', '')}".strip())
-            found[folder] = record
+            found[kind] = record
         except FileFormatError as error:
             notes.append(f"Not shown: {error}")
     return replace(motion, **found)

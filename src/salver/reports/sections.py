@@ -28,6 +28,7 @@ NAVIGATION = {
     "liquid": "Liquid",
     "campaign": "Perturbed runs",
     "simulation": "Simulation",
+    "what_if": "What if",
     "execution": "On the arm",
     "forces": "Contact forces",
     "sensitivity": "Sensitivity",
@@ -179,6 +180,11 @@ RUNS = {
         "In simulation",
         "The whole arm with its controller, tray and object in the physics engine; peak values.",
     ),
+    "what_if": (
+        "What if",
+        "A run in the physics engine with values outside the ranges that the plan was made for. It says nothing for or "
+        "against the plan.",
+    ),
     "execution": (
         "On the arm",
         "The control loop that drives the real arm: what it tracked, and how well it kept its period.",
@@ -224,10 +230,10 @@ def _run_section(page: Sections, run: ReportedRun, kind: str) -> None:
                 motion_cell(m.stem, m.label),
                 outcome_cell(record.summary.get("outcome", "unknown")),
                 *(_peak(record, key, factor) for key, factor in _PEAKS),
-                true_parameters(run, record.summary) or "nominal" if kind == "simulation" else _source(record),
+                true_parameters(run, record.summary) or "nominal" if kind != "execution" else _source(record),
             ]
         )
-    last = "true parameters" if kind == "simulation" else "arm"
+    last = "true parameters" if kind != "execution" else "arm"
     head = ["", "outcome", "slip, mm", "lift, mm", "tip, °", "e_p, mm", "e_o, mrad", last]
     extra = table(head, rows, numeric=range(2, 7))
     if kind == "execution":

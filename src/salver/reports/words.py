@@ -138,8 +138,16 @@ def outcome_in_words(outcome: str) -> str:
 
 def true_parameters(run: ReportedRun, summary: Mapping[str, Any]) -> str:
     """Parameters of a run that were not nominal: "friction 0.09", or nothing."""
-    changed = ((run.parameter(name), value) for name, value in (summary.get("parameters") or {}).items())
-    return ", ".join(f"{pretty(p)} {quantity(p, value)}" for p, value in changed)
+    said = []
+    for name, value in (summary.get("parameters") or {}).items():
+        p, known = run.parameter(name), ""
+        if name in (summary.get("outside") or {}):
+            ends = summary["outside"][name]
+            known = " (taken as known exactly by the plan)"
+            if ends is not None:
+                known = f" (outside its range, {' to '.join(quantity(p, x) for x in ends)})"
+        said.append(f"{pretty(p)} {quantity(p, value)}{known}")
+    return ", ".join(said)
 
 
 def length(metres: float) -> str:

@@ -12,7 +12,7 @@ from salver.errors import ScenarioError
 from salver.geometry import Array, exp
 from salver.models.bodies import TRAY, Body
 from salver.models.liquid import THICKEST, Modes
-from salver.models.parameters import TILT, Parameter, all_parameters, inertial_vector
+from salver.models.parameters import TILT, Parameter, UncertainSet, all_parameters, inertial_vector
 from salver.models.rigid_body import RigidBody, inertia_matrix
 from salver.models.shapes import Solid, cylinder
 from salver.scenario import CarriedObject, Scenario
@@ -120,6 +120,25 @@ def true_world(scenario: Scenario, parameters: Mapping[str, float] | None = None
     for item, nominal in zip(scenario.objects, scenario.payload.bodies, strict=True):
         loads.append(_load(item, nominal, true, scenario, loads))
     return TrueWorld(tuple(loads), np.array([*(true.get(tilt, 0.0) for tilt in TILT), 0.0]))
+
+
+def outside(uncertain: UncertainSet, parameters: Mapping[str, float]) -> dict[str, tuple[float, float] | None]:
+    """Range of each value that is outside what a plan was made for; None where it was taken as known exactly.
+
+    Of an ellipsoid these are all values that have a range, if they are outside it together.
+    """
+    place = {name: uncertain.names.index(name) for name in parameters if name in uncertain.names}
+    off = np.zeros(uncertain.size)
+    for name, k in place.items():
+        off[k] = (parameters[name] - uncertain.nominal[k]) / uncertain.half_range[k]
+    if uncertain.spread is not None:
+        off[:] = np.linalg.norm(np.linalg.solve(uncertain.spread, off))
+    low, high = uncertain.nominal - uncertain.half_range, uncertain.nominal + uncertain.half_range
+    return {
+        name: (float(low[place[name]]), float(high[place[name]])) if name in place else None
+        for name in parameters
+        if name not in place or abs(off[place[name]]) > 1 + 1e-9
+    }
 
 
 def _load(

@@ -25,7 +25,7 @@ from salver.models.arm_limits import JointLimits
 from salver.scenario import Scenario
 from salver.simulation import creep, tray_frame
 from salver.simulation.engine import mujoco
-from salver.simulation.loads import true_world
+from salver.simulation.loads import outside, true_world
 from salver.simulation.record import SimulationRecord
 from salver.simulation.robots import robot_for
 from salver.simulation.run import Options, Run, at_commands, measure, of_tray, prepare
@@ -152,7 +152,8 @@ def simulate(
     Raises ScenarioError for parameters that cannot be and for a stop that cannot, UnreachableError when the plan has no
     joint motion, SalverError when the engine diverges.
     """
-    return Experiment(plan, options or Options(), stop_at).run(parameters, seed)
+    record = Experiment(plan, options or Options(), stop_at).run(parameters, seed)
+    return record.what_if(outside(plan.scenario.uncertain, parameters or {}))
 
 
 def _run_arm(run: Run, controller: ArmController | Relay, q_start: Array, rng: np.random.Generator) -> Trace:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ from salver.run_directory import check_digest, save_record
 from salver.tables import Table, Tabular, dimensioned
 
 FOLDER = "simulation"
+WHAT_IF = "-what-if"  # ends the name of a run that says nothing for or against its plan
 OUTCOMES = ("holds", "slides", "spills", "tips", "lifts", "lost", "limit")
 
 
@@ -102,12 +103,17 @@ class SimulationRecord(Shown, Tabular):
         p_SB, quat_SB_wxyz = self.p_SB[:, 0], self.quat_SB_wxyz[:, 0]
         return MotionSeries(ns, names, self.q, None, None, None, self.p_SE, self.quat_SE_wxyz, p_SB, quat_SB_wxyz)
 
+    def what_if(self, outside: Mapping[str, tuple[float, float] | None]) -> SimulationRecord:
+        """The record, which says which true values were outside their ranges (`salver.simulation.loads.outside`)."""
+        return replace(self, summary={**self.summary, "outside": dict(outside)}) if outside else self
+
     def save(self, directory: str | Path, stem: str = "plan", kind: str = "") -> Path:
         """Write DIRECTORY/simulation/STEM.npz and .json, atomically; returns the path of the first.
 
         A different run that stands there is kept, as STEM-1.npz and .json, STEM-2.npz ... kind: added to the name of
-        what is no run of the whole plan.
+        what is no run of the whole plan. A run with a value outside its range is STEM-what-if.
         """
+        kind = kind or (WHAT_IF if "outside" in self.summary else "")
         return save_record(
             Path(directory),
             FOLDER,

@@ -17,6 +17,7 @@ from salver.errors import ScenarioError
 from salver.models.parameters import Parameter, all_parameters
 from salver.planning.round import MultiLegPlan
 from salver.scenario import Scenario
+from salver.simulation.loads import outside
 from salver.simulation.outcome import WORST_FIRST
 from salver.simulation.physics import Experiment
 from salver.simulation.record import SimulationRecord
@@ -122,7 +123,9 @@ def simulate_round(
     parameters: true values by name, where not nominal, of any object: "glass1.mass". stop_at: see
     `RoundExperiment.run`. Raises as that does.
     """
-    return RoundExperiment(plan).run(parameters, seed, stop_at)
+    record = RoundExperiment(plan).run(parameters, seed, stop_at)
+    beyond = outside(plan.scenario.uncertain, parameters or {})
+    return replace(record, legs=tuple(leg.what_if(beyond) for leg in record.legs))
 
 
 def _known(scenario: Scenario, parameters: Mapping[str, float]) -> dict[Parameter, float]:
