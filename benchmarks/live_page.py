@@ -59,6 +59,7 @@ def pieces() -> dict[str, str]:
         "arrivals": "\n".join(f"- {arrived(what.split(', ')[0], each)}." for what, each in arrivals.items()),
         "obstacles": balls,
         "loop": loop(),
+        "speed": speed(),
         "nearest": f"The least distance of a constraint from its boundary (0) in any run, as a share of what it "
         f"limits: {max(nearest['live'], nearest['live-long']):.1e}.",
         "liquids": f"{tables['live-liquids']}\n\nThe least distance of a constraint from its boundary (0), as a share "
@@ -135,3 +136,28 @@ def loop() -> str:
         "a thread."
     )
     return "\n".join([said, "", *heads, *rows])
+
+
+def speed() -> str:
+    """What became of motions whose speed was changed and which were held, from what `live_speed.py` kept."""
+    kept = read_json(DATA / "live-speed.json")
+    sessions = [x for runs in kept["sessions"].values() for x in runs]
+    lost, violated = sum(x["lost"] for x in sessions), sum(x["worst"] > 0 for x in sessions)
+    rests = np.array([rest for x in sessions for rest in x["rests"] if rest[1] > 0])
+    heads = ("load", "instants", "stop", "finishing", "on the path: sooner than finishing", "within 1.3 times the stop")
+    rows = []
+    for name, found in kept["ways"].items():
+        stop, left, path = (np.array([x[way] for x in found]) for way in ("stop", "left", "path"))
+        near = (path < left).sum(), (path <= 1.3 * stop).sum()
+        rows.append(
+            f"| {name} | {len(found)} | {np.median(stop):.2f} s | {np.median(left):.2f} s | {near[0]} | {near[1]} |"
+        )
+    return (
+        f"Of {len(sessions)} sessions {lost} lost the load in the physics engine and {violated} violated a constraint "
+        f"(95 % interval of either: 0 to {100 * clopper_pearson(lost + violated, len(sessions)).high:.2g} %). The "
+        f"{len(rests)} holds of a moving arm brought it to rest in {np.median(rests[:, 0]):.2f} s at the median and "
+        f"{rests[:, 0].max():.2f} s at most; finishing would have taken {np.median(rests[:, 1]):.2f} and "
+        f"{rests[:, 1].max():.2f} s.\n\nFrom instants at full speed, s to rest (medians), and at how "
+        "many of them going slower and slower along the path does as well:\n\n"
+        + "\n".join([f"| {' | '.join(heads)} |", "|---" * len(heads) + "|", *rows])
+    )

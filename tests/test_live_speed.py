@@ -159,6 +159,20 @@ def test_a_stop_while_it_slows_down_is_a_stop(cube):
     check(live, told)
 
 
+@pytest.mark.parametrize("factor", [0.15, 0.3])
+def test_a_slow_motion_stops_on_its_path_at_once(cube, full, factor):
+    """Where a search for another stop takes half a second, and finds none at the lowest speeds."""
+    live = Live(cube, lead=LEAD)
+    live.override(factor)
+    path = full[0].motion.sample(np.linspace(0.0, full[0].motion.duration, 2000))[0]
+    told = drive(live, 1.3, [(0.0, place(*FIRST)), (0.8, hold)])
+    assert live.committed.ends < 0.8 + LEAD + 0.3
+    assert np.abs(told.q[-1] - path).max(axis=1).min() < 2e-3  # rad
+    told = in_turn(told, drive(live, 6.0, [(0.0, release)], begins=1.3))
+    np.testing.assert_allclose(where(live), FIRST, atol=1e-4)
+    check(live, told)
+
+
 def test_a_policy_neither_releases_nor_hurries_what_the_operator_slowed(cube):
     live = Live(cube, lead=LEAD)
     assert live.override(0.5).ok
@@ -299,3 +313,19 @@ def test_the_bottle_stays_in_the_engine_when_it_is_held_and_slowed(bottle):
         run = sv.simulate(plan, parameters=dict(zip(map(str, plan.uncertain.names), values.tolist(), strict=True)))
         assert run.outcome not in DROPPED
         assert max(item["peak_slip"] for item in run.summary["objects"]) < FAR
+
+
+@pytest.mark.slow
+def test_a_cup_is_carried_slowly_and_held(coffee):
+    """A cup's tray leans for full speed only: at half of it the motion is another one, with sloshing as it then is."""
+    live = Live(coffee, lead=0.3)
+    live.override(0.5)
+    told = drive(live, 0.7, [(0.0, place(*FIRST))], every=50)
+    assert live.committed.run.factor == 0.5
+    told = in_turn(told, drive(live, 1.6, [(0.0, hold)], begins=0.7, every=50))
+    assert not np.any(told.dq[-100:])
+    assert np.abs(where(live) - FIRST).max() > 0.01
+    told = in_turn(told, drive(live, 2.5, [(0.0, release)], begins=2.3, every=50))
+    np.testing.assert_allclose(where(live), FIRST, atol=1e-4)
+    assert live.refused == ""
+    check(live, told)

@@ -103,7 +103,7 @@ class Planner:
             return self._evading(job)
         problem = self._among(job)
         if isinstance(wish, Retime):
-            return Answer(*self._retimed(job, wish.factor, problem))
+            return Answer(*self._retimed(job, wish.factor, problem, self.speed.latest))
         replanner = self._replanner if problem is self.problem else Replanner.of(problem)
         if isinstance(wish, Follow):
             wanted = wish.wanted if job.now <= wish.until else wish.then
@@ -114,6 +114,10 @@ class Planner:
         if isinstance(wish, Halt):
             if base.ends - begins < SOON:
                 return Answer(None, Status("optimal", "", True), True)
+            if base.profile is not None:  # it is run slowly
+                found, status = self._retimed(job, 0.0, problem, self.speed.braking)
+                if found is not None and found.ends < base.ends:
+                    return Answer(found, status)
             found, status = replanner.to(Anywhere(), base, begins, job.budget)
             late = found is not None and found.ends >= base.ends  # it is at rest no later as it is
             return Answer(None if late else found, status, late)
@@ -124,13 +128,15 @@ class Planner:
             return Answer(None, Status("unreachable", blocked, False))
         return Answer(*replace(replanner, factor=job.factor).to(wish.end, base, begins, job.budget))
 
-    def _retimed(self, job: Job, factor: float, problem: TransportProblem) -> tuple[Committed | None, Status]:
-        """What is committed, along its own path at another speed factor."""
+    def _retimed(
+        self, job: Job, factor: float, problem: TransportProblem, latest: float
+    ) -> tuple[Committed | None, Status]:
+        """What is committed, along its own path at another speed factor, reached in so many s at the latest."""
         options, within, began = self.speed, self.speed.soonest, time.perf_counter()
         glance = replace(EXACT, step=options.glance, step_with_liquids=options.glance)
-        while within <= options.latest and time.perf_counter() - began < job.budget:
+        while within <= latest and time.perf_counter() - began < job.budget:
             profile = job.base.run.then(job.begins, factor, within)
-            if profile.possible:
+            if profile.possible and not (profile.over and factor == 0.0):
                 motion = profile.motion(job.base.state(job.begins))
                 finding = verified(problem, motion, job.begins, job.base, glance)
                 if finding.committed is not None:

@@ -24,14 +24,17 @@ class SpeedOptions:
     Attributes:
         least: factor of full speed: a motion that is slower takes so long that it is not verified in time.
         soonest, latest: s in which the factor changes, the first and the last that is tried.
+        braking: s, the last that is tried for a stop along the path of a motion that is run slowly. Other stops are
+            sooner by half of that at most, and are looked for 0.3 to 0.9 s.
         longer: times as long as the one before is the next that is tried.
         glance: s between the instants at which one is judged first; only what passes is judged as all is.
         again: s from a try that failed to the next one.
     """
 
     least: float = 0.05
-    soonest: float = 0.08
+    soonest: float = 0.05
     latest: float = 4.0
+    braking: float = 0.3
     longer: float = 1.3
     glance: float = 0.02
     again: float = 0.1
@@ -106,7 +109,8 @@ class SpeedProfile:
         if len(within):
             apart = np.abs(t[1:-1, None] - within).min(axis=1)
             t = np.union1d(np.concatenate([t[:1], t[1:-1][apart > CLOSE], t[-1:]]), within)
-        t = np.append(t, changing + (knots[knots > reached + SAME] - reached) / self.to)
+        if self.to:
+            t = np.append(t, changing + (knots[knots > reached + SAME] - reached) / self.to)
         u, factor, rate = self.along(t)
         q, dq, ddq = path.sample(np.minimum(u, path.duration))
         factor, rate = factor[:, None], rate[:, None]

@@ -20,6 +20,7 @@ from salver.live.motion import Committed
 from salver.live.profile import SpeedProfile
 from salver.live.verify import STANDARD, Finding, verified
 from salver.models.arm_limits import JointLimits
+from salver.models.tray_motion import Speed
 from salver.planning.fastest import (
     Anywhere,
     AtPose,
@@ -153,7 +154,9 @@ class Replanner:
         began, slow = time.perf_counter(), self.factor
         q, dq, ddq = before.state(begins)
         start = AtPosture(q, dq / slow, ddq / slow**2)  # as a motion at full speed has to begin, to go on from it
-        at = before.left(begins, replace(self.sought, start=start, goal=end))
+        # A solid load that stays at full speed and at rest stays at every speed between; a liquid has its own time.
+        sought = replace(self.sought, speeds=(Speed(slow),)) if self.sought.liquids and slow < 1.0 else self.sought
+        at = before.left(begins, replace(sought, start=start, goal=end))
         options = self.options
         guess = going_on(at, before, begins, options) if isinstance(end, Anywhere) else straight(at, options)
         if guess is None:
