@@ -16,20 +16,24 @@ from by_looking import samples
 from salver.auditing.motion import AuditedMotion
 from salver.auditing.verdict import audit_motion
 from salver.contact_margins import margin_model
+from salver.driver.sensing import Sensed
+from salver.driver.simulated import SimulatedRobot
 from salver.errors import ScenarioError
 from salver.geometry import GRAVITY_S, Array, invert
 from salver.live.motion import resting
 from salver.live.verify import verified
 from salver.models.contact_rows import contact_rows
 from salver.models.parameters import Vibration
-from salver.models.tray_motion import at_rest
+from salver.models.tray_motion import FULL_SPEED, at_rest
 from salver.models.worst_case import WorstCase, values_near
 from salver.planning.fastest import fastest, transport_problem
 from salver.planning.fastest.ends import AtPosture
 from salver.planning.fastest.tradeoff import TradeoffTask, scaled
 from salver.planning.make import make_plan
+from salver.planning.object import conditions
 from salver.planning.plan import Plan
 from salver.planning.stops import stop_from
+from salver.playground.world import World
 from salver.sampling import draw
 from salver.scenario import Scenario
 from salver.simulation.loads import true_world
@@ -124,6 +128,34 @@ def test_contents_that_may_be_any_shake_with_the_tray() -> None:
             assert np.all(true.worst({}, w + dw) <= claimed + 1e-9)
 
 
+def test_what_contents_that_may_be_any_add_is_no_less_than_of_any_that_are() -> None:
+    known = {**nasty.LOWER, "name": "box", "uncertainty": {}}
+    made = nasty.scenario([{**known, "inertia": None, "uncertainty": {"com": [0.01, 0.01, 0.01], "contents": "any"}}])
+    made = made.with_changes(uncertainty={"shake": BOTH})
+    (rows,) = contact_rows(made.payload)
+    uncertain, most = made.payload.uncertain, made.payload.uncertain.shake.support
+    (still,) = contact_rows(shaking(made.with_changes(objects__0__uncertainty={}), None).payload)
+    assert np.all(rows.shaken > 1.02 * most(still.nominal))
+    for values in draw(uncertain, 8, bodies=made.payload.bodies):
+        drawn = dict(zip(uncertain.names, values.tolist(), strict=True))
+        inertia = [drawn[f"inertia_{s}"] for s in ("xx", "xy", "yy", "xz", "yz", "zz")]
+        (true,) = contact_rows(made.with_changes(objects=[known | {"inertia": inertia}]).payload)
+        assert np.all(most(true.nominal) <= rows.shaken + 1e-12)
+
+
+@pytest.mark.parametrize("name", ["upright-tall-box", "panda-coffee"])
+def test_tangents_of_a_plans_conditions_touch_them(name: str) -> None:
+    made = shaking(sv.load_scenario(name), BOTH)
+    rng, t = np.random.default_rng(4), np.linspace(0.0, 1.0, 30)
+    along = conditions.TrayMotion(made.payload, t, np.tile(at_rest(), (30, 1)), 0.3 * rng.standard_normal((30, 12, 2)))
+    step = np.array([0.2, -0.3])
+    for rows in contact_rows(made.payload):
+        condition = conditions.MotionRows.of(rows, along, FULL_SPEED)
+        node, row = (x.ravel() for x in np.indices((30, min(8, len(rows.nominal)))))
+        offset, slope = condition.tangents(step, node, row)
+        assert_allclose(offset + slope @ step, condition.slack(step)[node, row], atol=1e-9)
+
+
 def test_at_rest_friction_bears_a_shake_up_to_what_is_worked_out_by_hand() -> None:
     """A block on a tray that shakes by a stays while a sqrt(1 + mu^2) < mu g, the worst way being across the cone."""
     cube = sv.load_scenario("panda-cube").with_changes(contact__condition="exact", contact__edges=4, **WELL_KNOWN)
@@ -186,10 +218,9 @@ def test_a_plan_leaves_room_for_it_and_says_so(bottle: Plan, careful: Plan) -> N
     assert not hasty.ok
 
 
-@pytest.mark.parametrize("method", ["robust", "safest"])
-def test_a_plan_in_a_given_time_keeps_more_of_it(method: Any) -> None:
+def test_a_plan_in_a_given_time_keeps_more_of_it() -> None:
     made = sv.load_scenario("panda-cube").with_changes(contact__condition="exact", motion__duration=1.4)
-    still, shaken = (make_plan(shaking(made, shake), method) for shake in (None, SHAKE))
+    still, shaken = (make_plan(shaking(made, shake), "robust") for shake in (None, SHAKE))
     assert still.verification.ok
     assert shaken.verification.ok
     margins = margin_model(shaken.scenario)
@@ -297,17 +328,30 @@ def test_it_pushes_as_a_tray_that_accelerates_so(name: str) -> None:
     assert_allclose(data.xfrc_applied[ids[:bodies], 3:], expected[:bodies, 3:], atol=1e-12)
 
 
-def test_a_tray_without_an_arm_shakes_as_one_that_is_moved_so() -> None:
+@pytest.mark.parametrize(
+    "vibration", [Vibration(4e-4, 0.0, 15.0), Vibration(0.0, 0.012, 15.0)], ids=["shifts", "turns"]
+)
+def test_a_tray_without_an_arm_shakes_as_one_that_is_moved_so(vibration: Vibration) -> None:
     """A block that slides on a tray which stands still but shakes, and on one whose motion is that shake."""
     cube = sv.load_scenario("panda-cube").with_changes(arm=None, contact__condition="exact", objects__0__friction=0.1)
     cube = cube.with_changes(physics__settle_before=0.0, physics__settle_after=0.0)
-    shake = {"amplitude": 4e-4, "frequency": 15.0}
-    made, t = Shaking.drawn(Vibration(4e-4, 0.0, 15.0), 1), np.linspace(0.0, 0.3, 601)
-    a, v = made.at(t)[0], made.rate * np.cos(made.rate * t + made.phases[0])[:, None] * made.shift
-    p = np.sin(made.rate * t + made.phases[0])[:, None] * made.shift + np.array(cube.motion.start.position)
-    turns, zero = np.tile(np.eye(3), (len(t), 1, 1)), np.zeros((len(t), 3))
-    moved = SampledReference(MotionSamples(t, p, v, a, turns, zero, zero))
-    still = SampledReference(MotionSamples(t, 0 * p + p[0], zero, zero, turns, zero, zero))
+    shake = {"amplitude": vibration.amplitude, "tilt_deg": np.rad2deg(vibration.tilt), "frequency": 15.0}
+    made, t = Shaking.drawn(vibration, 1), np.linspace(0.0, 0.3, 601)
+    begin, lever = np.array(cube.motion.start.position), cube.payload.first.p_EB
+    yaw = nasty.rotation([0.0, 0.0, 0.7])
+
+    def wave(way: Array, phase: float) -> tuple[Array, Array, Array]:
+        """With its rates."""
+        at, w = made.rate * t + phase, made.rate
+        return tuple(f[:, None] * way for f in (np.sin(at), w * np.cos(at), -(w**2) * np.sin(at)))
+
+    (p, v, a), (angle, omega, alpha) = wave(made.shift, made.phases[0]), wave(made.turn, made.phases[1])
+    zero, turns = np.zeros((len(t), 3)), np.array([nasty.rotation(x) @ yaw for x in angle])
+    r = turns @ lever - lever  # of B from the tray's middle
+    x = r + lever
+    v, a = v + np.cross(omega, x), a + np.cross(alpha, x) + np.cross(omega, np.cross(omega, x))
+    moved = SampledReference(MotionSamples(t, begin + p + r, v, a, turns, omega @ yaw, alpha @ yaw))
+    still = SampledReference(MotionSamples(t, zero + begin, zero, zero, np.tile(yaw, (len(t), 1, 1)), zero, zero))
     slips = [
         simulate_tray(still, shaking(cube, shake), seed=1).slip_E,
         simulate_tray(moved, cube).slip_E,
@@ -316,7 +360,19 @@ def test_a_tray_without_an_arm_shakes_as_one_that_is_moved_so() -> None:
     far = [float(np.linalg.norm(slip, axis=-1).max()) for slip in slips]
     assert far[0] > 2e-4
     assert far[2] < 1e-5
-    assert_allclose(slips[0], slips[1], atol=0.02 * far[0])
+    # The velocity of a turn is left out: 6 % here, against 108 % with the axis seen in the wrong frame.
+    assert_allclose(slips[0], slips[1], atol=(0.1 if vibration.tilt else 1e-6) * far[0])
+
+
+def test_the_simulated_robot_and_the_page_that_is_steered_by_hand_shake_too(careful: Plan) -> None:
+    robot = SimulatedRobot(careful, Experiment(careful).arm, 0.0, realtime=False)
+    world = World(careful.scenario)
+    robot.start()
+    robot.write(np.zeros(7), Sensed(0.0, np.zeros(7), np.zeros(7)))
+    most = SHAKE["amplitude"] * (2 * np.pi * SHAKE["frequency"]) ** 2
+    for data, scene in ((robot._data, robot._run.scene), (world._data, world.scene)):
+        force = float(np.linalg.norm(data.xfrc_applied[scene.object_ids[0], :3]))
+        assert 0.0 < force <= most * scene.model.body_mass[scene.object_ids[0]] * (1 + 1e-9)
 
 
 def test_the_fastest_bottle_is_lost_on_a_tray_that_shakes_and_kept_where_that_was_counted(
