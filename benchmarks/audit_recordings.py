@@ -13,7 +13,7 @@ import numpy as np
 from salver.auditing.motion import forward
 from salver.contact_margins import margin_model
 from salver.geometry import exp, quat_wxyz_from_matrix
-from salver.models.arm import ArmModel, load_arm
+from salver.models.arm.arm import ArmModel, load_arm
 from salver.models.tray_motion import motion_vector
 from salver.scenario import Scenario, load
 from salver.trajectory import MotionSamples, min_jerk_line

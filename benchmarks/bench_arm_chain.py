@@ -18,7 +18,7 @@ import numpy as np
 from scipy.interpolate import interp1d
 
 from salver.geometry import Array, log, matrix_from_quat_wxyz
-from salver.models.wrench_cone import cone_facets
+from salver.models.contact.wrench_cone import cone_facets
 from salver.planning.make import make_plan, plan_baseline, with_arm
 from salver.planning.plan import Plan
 from salver.reports.style import BLACK, BLUE, VERMILION

@@ -16,7 +16,7 @@ from collections.abc import Callable
 import numpy as np
 
 from salver.contact_margins import Margins, margin_model, margins
-from salver.models.hulls import cone_facets
+from salver.models.shapes.hulls import cone_facets
 from salver.planning.object.evaluation import evaluate
 from salver.scenario import Scenario, load
 from salver.simulation.physics import simulate_tray

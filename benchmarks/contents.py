@@ -21,13 +21,13 @@ import numpy as np
 
 from salver.contact_margins import margins
 from salver.geometry import Array
-from salver.models.contact import support_contacts
+from salver.models.contact.contact import support_contacts
+from salver.models.contact.wrench_cone import cone_facets
 from salver.models.contact_rows import contact_rows
-from salver.models.contents import Hull, largest_mean
 from salver.models.physical import realisable
 from salver.models.rigid_body import inertia_entries
 from salver.models.tray_motion import frame_map
-from salver.models.wrench_cone import cone_facets
+from salver.models.uncertain.contents import Hull, largest_mean
 from salver.planning.make import plan_object
 from salver.planning.plan import Plan
 from salver.scenario import Scenario, load

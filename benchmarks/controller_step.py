@@ -17,7 +17,7 @@ import numpy as np
 
 from salver import scenario
 from salver.control.arm import ArmController, ArmState, controller_for
-from salver.models.arm import load_arm
+from salver.models.arm.arm import load_arm
 from salver.planning.follow.motion import follow_scenario
 from salver.trajectory import JointMotion, Reference, min_jerk_line
 

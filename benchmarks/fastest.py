@@ -36,11 +36,11 @@ from salver.errors import SalverError, Status
 from salver.files import read_json, write_json
 from salver.geometry import Array
 from salver.planning.fastest import fastest, object_motion
-from salver.planning.fastest.constraints import evaluate, worst_of
-from salver.planning.fastest.problem import TransportProblem, transport_problem
 from salver.planning.fastest.retiming import SplinePath, reachable_law
 from salver.planning.make import plan_baseline, plan_object, with_arm
 from salver.planning.plan import Plan, load_plan
+from salver.planning.trajopt.constraints.constraints import evaluate, worst_of
+from salver.planning.trajopt.problem import TransportProblem, transport_problem
 from salver.scenario import Scenario, load
 from salver.trajectory import JointMotion, SampledReference
 

@@ -3,9 +3,10 @@
     python benchmarks/fastest_ipopt.py [--limit 120]
 
 The paper's cube, friction known, level and tilting. Both start from the same straight path at the same duration, and
-both get values and derivatives from `salver.planning.fastest.constraints`; IPOPT has exact first derivatives with their
-sparsity and a limited-memory Hessian, and every row from the beginning. salver's time is that of the whole search, from
-few spline pieces to many, with the checks between the nodes; IPOPT's that of its one programme at the nodes.
+both get values and derivatives from `salver.planning.trajopt.constraints.constraints`; IPOPT has exact first
+derivatives with their sparsity and a limited-memory Hessian, and every row from the beginning. salver's time is that
+of the whole search, from few spline pieces to many, with the checks between the nodes; IPOPT's that of its one
+programme at the nodes.
 """
 
 from __future__ import annotations
@@ -22,13 +23,13 @@ import numpy as np
 from fastest_solve import TURNS, cube
 from salver.geometry import Array
 from salver.planning.fastest import FastestOptions, fastest
-from salver.planning.fastest.curves import FreeCurve
-from salver.planning.fastest.exchange import programme_of
-from salver.planning.fastest.objectives import Point
 from salver.planning.fastest.optimum import DEGREE, straight_start
-from salver.planning.fastest.problem import TransportProblem, transport_problem
-from salver.planning.fastest.programme import Iterate
-from salver.planning.fastest.spline import RestSpline
+from salver.planning.trajopt.curves import FreeCurve
+from salver.planning.trajopt.exchange import programme_of
+from salver.planning.trajopt.objectives import Point
+from salver.planning.trajopt.problem import TransportProblem, transport_problem
+from salver.planning.trajopt.programme import Iterate
+from salver.planning.trajopt.spline import RestSpline
 
 
 class Rows:

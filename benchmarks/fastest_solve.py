@@ -20,9 +20,9 @@ import numpy as np
 
 from salver.geometry import Array
 from salver.planning.fastest import fastest
-from salver.planning.fastest.ends import AtPosture
-from salver.planning.fastest.problem import TransportProblem, transport_problem
 from salver.planning.postures import REACHED, PoseTarget, posture_at
+from salver.planning.trajopt.ends import AtPosture
+from salver.planning.trajopt.problem import TransportProblem, transport_problem
 from salver.scenario import Scenario, load
 
 TURNS = {"fixed": "level", "free": "tilting"}

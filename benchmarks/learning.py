@@ -27,12 +27,12 @@ import salver as sv
 from salver.errors import SalverError
 from salver.files import read_json, write_json
 from salver.learning.excite import plan_excite
-from salver.learning.identify import Run, identify, identify_runs
+from salver.learning.identify import LoggedRun, identify, identify_runs
 from salver.learning.sensors import Defects, SensedArm, Sensors
 from salver.learning.systematic import SensorBounds
 from salver.learning.trips import LEARNING, Sensor, trips, true_load
-from salver.models.parameters import INERTIAL, inertial_vector
 from salver.models.physical import random_inertia
+from salver.models.uncertain.parameters import INERTIAL, inertial_vector
 from salver.planning.fastest import plan_fastest
 from salver.planning.plan import Plan
 from salver.scenario import Scenario, load
@@ -68,7 +68,7 @@ def coverage(name: str, plans: Sequence[Plan], kind: str, times: float, count: i
         values, runs = filled(scenario, k), []
         for i, plan in enumerate(plans):
             arm = SensedArm(plan, k + count * i, replace(sensors, times=times), wrist=wrist, joints=not wrist)
-            runs.append(Run(plan, arm.log(values), arm.log(None)))
+            runs.append(LoggedRun(plan, arm.log(values), arm.log(None)))
         begun = time.process_time()
         try:
             ranges = identify_runs(scenario, runs).ranges

@@ -19,8 +19,8 @@ from salver import sampling
 from salver.errors import SalverError
 from salver.planning.fastest import FastestOptions, transport_problem
 from salver.planning.fastest.legs import in_turn, plan_legs
-from salver.planning.fastest.watch import Watch
 from salver.planning.round import MultiLegPlan
+from salver.planning.trajopt.watch import Watch
 from salver.scenario import Scenario, parse
 from salver.simulation.round import RoundExperiment
 

@@ -31,19 +31,19 @@ from typing import Any
 import numpy as np
 
 from salver.errors import ScenarioError
+from salver.liquid import sloshing
+from salver.liquid.wave_cases import SloshingCase
+from salver.liquid.waves import along
 from salver.models.liquid import STEEPEST
 from salver.models.tray_motion import at_rest
 from salver.planning.fastest import plan_fastest
 from salver.planning.fastest.planned import joint_plan
-from salver.planning.fastest.problem import transport_problem
 from salver.planning.fastest.search import fastest
 from salver.planning.make import plan_baseline
 from salver.planning.plan import Plan
+from salver.planning.trajopt.problem import transport_problem
 from salver.sampling import draw
 from salver.scenario import Scenario, load, parse
-from salver.sensitivity import sloshing
-from salver.sensitivity.wave_cases import SloshingCase
-from salver.sensitivity.waves import along
 from salver.simulation.physics import Experiment, simulate_tray
 from salver.simulation.record import SimulationRecord
 

@@ -33,7 +33,7 @@ from salver.campaigns.summary import DROPPED, FAR
 from salver.errors import Status
 from salver.files import read_json, write_atomic
 from salver.live import Live
-from salver.live.steer import TICK
+from salver.live.replanning.steer import TICK
 from salver.planning.fastest import TransportProblem, joint_plan
 from salver.trajectory import JointMotion
 

@@ -10,7 +10,7 @@ import salver as sv
 from live_runs import PATIENCE, drive
 from salver.errors import Status
 from salver.live import Live
-from salver.live.planner import Answer, Job
+from salver.live.replanning.planner import Answer, Job
 from salver.planning.fastest import AtPosture, fastest
 
 LATE = 0.15  # share of the best known time by which a goal may be reached later

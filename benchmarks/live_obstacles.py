@@ -32,8 +32,8 @@ from live_loop import PERIOD, prompt
 from salver.files import write_atomic
 from salver.geometry import GRAVITY_S
 from salver.live import Live, Moving, Worker
-from salver.live.obstacles import Movable, predicted
-from salver.live.planner import Answer, Job, Planner
+from salver.live.replanning.obstacles import Movable, predicted
+from salver.live.replanning.planner import Answer, Job, Planner
 
 CAMERA = 1 / 30  # s between reports
 SIGHT = 0.3, 1.5  # s before it would be there, from which on it is seen

@@ -25,7 +25,7 @@ import numpy as np
 
 from salver import scenario
 from salver.errors import SalverError
-from salver.models.arm import ArmModel, load_arm
+from salver.models.arm.arm import ArmModel, load_arm
 from salver.planning.make import make_plan
 from salver.planning.plan import Plan
 from salver.simulation.meshes import arm_meshes

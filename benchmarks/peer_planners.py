@@ -19,10 +19,10 @@ import numpy as np
 
 from fastest import fastest_line, law_motion, line_path, optimum, topp
 from salver.geometry import Array
-from salver.models.known_arms import KNOWN_ARMS, robot_file
-from salver.planning.fastest.problem import TransportProblem, transport_problem
+from salver.models.arm.known_arms import KNOWN_ARMS, robot_file
 from salver.planning.fastest.retiming import SplinePath
 from salver.planning.plan import Plan
+from salver.planning.trajopt.problem import TransportProblem, transport_problem
 from salver.scenario import Scenario
 from salver.sensitivity.arm.terms import motion_terms
 

@@ -46,10 +46,10 @@ from salver.errors import SalverError
 from salver.files import read_json, write_atomic, write_json
 from salver.motion_files import JointSamples, read, write
 from salver.motion_files import MotionSeries as MotionFile
-from salver.planning.fastest.problem import transport_problem
 from salver.planning.fastest.retiming import reachable_law
 from salver.planning.follow.limits import peaks
 from salver.planning.plan import Plan, load_plan
+from salver.planning.trajopt.problem import transport_problem
 from salver.scenario import Scenario
 from salver.statistics import clopper_pearson
 from salver.trajectory import JointMotion

@@ -18,7 +18,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from salver.models.arm import load_arm
+from salver.models.arm.arm import load_arm
 from salver.planning.make import make_plan
 from salver.scenario import Scenario, load
 from salver.simulation.engine import mujoco

@@ -22,10 +22,10 @@ from scipy.signal import butter, filtfilt
 import salver as sv
 from salver.errors import FileFormatError
 from salver.geometry import Array
-from salver.learning.channels import Reading
+from salver.learning.channels import ChannelReading
 from salver.learning.deviations import STANDSTILL
 from salver.learning.executed import executed
-from salver.learning.identify import Run, _felt, identify_runs, prior
+from salver.learning.identify import LoggedRun, _felt, identify_runs, prior
 from salver.learning.logs import Log
 from salver.learning.track import track
 from salver.motion_files import JointSamples
@@ -112,7 +112,7 @@ def smooth(log: Log) -> JointMotion:
     return JointMotion(t, q, dq, np.gradient(dq, 0.01, axis=0))
 
 
-def weighed(reading: Reading) -> tuple[float, float]:
+def weighed(reading: ChannelReading) -> tuple[float, float]:
     """kg by least squares with friction of each joint that the load changes; share of the torques that is left."""
     count, n = reading.values.shape
     shapes, y = [], []
@@ -148,7 +148,7 @@ def ur10e(repository: Path) -> str:
                 ur_log(repository / "dataset_ur10e/identification_data" / f"{name}.csv", gains)
                 for name in (stem, f"{stem}Load")
             )
-            run = Run(Motion(scenario, smooth(empty)), loaded, empty)  # type: ignore[arg-type]
+            run = LoggedRun(Motion(scenario, smooth(empty)), loaded, empty)  # type: ignore[arg-type]
             try:
                 mass = identify_runs(scenario, [run]).ranges["mass"]
                 said = f"{mass.low:.2f} to {mass.high:.2f} kg"

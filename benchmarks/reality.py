@@ -27,8 +27,8 @@ import salver as sv
 from salver.auditing import AuditOptions, audit_samples
 from salver.geometry import Array
 from salver.given import simulate_given
+from salver.liquid import waves
 from salver.models.liquid import LEANING, STEEPEST
-from salver.sensitivity import waves
 
 sys.path += [str(Path(__file__).parents[1] / folder) for folder in ("tests", "docs")]
 import blocks

@@ -18,7 +18,7 @@ import numpy as np
 
 from salver.control.object import Gains
 from salver.geometry import exp
-from salver.models.parameters import inertial_vector, phi_of
+from salver.models.uncertain.parameters import inertial_vector, phi_of
 from salver.scenario import load
 from salver.simulation.closed_loop import rollout
 from salver.trajectory import PolynomialReference, Reference, min_jerk_line

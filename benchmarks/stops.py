@@ -30,12 +30,12 @@ from salver.campaigns.summary import DROPPED, FAR
 from salver.control.arm import ArmState
 from salver.driver.stops import CoolStop
 from salver.files import read_json, write_json
-from salver.models.arm import ArmModel, load_arm, with_load
+from salver.models.arm.arm import ArmModel, load_arm, with_load
 from salver.planning.fastest import FastestOptions, plan_fastest
-from salver.planning.fastest.constraints import ContactConstraint
 from salver.planning.plan import Plan, load_plan
 from salver.planning.stop_library import StopLibrary
 from salver.planning.stops import plan_stops, stop_problem, with_stops
+from salver.planning.trajopt.constraints.constraints import ContactConstraint
 from salver.scenario import Scenario, load
 from salver.simulation.physics import simulate
 

@@ -26,9 +26,9 @@ import numpy as np
 
 from salver import sampling, scenario
 from salver.errors import SalverError
-from salver.models.arm import load_arm
-from salver.models.arm_geometry import arm_geometry
-from salver.models.urdf import shared_folder
+from salver.models.arm.arm import load_arm
+from salver.models.arm.arm_geometry import arm_geometry
+from salver.models.arm.urdf import shared_folder
 from salver.planning.fastest import EFFORTS, FastestOptions, plan_fastest
 from salver.simulation.physics import Experiment
 

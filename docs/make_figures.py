@@ -15,9 +15,9 @@ import numpy as np
 
 from salver import scenario as scenarios
 from salver.geometry import Array, exp, matrix_from_rpy
-from salver.models.contact import cone_edges
-from salver.models.parameters import INERTIAL, inertial_vector, phi_of
-from salver.models.wrench_cone import facets, margin
+from salver.models.contact.contact import cone_edges
+from salver.models.contact.wrench_cone import facets, margin
+from salver.models.uncertain.parameters import INERTIAL, inertial_vector, phi_of
 from salver.reports import style
 
 IMAGES = Path(__file__).parent / "images"

@@ -13,7 +13,7 @@ import blocks
 import numpy as np
 
 from salver.geometry import Array
-from salver.models.parameters import INERTIAL, inertial_vector, phi_of
+from salver.models.uncertain.parameters import INERTIAL, inertial_vector, phi_of
 from salver.planning.make import plan_baseline, plan_object
 from salver.planning.object.cost import tray_loop
 from salver.planning.plan import Plan

@@ -16,7 +16,7 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 
-from salver.models.parameters import UncertainSet
+from salver.models.uncertain.parameters import UncertainSet
 from salver.sensitivity.engine import ClosedLoop
 from tube_check import Example, check, plot, report
 

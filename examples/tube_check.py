@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from salver.models.parameters import UncertainSet
+from salver.models.uncertain.parameters import UncertainSet
 from salver.sensitivity.engine import ClosedLoop, Motions, Sensitivity, sensitivity, simulate
 from salver.sensitivity.tubes import radius
 from salver.simulation.closed_loop import Coverage, coverage

@@ -10,9 +10,9 @@ from salver import scenario
 from salver.control.arm import ArmController, ArmState
 from salver.control.object import Gains
 from salver.geometry import exp
-from salver.models.arm import with_load
-from salver.models.parameters import INERTIAL, inertial_vector
+from salver.models.arm.arm import with_load
 from salver.models.rigid_body import RigidBody, inertia_matrix
+from salver.models.uncertain.parameters import INERTIAL, inertial_vector
 from salver.sensitivity.arm import chain_model
 from salver.sensitivity.arm.terms import motion_terms
 from salver.trajectory import JointMotion, MotionSamples, SampledReference

@@ -10,8 +10,8 @@ import numpy as np
 
 from nasty import TrueRows
 from salver.geometry import Array
-from salver.models.arm import ArmModel, tray_to_object
-from salver.models.parameters import UncertainSet
+from salver.models.arm.arm import ArmModel, tray_to_object
+from salver.models.uncertain.parameters import UncertainSet
 from salver.scenario import Scenario
 
 

@@ -26,11 +26,11 @@ from pylibfranka_stand_in import Library
 from salver import scenario
 from salver.control.arm import ArmController, ArmState
 from salver.driver import execute, logs, stops
-from salver.driver.franka import FrankaRobot
-from salver.driver.simulated import STOP_ROOM, SimulatedRobot
+from salver.driver.robots.franka import FrankaRobot
+from salver.driver.robots.simulated import STOP_ROOM, SimulatedRobot
 from salver.files import load_npz, read_json
 from salver.geometry import Array
-from salver.models.arm import load_arm
+from salver.models.arm.arm import load_arm
 from salver.planning.make import make_plan
 from salver.planning.plan import Plan, load_plan
 from salver.planning.stops import plan_stops, stop_problem

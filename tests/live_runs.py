@@ -8,10 +8,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from salver.live.steer import TICK
+from salver.liquid.given_way import Sloshing
+from salver.live.replanning.steer import TICK
 from salver.planning.fastest import evaluate
-from salver.planning.fastest.constraints import ContactConstraint
-from salver.sensitivity.arm.liquids import Sloshing
+from salver.planning.trajopt.constraints.constraints import ContactConstraint
 from salver.sensitivity.arm.tracking import JointLoop
 from salver.trajectory import JointMotion
 

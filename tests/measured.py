@@ -13,12 +13,12 @@ from scipy.spatial.transform import Rotation
 from salver.auditing import Audit, audit_samples
 from salver.auditing.motion import continuous
 from salver.geometry import Array
+from salver.liquid.wave_cases import SloshingCase
+from salver.liquid.waves import Waves, along
 from salver.models.liquid import FLUIDS, damping_of
 from salver.models.tray_motion import motion_vector
 from salver.motion_files import JointSamples, TraySamples
 from salver.scenario import Scenario, load, parse
-from salver.sensitivity.wave_cases import SloshingCase
-from salver.sensitivity.waves import Waves, along
 
 FOLDER = Path(__file__).parents[1] / "docs" / "data" / "real"
 FINE, RATE, FRAMES = 1e8, 100.0, 60.0  # integers for each rad or m; commanded samples and video frames a second

@@ -15,10 +15,10 @@ import numpy as np
 import pinocchio as pin
 
 from salver.geometry import Array
-from salver.models.arm import ArmModel
+from salver.models.arm.arm import ArmModel
 from salver.models.bodies import Body
-from salver.models.contact import support_contacts
-from salver.models.wrench_cone import cone_facets
+from salver.models.contact.contact import support_contacts
+from salver.models.contact.wrench_cone import cone_facets
 from salver.scenario import Scenario, load
 from salver.trajectory import MotionSamples
 

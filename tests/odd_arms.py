@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from salver import scenario
-from salver.models.arm import ArmModel, load_arm
+from salver.models.arm.arm import ArmModel, load_arm
 
 LINK = """<link name="{name}"><inertial><mass value="{mass}"/><origin xyz="{com}"/>
   <inertia ixx="0.02" iyy="0.02" izz="0.02" ixy="0" ixz="0" iyz="0"/></inertial>

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from salver.control.arm import ArmState
-from salver.driver.simulated import SimulatedRobot
+from salver.driver.robots.simulated import SimulatedRobot
 from salver.geometry import Array
-from salver.models.arm import load_arm
+from salver.models.arm.arm import load_arm
 from salver.planning.plan import Plan
 
 

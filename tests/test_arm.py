@@ -7,10 +7,10 @@ from by_looking import object_jacobian
 from salver import scenario
 from salver.errors import ScenarioError
 from salver.geometry import GRAVITY_S, exp, log, vee
-from salver.models.arm import load_arm
-from salver.models.arm_geometry import arm_geometry
-from salver.models.contact import support_contacts
-from salver.models.known_arms import KNOWN_ARMS
+from salver.models.arm.arm import load_arm
+from salver.models.arm.arm_geometry import arm_geometry
+from salver.models.arm.known_arms import KNOWN_ARMS
+from salver.models.contact.contact import support_contacts
 
 ARMS = sorted(KNOWN_ARMS)
 

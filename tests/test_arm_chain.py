@@ -10,12 +10,12 @@ from scipy.interpolate import interp1d
 from arm_rollouts import CUBE, DURATION, STEP, Case, T, case_of, relative
 from salver.errors import ScenarioError
 from salver.geometry import log
-from salver.models.arm import with_load
+from salver.models.arm.arm import with_load
+from salver.models.contact.wrench_cone import cone_facets
 from salver.models.contact_rows import contact_rows
-from salver.models.parameters import INERTIAL, phi_jacobian
 from salver.models.tray_motion import frame_map, motion_vector, wrench_map
-from salver.models.worst_case import Drift
-from salver.models.wrench_cone import cone_facets
+from salver.models.uncertain.parameters import INERTIAL, phi_jacobian
+from salver.models.uncertain.worst_case import Drift
 from salver.planning.fastest import plan_fastest
 from salver.sensitivity.arm import arm_chain, chain_model
 from salver.sensitivity.arm.load import load_change

@@ -13,7 +13,7 @@ from salver.control.arm import POSTURE_GAINS, ArmController, ArmState, controlle
 from salver.control.object import Gains, command, distribute, errors, wrench_command
 from salver.errors import ScenarioError
 from salver.geometry import exp, log
-from salver.models.arm import load_arm, with_load
+from salver.models.arm.arm import load_arm, with_load
 from salver.planning.follow.motion import follow_scenario
 from salver.planning.postures import PoseTarget, posture_at
 from salver.trajectory import min_jerk_line

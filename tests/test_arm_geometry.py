@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from salver import scenario
-from salver.models.arm import ArmModel, load_arm
-from salver.models.arm_geometry import ArmGeometry, arm_geometry
-from salver.models.surfaces import surface
+from salver.models.arm.arm import ArmModel, load_arm
+from salver.models.arm.arm_geometry import ArmGeometry, arm_geometry
+from salver.models.shapes.surfaces import surface
 
 CRANE = """<robot name="crane">
   <link name="base"><collision><geometry><box size="0.1 0.1 0.1"/></geometry></collision></link>

@@ -8,9 +8,9 @@ import pytest
 from arm_rollouts import T, case_of, relative
 from salver import scenario
 from salver.geometry import log, matrix_from_quat_wxyz
-from salver.models.parameters import INERTIAL, inertial_vector, phi_of
+from salver.models.contact.wrench_cone import cone_facets
 from salver.models.tray_motion import frame_map, wrench_map
-from salver.models.wrench_cone import cone_facets
+from salver.models.uncertain.parameters import INERTIAL, inertial_vector, phi_of
 from salver.planning.make import plan_baseline, with_arm
 from salver.planning.plan import Plan
 from salver.sensitivity.arm import arm_chain, chain_model

@@ -8,7 +8,7 @@ import pytest
 import salver as sv
 from salver.auditing.arm import NOT_CHECKED
 from salver.auditing.verdict import audit_samples
-from salver.models.arm import load_arm
+from salver.models.arm.arm import load_arm
 from salver.motion_files.samples import JointSamples
 
 T = np.linspace(0.0, 3.0, 601)

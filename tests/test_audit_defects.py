@@ -14,7 +14,7 @@ from salver.auditing.motion import continuous
 from salver.auditing.noise import filtered_at
 from salver.auditing.options import DEFAULT
 from salver.geometry import quat_wxyz_from_matrix
-from salver.models.arm import load_arm
+from salver.models.arm.arm import load_arm
 from salver.motion_files.samples import TraySamples
 from salver.planning.fastest import plan_fastest
 

@@ -11,7 +11,7 @@ from salver.auditing import audit
 from salver.auditing.motion import forward, tray_motion
 from salver.errors import FileFormatError, SalverError
 from salver.geometry import exp, quat_wxyz_from_matrix
-from salver.models.arm import load_arm
+from salver.models.arm.arm import load_arm
 from salver.motion_files import MotionSeries, write
 from salver.motion_files.readers import read, read_path
 from salver.motion_files.samples import tray_samples

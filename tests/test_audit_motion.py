@@ -11,7 +11,7 @@ from salver.auditing.recorded import LEVER, read_motion, sensor_of
 from salver.auditing.spline import fit
 from salver.errors import FileFormatError
 from salver.geometry import exp, log, quat_wxyz_from_matrix
-from salver.models.arm import load_arm
+from salver.models.arm.arm import load_arm
 from salver.motion_files.readers import read
 from salver.motion_files.samples import JointSamples, TraySamples, tray_samples
 from salver.trajectory import min_jerk_line

@@ -13,12 +13,12 @@ from salver.auditing import audit, audit_motion
 from salver.auditing.motion import AuditedMotion, tray_motion
 from salver.auditing.sloshing import _gain, unseen
 from salver.geometry import quat_wxyz_from_matrix
+from salver.liquid.sloshing import Slosh
+from salver.liquid.spills import Spill
+from salver.liquid.wave_cases import SloshingCase
+from salver.liquid.waves import along
 from salver.models.tray_motion import at_rest
 from salver.motion_files.samples import TraySamples
-from salver.sensitivity.sloshing import Slosh
-from salver.sensitivity.spills import Spill
-from salver.sensitivity.wave_cases import SloshingCase
-from salver.sensitivity.waves import along
 from salver.trajectory import MotionSamples
 
 

@@ -14,7 +14,7 @@ from salver.auditing import Audit, AuditOptions, audit
 from salver.auditing.commanded import open_questions
 from salver.cli import app
 from salver.errors import SalverError
-from salver.models.arm import load_arm
+from salver.models.arm.arm import load_arm
 from salver.motion_files import JointSamples
 
 JOINTS = tuple(f"panda_joint{i}" for i in range(1, 8))

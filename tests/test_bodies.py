@@ -6,7 +6,7 @@ import trimesh
 from numpy.testing import assert_allclose
 
 from salver.errors import ScenarioError
-from salver.models.polygons import eroded, inset, intersection, simplified
+from salver.models.shapes.polygons import eroded, inset, intersection, simplified
 from salver.scenario import Scenario, parse
 
 SQUARE = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])

@@ -14,8 +14,8 @@ from salver.campaigns import run_campaign
 from salver.cli import app
 from salver.errors import FileFormatError, SalverError, ScenarioError
 from salver.export import write_export
-from salver.models.arm import load_arm
-from salver.models.mesh_files import read_mesh_file
+from salver.models.arm.arm import load_arm
+from salver.models.shapes.mesh_files import read_mesh_file
 from salver.planning.make import plan_baseline
 from salver.reports.figures import write_figures
 from salver.reports.film import write_film
@@ -251,7 +251,7 @@ def test_a_urdf_of_two_trees_is_refused(tmp_path):
 
 
 def test_a_box_of_one_size_is_no_shape():
-    from salver.models.link_shapes import link_shapes
+    from salver.models.arm.link_shapes import link_shapes
 
     text = '<robot name="r"><link name="l"><collision><geometry><box size="0.1"/></geometry></collision></link></robot>'
     assert "its box has 1 sizes, not 3" in link_shapes(text).missing["l"]

@@ -11,9 +11,9 @@ import pytest
 from salver import scenario
 from salver.errors import Status
 from salver.geometry import Array, exp
-from salver.models.arm import ArmModel, load_arm
-from salver.models.arm_geometry import arm_geometry
-from salver.models.arm_limits import LIMITS
+from salver.models.arm.arm import ArmModel, load_arm
+from salver.models.arm.arm_geometry import arm_geometry
+from salver.models.arm.arm_limits import LIMITS
 from salver.planning.follow.limits import peaks, verdict
 from salver.planning.plan import Plan
 from salver.trajectory import JointMotion, Reference, SampledReference, min_jerk_line

@@ -11,16 +11,16 @@ import pytest
 from salver import scenario
 from salver.errors import ScenarioError, UnreachableError
 from salver.geometry import Array
-from salver.models.arm import load_arm
-from salver.models.arm_geometry import arm_geometry
-from salver.models.obstacle_shapes import obstacle_shapes
-from salver.models.surfaces import surface
+from salver.models.arm.arm import load_arm
+from salver.models.arm.arm_geometry import arm_geometry
+from salver.models.shapes.obstacle_shapes import obstacle_shapes
+from salver.models.shapes.surfaces import surface
 from salver.planning.fastest import FastestOptions, fastest, transport_problem
-from salver.planning.fastest.blocked import why_blocked
-from salver.planning.fastest.ends import AtPose
 from salver.planning.follow.clearance import sweep
 from salver.planning.follow.limits import verdict
 from salver.planning.make import make_plan
+from salver.planning.seeds.blocked import why_blocked
+from salver.planning.trajopt.ends import AtPose
 from salver.reports import charts
 from salver.reports.meshes import obstacle_meshes
 from salver.reports.run import read_run

@@ -8,8 +8,8 @@ from scipy.linalg import expm
 from salver import scenario
 from salver.control.object import Gains
 from salver.geometry import GRAVITY_S, exp, hat, log, matrix_from_quat_wxyz, quat_wxyz_from_matrix
-from salver.models.parameters import inertial_vector, parameters_of, phi_jacobian, phi_of
 from salver.models.rigid_body import RigidBody
+from salver.models.uncertain.parameters import inertial_vector, parameters_of, phi_jacobian, phi_of
 from salver.sensitivity.tray import TrayLoop
 from salver.simulation.closed_loop import coverage, rollout
 from salver.trajectory import PolynomialReference, min_jerk_line

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from salver.geometry import exp
-from salver.models.contact import ContactSet, cone_edges, support_contacts
+from salver.models.contact.contact import ContactSet, cone_edges, support_contacts
 
 CUBE = 0.02 * np.array([[1, 1, -1], [-1, 1, -1], [-1, -1, -1], [1, -1, -1]])
 WEIGHT = np.array([0, 0, 0.256 * 9.81, 0, 0, 0])

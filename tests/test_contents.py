@@ -11,15 +11,15 @@ import salver as sv
 from salver.contact_margins import margins
 from salver.errors import ScenarioError
 from salver.geometry import Array
-from salver.models import worst_contents
+from salver.models.contact.wrench_cone import cone_facets
 from salver.models.contact_rows import contact_rows
-from salver.models.contents import Hull, largest_mean, most_second_moments
 from salver.models.interfaces import sure_contacts
-from salver.models.parameters import Parameter
 from salver.models.physical import realisable
 from salver.models.rigid_body import inertia_entries
-from salver.models.worst_case import Drift, WorstCase
-from salver.models.wrench_cone import cone_facets
+from salver.models.uncertain import worst_contents
+from salver.models.uncertain.contents import Hull, largest_mean, most_second_moments
+from salver.models.uncertain.parameters import Parameter
+from salver.models.uncertain.worst_case import Drift, WorstCase
 from salver.sampling import METHODS, draw
 from salver.scenario import Scenario, load
 from salver.simulation.loads import true_world

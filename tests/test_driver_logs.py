@@ -16,13 +16,13 @@ from pylibfranka_stand_in import Library
 from salver import scenario
 from salver.driver import execute, logs
 from salver.driver.execution import ExecutionLog, Watchdog
-from salver.driver.franka import FrankaRobot
 from salver.driver.logs import arrays_of, check_place, keep
 from salver.driver.preflight import Check
+from salver.driver.robots.franka import FrankaRobot
 from salver.errors import SalverError
 from salver.files import load_npz, read_json
 from salver.geometry import Array
-from salver.models.arm import load_arm
+from salver.models.arm.arm import load_arm
 from salver.planning.make import make_plan
 
 

@@ -13,11 +13,11 @@ import pytest
 from driver_rig import Fault, Rig, one, spoilt
 from salver.control.arm import ArmState, controller_for
 from salver.driver.execution import Drive, Watchdog
+from salver.driver.robots.simulated import SimulatedRobot
 from salver.driver.signals import Signals
-from salver.driver.simulated import SimulatedRobot
 from salver.driver.stops import PlannedStop, PlannedStops, cool_stops, stops_of
 from salver.geometry import Array
-from salver.models.arm import load_arm
+from salver.models.arm.arm import load_arm
 from salver.planning.plan import Plan
 
 NAN = float("nan")

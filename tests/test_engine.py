@@ -8,8 +8,8 @@ from scipy.linalg import expm
 from salver import scenario
 from salver.control.object import Gains
 from salver.geometry import exp, hat
-from salver.models.parameters import INERTIAL, inertial_vector, parameters_of, phi_jacobian, phi_of
 from salver.models.rigid_body import RigidBody
+from salver.models.uncertain.parameters import INERTIAL, inertial_vector, parameters_of, phi_jacobian, phi_of
 from salver.sensitivity import engine
 from salver.sensitivity.engine import ClosedLoop, closed_loop_rate, sensitivity, simulate, variational
 from salver.sensitivity.tray import TrayLoop

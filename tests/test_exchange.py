@@ -12,16 +12,16 @@ import numpy as np
 import pytest
 
 from salver.geometry import Array
-from salver.planning.fastest import exchange
-from salver.planning.fastest.constraints import UNSEEN, Block, Constraint
-from salver.planning.fastest.curves import FreeCurve, Grid
-from salver.planning.fastest.ends import AtPosture
-from salver.planning.fastest.evaluation import Indices, MotionEvaluation
-from salver.planning.fastest.exchange import BINDING, SHORTEST, _between, _touched, optimise
-from salver.planning.fastest.objectives import Point
-from salver.planning.fastest.problem import TransportProblem
-from salver.planning.fastest.spline import RestSpline, SplineMotion, min_jerk_blend
-from salver.planning.fastest.starts import TOUCHES
+from salver.planning.trajopt import exchange
+from salver.planning.trajopt.constraints.constraints import UNSEEN, Block, Constraint
+from salver.planning.trajopt.constraints.obstacles import TOUCHES
+from salver.planning.trajopt.curves import FreeCurve, Grid
+from salver.planning.trajopt.ends import AtPosture
+from salver.planning.trajopt.evaluation import Indices, MotionEvaluation
+from salver.planning.trajopt.exchange import BINDING, SHORTEST, _between, _touched, optimise
+from salver.planning.trajopt.objectives import Point
+from salver.planning.trajopt.problem import TransportProblem
+from salver.planning.trajopt.spline import RestSpline, SplineMotion, min_jerk_blend
 
 
 def nothing(node: Indices, row: Indices) -> Array:

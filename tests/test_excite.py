@@ -16,9 +16,9 @@ from salver.learning import identify
 from salver.learning.excite import Information, plan_excite
 from salver.learning.sensors import SensedArm, Sensors, nominal_load
 from salver.planning.fastest import AtPosture, Point, transport_problem
-from salver.planning.fastest.curves import FreeCurve, Grid
-from salver.planning.fastest.spline import RestSpline
 from salver.planning.plan import Plan
+from salver.planning.trajopt.curves import FreeCurve, Grid
+from salver.planning.trajopt.spline import RestSpline
 from salver.sampling import draw
 from salver.scenario import load
 from salver.simulation.physics import Experiment

@@ -18,12 +18,12 @@ from salver import scenario
 from salver.control.arm import ArmState, controller_for
 from salver.driver import execute
 from salver.driver.execution import Drive, ExecutionLog, Watchdog, timing
+from salver.driver.robots.simulated import SimulatedRobot
 from salver.driver.sensing import Plausible, Sensed
-from salver.driver.simulated import SimulatedRobot
 from salver.driver.stops import cool_stops
 from salver.errors import MissingDependencyError, SalverError
 from salver.geometry import Array
-from salver.models.arm import load_arm, with_load
+from salver.models.arm.arm import load_arm, with_load
 from salver.planning.make import make_plan
 from salver.planning.plan import Plan, load_plan
 from salver.simulation.physics import simulate
@@ -320,7 +320,7 @@ def test_ctrl_c_on_the_way_to_the_start_stops_the_arm(
 def test_an_arm_that_does_not_say_where_it_is_is_not_moved(
     plan: Plan, monkeypatch: pytest.MonkeyPatch, q_d: list[float]
 ) -> None:
-    from salver.driver.franka import FrankaRobot
+    from salver.driver.robots.franka import FrankaRobot
 
     monkeypatch.setitem(sys.modules, "pylibfranka", Library(plan))
     robot = FrankaRobot("arm", _parts(plan)[0], 0.15, np.full(3, 1e-4), realtime=False)
@@ -341,7 +341,7 @@ def test_franka_that_does_not_answer(directory: Path, plan: Plan, monkeypatch: p
 def test_a_franka_is_sent_what_it_does_not_add_by_itself(plan: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
     """Its own model of gravity differs from ours by what it says for its last state; a state that is not believed says
     nothing, and the difference stays."""
-    from salver.driver.franka import FrankaRobot
+    from salver.driver.robots.franka import FrankaRobot
 
     monkeypatch.setitem(sys.modules, "pylibfranka", fake := Library(plan))
     arm, q = _parts(plan)[0], plan.joint.q[0]  # type: ignore[union-attr]
@@ -360,7 +360,7 @@ def test_a_franka_is_sent_what_it_does_not_add_by_itself(plan: Plan, monkeypatch
 
 def test_a_franka_that_cannot_be_told_to_stop_says_so(plan: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
     """The loop tries again, and writes into the log that the arm was not told."""
-    from salver.driver.franka import FrankaRobot
+    from salver.driver.robots.franka import FrankaRobot
 
     monkeypatch.setitem(sys.modules, "pylibfranka", Library(plan))
     robot = FrankaRobot("arm", _parts(plan)[0], 0.15, np.full(3, 1e-4), realtime=False)
@@ -394,7 +394,7 @@ def test_pylibfranka_has_the_names_that_are_used() -> None:
     assert hasattr(real.ControllerMode, "JointImpedance")
     assert real.JointPositions([0.1] * 7).motion_finished is False
     assert {"q", "q_d", "dq"} <= set(dir(real.RobotState))
-    from salver.driver.franka import FrankaRobot
+    from salver.driver.robots.franka import FrankaRobot
 
     case = scenario.load("panda-cube")
     with pytest.raises(SalverError, match=r"The arm at 127\.0\.0\.1 says: "):

@@ -14,10 +14,10 @@ import salver.driver.live as module
 from pylibfranka_stand_in import Library
 from salver.cli import app
 from salver.driver.execution import Watchdog
-from salver.driver.franka import within_fr3
 from salver.driver.live import commanded, dry_run_live, run_live_on_franka
+from salver.driver.robots.franka import within_fr3
+from salver.driver.robots.simulated import SimulatedRobot
 from salver.driver.signals import Signals
-from salver.driver.simulated import SimulatedRobot
 from salver.errors import SalverError
 from salver.live import Live
 from salver.live.script import Prompter, script

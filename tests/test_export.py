@@ -61,7 +61,7 @@ def test_json_keeps_every_digit_and_says_where_it_comes_from(directory: Path, tm
 
 def test_exported_motion_is_the_plan(directory: Path) -> None:
     """Against the plan's own arrays, the tray by forward kinematics of the exported joints."""
-    from salver.models.arm import load_arm
+    from salver.models.arm.arm import load_arm
 
     motion, plan = read_motion(directory), load_plan(directory)
     assert np.abs(motion.t - plan.t).max() < 0.5e-9 + TOLERANCE

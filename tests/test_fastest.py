@@ -12,19 +12,19 @@ from salver.contact_margins import margins
 from salver.errors import ScenarioError
 from salver.geometry import Array
 from salver.planning.fastest import FastestMotion, FastestOptions, fastest, nearby, object_motion, plan_fastest
-from salver.planning.fastest.constraints import FINEST, ContactConstraint, evaluate, worst_of
-from salver.planning.fastest.curves import FreeCurve, Grid, united
-from salver.planning.fastest.ends import Anywhere, AtPosture
-from salver.planning.fastest.exchange import programme_of
-from salver.planning.fastest.objectives import Distance, LeastMargin, Point
 from salver.planning.fastest.planned import joint_plan, slow_enough
-from salver.planning.fastest.problem import TransportProblem, transport_problem
-from salver.planning.fastest.spline import RestSpline, SplineMotion, min_jerk_blend
-from salver.planning.fastest.sqp import SqpOptions, minimise
 from salver.planning.fastest.tradeoff import SCALES, TradeoffTask, scaled, tradeoff
 from salver.planning.make import make_plan
 from salver.planning.plan import Plan
 from salver.planning.postures import REACHED, PoseTarget, posture_at
+from salver.planning.trajopt.constraints.constraints import FINEST, ContactConstraint, evaluate, worst_of
+from salver.planning.trajopt.curves import FreeCurve, Grid, united
+from salver.planning.trajopt.ends import Anywhere, AtPosture
+from salver.planning.trajopt.exchange import programme_of
+from salver.planning.trajopt.objectives import Distance, LeastMargin, Point
+from salver.planning.trajopt.problem import TransportProblem, transport_problem
+from salver.planning.trajopt.spline import RestSpline, SplineMotion, min_jerk_blend
+from salver.planning.trajopt.sqp import SqpOptions, minimise
 from salver.scenario import load
 from transport import bottle, cube, line
 

@@ -8,10 +8,10 @@ from scipy.optimize import linprog
 
 from salver import scenario
 from salver.planning.fastest import FastestOptions, plan_fastest, transport_problem
-from salver.planning.fastest.bound import least_by_friction, least_time
-from salver.planning.fastest.starts import (
+from salver.planning.seeds.starts import (
     ends,
 )
+from salver.planning.trajopt.bound import least_by_friction, least_time
 
 
 @pytest.mark.parametrize(

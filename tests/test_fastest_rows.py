@@ -11,21 +11,21 @@ import pytest
 from scipy.interpolate import BSpline
 
 from salver.geometry import Array
-from salver.models.arm import with_load
-from salver.models.parameters import Parameter, inertial_vector
+from salver.models.arm.arm import with_load
 from salver.models.tray_motion import Speed, corners
-from salver.models.worst_case import Drift, WorstCase
+from salver.models.uncertain.parameters import Parameter, inertial_vector
+from salver.models.uncertain.worst_case import Drift, WorstCase
 from salver.planning.fastest import object_motion
-from salver.planning.fastest.brim import Brim
-from salver.planning.fastest.constraints import ContactConstraint, TiltConstraint
-from salver.planning.fastest.curves import FreeCurve, Grid
-from salver.planning.fastest.ends import AtPosture
-from salver.planning.fastest.objectives import Duration, Point
-from salver.planning.fastest.problem import TransportProblem, transport_problem
-from salver.planning.fastest.programme import Programme, Subproblem
-from salver.planning.fastest.spline import RestSpline, b_splines, min_jerk_blend
-from salver.planning.fastest.sqp import SqpOptions, minimise
 from salver.planning.object.evaluation import evaluate
+from salver.planning.trajopt.constraints.brim import Brim
+from salver.planning.trajopt.constraints.constraints import ContactConstraint, TiltConstraint
+from salver.planning.trajopt.curves import FreeCurve, Grid
+from salver.planning.trajopt.ends import AtPosture
+from salver.planning.trajopt.objectives import Duration, Point
+from salver.planning.trajopt.problem import TransportProblem, transport_problem
+from salver.planning.trajopt.programme import Programme, Subproblem
+from salver.planning.trajopt.spline import RestSpline, b_splines, min_jerk_blend
+from salver.planning.trajopt.sqp import SqpOptions, minimise
 from salver.scenario import Scenario, load
 from salver.sensitivity.arm.terms import motion_terms
 from salver.trajectory import SampledReference

@@ -10,13 +10,13 @@ import pytest
 
 from salver import scenario
 from salver.planning.fastest import FastestOptions, fastest, search, transport_problem
-from salver.planning.fastest.bound import least_duration
-from salver.planning.fastest.curves import FreeCurve
-from salver.planning.fastest.exchange import rough
 from salver.planning.fastest.optimum import few_pieces
-from salver.planning.fastest.sides import past
-from salver.planning.fastest.starts import ends
-from salver.planning.fastest.watch import Watch
+from salver.planning.seeds.sides import past
+from salver.planning.seeds.starts import ends
+from salver.planning.trajopt.bound import least_duration
+from salver.planning.trajopt.curves import FreeCurve
+from salver.planning.trajopt.exchange import rough
+from salver.planning.trajopt.watch import Watch
 
 
 def test_a_start_that_cannot_be_the_best_is_given_up_early_and_one_that_can_is_not(behind_a_post):

@@ -10,16 +10,12 @@ import pytest
 
 from salver import scenario
 from salver.geometry import Array
-from salver.models.known_arms import KNOWN_ARMS, robot_file
+from salver.models.arm.known_arms import KNOWN_ARMS, robot_file
 from salver.planning.fastest import FastestOptions, fastest, transport_problem
-from salver.planning.fastest.around import LEAN, STEP, FreeSpace, way_around
-from salver.planning.fastest.bound import least_duration
-from salver.planning.fastest.constraints import Clearance, evaluate
-from salver.planning.fastest.ends import AtPose, AtPosture
-from salver.planning.fastest.obstacles import AT_NODES, KeepOut
-from salver.planning.fastest.problem import TransportProblem
-from salver.planning.fastest.sides import DetourOptions, past
-from salver.planning.fastest.starts import (
+from salver.planning.follow.clearance import EXACT, RESOLUTION
+from salver.planning.seeds.around import LEAN, STEP, FreeSpace, way_around
+from salver.planning.seeds.sides import DetourOptions, past
+from salver.planning.seeds.starts import (
     EndOptions,
     Ends,
     Start,
@@ -31,7 +27,11 @@ from salver.planning.fastest.starts import (
     touches,
     tray_line,
 )
-from salver.planning.follow.clearance import EXACT, RESOLUTION
+from salver.planning.trajopt.bound import least_duration
+from salver.planning.trajopt.constraints.constraints import Clearance, evaluate
+from salver.planning.trajopt.constraints.obstacles import AT_NODES, KeepOut
+from salver.planning.trajopt.ends import AtPose, AtPosture
+from salver.planning.trajopt.problem import TransportProblem
 
 POST = {"type": "capsule", "position": [0.55, -0.02, 0.35], "radius": 0.03, "length": 0.7}
 

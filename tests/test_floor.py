@@ -12,8 +12,8 @@ from salver import scenario
 from salver.errors import ScenarioError, UnreachableError
 from salver.geometry import Array
 from salver.live import Live
-from salver.models.arm import ArmModel, load_arm
-from salver.models.arm_geometry import arm_geometry
+from salver.models.arm.arm import ArmModel, load_arm
+from salver.models.arm.arm_geometry import arm_geometry
 from salver.planning.fastest import plan_fastest, transport_problem
 from salver.planning.follow.clearance import sweep
 from salver.planning.make import make_plan

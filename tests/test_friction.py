@@ -13,7 +13,7 @@ from salver.errors import SalverError, ScenarioError
 from salver.geometry import Array
 from salver.learning.friction import USUAL, friction, needed
 from salver.learning.tilts import tilt_test
-from salver.models.arm import load_arm
+from salver.models.arm.arm import load_arm
 from salver.models.tray_motion import at_rest
 from salver.motion_files.samples import joint_samples
 from salver.planning.plan import Plan

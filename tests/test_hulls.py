@@ -9,10 +9,17 @@ from numpy.testing import assert_allclose
 from scipy.spatial import ConvexHull
 
 from salver.geometry import exp
-from salver.models import hulls, shapes
-from salver.models.contact import cone_edges
-from salver.models.hulls import MOST, _double_description, _interior_direction, _qhull_cone, cone_facets, polytope
-from salver.models.polygons import convex_hull
+from salver.models.contact.contact import cone_edges
+from salver.models.shapes import hulls, shapes
+from salver.models.shapes.hulls import (
+    MOST,
+    _double_description,
+    _interior_direction,
+    _qhull_cone,
+    cone_facets,
+    polytope,
+)
+from salver.models.shapes.polygons import convex_hull
 
 
 def merged(equations: np.ndarray) -> np.ndarray:

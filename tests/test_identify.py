@@ -16,11 +16,11 @@ from salver.cli import app
 from salver.errors import FileFormatError, SalverError, ScenarioError
 from salver.geometry import Array
 from salver.learning import Log, SensorBounds, identify, read_log
-from salver.learning.identify import Run, identify_runs
+from salver.learning.identify import LoggedRun, identify_runs
 from salver.learning.narrowing import prior
 from salver.learning.ranges import NAMES, WIDTH, fieller
 from salver.learning.sensors import SensedArm, Sensors
-from salver.models.parameters import inertial_vector
+from salver.models.uncertain.parameters import inertial_vector
 from salver.planning.plan import Plan, load_plan
 from salver.scenario import load
 from salver.trajectory import JointMotion
@@ -166,7 +166,7 @@ def test_runs_of_two_plans_are_of_one_load(plan: Plan) -> None:
     slower = replace(slower, scenario=plan.scenario.with_changes(motion__duration=1.3 * plan.duration))
     for seed, each in enumerate((plan, slower)):
         arm = SensedArm(each, 6 + seed, UNBIASED, joints=False)
-        runs.append(Run(each, arm.log(load_), arm.log(None)))
+        runs.append(LoggedRun(each, arm.log(load_), arm.log(None)))
     alone = [identify_runs(plan.scenario, [run], bounds=PERFECT) for run in runs]
     both = identify_runs(plan.scenario, runs, bounds=PERFECT)
     given = np.diag(1 / prior(plan.scenario)[1] ** 2)

@@ -14,7 +14,7 @@ import salver as sv
 from salver.errors import FileFormatError
 from salver.learning import Log, read_log
 from salver.learning.sensors import SensedArm, Sensors, nominal_load
-from salver.models.arm import load_arm
+from salver.models.arm.arm import load_arm
 from salver.planning.plan import Plan
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)

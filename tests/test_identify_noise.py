@@ -9,11 +9,11 @@ import pytest
 
 from salver.geometry import Array
 from salver.learning.excite import plan_excite
-from salver.learning.identify import Run, identify_runs
-from salver.learning.noise import BlockNoise, NoiseLevel, SensorNoise
+from salver.learning.identify import LoggedRun, identify_runs
+from salver.learning.noise import BlockNoise, ChannelNoise, SensorNoise
 from salver.learning.ranges import NAMES
 from salver.learning.sensors import SensedArm, Sensors
-from salver.models.parameters import inertial_vector, phi_of
+from salver.models.uncertain.parameters import inertial_vector, phi_of
 from salver.planning.fastest import plan_fastest
 from salver.planning.plan import Plan
 from salver.scenario import Scenario, load
@@ -31,7 +31,7 @@ def test_means_over_blocks_vary_as_those_of_fine_samples(length: float) -> None:
     inner = length * (np.arange(100) + 0.5) / 100
     apart = (t[:4, None] + inner).ravel()
     apart = np.abs(apart[:, None] - apart)
-    made = BlockNoise.of(t, 5).covariance(NoiseLevel(0.0, 1.0, 0.0))
+    made = BlockNoise.of(t, 5).covariance(ChannelNoise(0.0, 1.0, 0.0))
     fine = np.exp(-apart / COLOUR).reshape(4, 100, 4, 100).mean(axis=(1, 3))
     assert made[:4, :4] == pytest.approx(fine, abs=2e-4)
     assert made[40].sum() * length == pytest.approx(2 * COLOUR, rel=0.01)
@@ -41,12 +41,12 @@ def test_means_over_blocks_vary_as_those_of_fine_samples(length: float) -> None:
 def test_noise_is_found_as_large_as_it_is(size: float) -> None:
     """Drawn from its covariance, with a load in it: white noise within a step of what is tried, coloured not below."""
     t, rng = np.arange(0.0, 1.0, 0.005), np.random.default_rng(8)
-    true = NoiseLevel(size * 0.05, size * 0.03, 0.01)
+    true = ChannelNoise(size * 0.05, size * 0.03, 0.01)
     effects = np.column_stack([np.sin(3 * t), t**2])
     times, step = BlockNoise.of(t, 5), 160 ** (1 / 12)
     root = np.linalg.cholesky(times.covariance(true))
     drawn_ = [root @ rng.standard_normal(200) + effects @ rng.standard_normal(2) for _ in range(20)]
-    found = [times.found(NoiseLevel(0.05, 0.03, 0.01), values, 3 * effects, 1) for values in drawn_]
+    found = [times.found(ChannelNoise(0.05, 0.03, 0.01), values, 3 * effects, 1) for values in drawn_]
     assert 1 / step < np.median([n.white for n in found]) / true.white < step
     assert 0.9 < np.median([n.coloured for n in found]) / true.coloured < step
 
@@ -91,7 +91,7 @@ def test_over_long_blocks_of_a_quick_motion_the_load_comes_out_without_errors(ex
     of axes: six times what noise hides."""
     quiet = replace(FAST, times=0.0, links=0.0, friction_change=0.0)
     arm, values = SensedArm(excitation, 0, quiet, joints=False), drawn(excitation, 0)
-    found = identify_runs(excitation.scenario, [Run(excitation, arm.log(values), arm.log(None))])
+    found = identify_runs(excitation.scenario, [LoggedRun(excitation, arm.log(values), arm.log(None))])
     assert np.abs(found.phi - phi_of(values))[4:] == pytest.approx(np.zeros(6), abs=1e-5)
 
 
@@ -106,7 +106,7 @@ def test_of_a_quick_trip_and_an_excitation_trajectory_joint_torques_say_nothing_
         values, runs = drawn(excitation, seed), []
         for k, plan in enumerate(plans):
             arm = SensedArm(plan, 40 * k + seed, FAST, wrist=False)
-            runs.append(Run(plan, arm.log(values), arm.log(None)))
+            runs.append(LoggedRun(plan, arm.log(values), arm.log(None)))
         ranges = identify_runs(plans[0].scenario, runs).ranges
         found = [(r.likely, (r.low, r.high)) for r in (ranges[name] for name in NAMES)]
         inside.append([[low <= x <= high for low, high in two] for two, x in zip(found, values[:4], strict=True)])

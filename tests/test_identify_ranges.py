@@ -18,9 +18,9 @@ from salver.learning import Identified, SensorBounds, identify
 from salver.learning.ranges import WIDTH, Estimate, consistent, intervals, slid
 from salver.learning.sensors import SensedArm, Sensors
 from salver.models.bodies import Body
-from salver.models.parameters import INERTIAL, inertial_vector, phi_of
 from salver.models.physical import hull_faces, nearest, random_inertia, realisable
 from salver.models.rigid_body import RigidBody
+from salver.models.uncertain.parameters import INERTIAL, inertial_vector, phi_of
 from salver.planning.plan import Plan
 from salver.scenario import load
 

@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from salver.control.object import Gains
-from salver.models.parameters import inertial_vector, phi_of
+from salver.models.uncertain.parameters import inertial_vector, phi_of
 from salver.planning.object.evaluation import evaluate
 from salver.sampling import draw
 from salver.scenario import Scenario, load, parse

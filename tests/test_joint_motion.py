@@ -10,8 +10,8 @@ from by_looking import object_jacobian
 from salver import scenario
 from salver.errors import ScenarioError
 from salver.geometry import GRAVITY_S, exp, log
-from salver.models.arm import load_arm
-from salver.models.arm_geometry import arm_geometry
+from salver.models.arm.arm import load_arm
+from salver.models.arm.arm_geometry import arm_geometry
 from salver.planning.follow.limits import peaks, torques, verdict
 from salver.planning.follow.motion import follow, follow_scenario
 from salver.planning.follow.redundancy import Usage, first_choice, solve_path, tray_path

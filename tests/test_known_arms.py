@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from salver import scenario
-from salver.models.known_arms import KNOWN_ARMS
+from salver.models.arm.known_arms import KNOWN_ARMS
 from salver.planning.fastest import transport_problem
-from salver.planning.fastest.bound import least_duration
 from salver.planning.make import make_plan
+from salver.planning.trajopt.bound import least_duration
 from salver.simulation.physics import simulate
 
 CARRIED = {

@@ -12,17 +12,17 @@ from salver import scenario
 from salver.cli import app
 from salver.errors import ScenarioError, UnreachableError
 from salver.planning.fastest import FastestOptions, transport_problem
-from salver.planning.fastest.curves import FreeCurve, Grid
 from salver.planning.fastest.found import object_motion
-from salver.planning.fastest.objectives import Point
 from salver.planning.fastest.optimum import DEGREE, straight_start
 from salver.planning.fastest.safest import optima, quickest_within
 from salver.planning.fastest.sensitive import SensitivityCost, plan_least_sensitive
-from salver.planning.fastest.spline import RestSpline
-from salver.planning.fastest.watch import Watch
 from salver.planning.make import make_plan
 from salver.planning.object.cost import sensitivity_cost, tray_loop
 from salver.planning.plan import Plan
+from salver.planning.trajopt.curves import FreeCurve, Grid
+from salver.planning.trajopt.objectives import Point
+from salver.planning.trajopt.spline import RestSpline
+from salver.planning.trajopt.watch import Watch
 from salver.trajectory import JointMotion, SampledReference
 
 FEW = FastestOptions(spans=8)

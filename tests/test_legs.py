@@ -24,23 +24,23 @@ from salver.export import write_export
 from salver.export.motion import read_motion
 from salver.files import load_npz
 from salver.geometry import log, matrix_from_quat_wxyz, quat_wxyz_from_matrix
-from salver.models.arm import load_arm
+from salver.models.arm.arm import load_arm
 from salver.motion_files import JointSamples, read
 from salver.motion_files.samples import cut_at_rests
 from salver.planning.fastest import transport_problem
-from salver.planning.fastest.curves import FreeCurve, Grid
-from salver.planning.fastest.exchange import SHORTEST
 from salver.planning.fastest.legs import _end_of, _merit, _status, chains
-from salver.planning.fastest.passing import PassPose
-from salver.planning.fastest.programme import Programme
 from salver.planning.fastest.retiming import plan_retimed_legs
-from salver.planning.fastest.spline import RestSpline, min_jerk_blend
 from salver.planning.fastest.together import LegsCurve, LegsProgramme
-from salver.planning.fastest.watch import Watch
 from salver.planning.plan import load_plan
 from salver.planning.postures import PoseTarget
 from salver.planning.round import load_round
 from salver.planning.stops import with_stops
+from salver.planning.trajopt.constraints.via_poses import PassPose
+from salver.planning.trajopt.curves import FreeCurve, Grid
+from salver.planning.trajopt.exchange import SHORTEST
+from salver.planning.trajopt.programme import Programme
+from salver.planning.trajopt.spline import RestSpline, min_jerk_blend
+from salver.planning.trajopt.watch import Watch
 from salver.reports.page import write_report
 from salver.scenario.legs import Leg, loads
 from salver.simulation.record import load_record

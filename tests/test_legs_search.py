@@ -13,17 +13,17 @@ import pytest
 
 from salver.geometry import Array
 from salver.planning.fastest import FastestOptions, legs
-from salver.planning.fastest.constraints import Block, Constraint
-from salver.planning.fastest.curves import Grid
-from salver.planning.fastest.ends import AtPosture
-from salver.planning.fastest.evaluation import MotionEvaluation
-from salver.planning.fastest.exchange import SHORTEST
 from salver.planning.fastest.legs import HALF, ROUGHS, _merit, chains, in_turn
-from salver.planning.fastest.objectives import Point
-from salver.planning.fastest.spline import RestSpline, SplineMotion, min_jerk_blend
-from salver.planning.fastest.starts import Ends
 from salver.planning.fastest.together import LegsCurve, LegsProgramme
-from salver.planning.fastest.watch import Watch
+from salver.planning.seeds.starts import Ends
+from salver.planning.trajopt.constraints.constraints import Block, Constraint
+from salver.planning.trajopt.curves import Grid
+from salver.planning.trajopt.ends import AtPosture
+from salver.planning.trajopt.evaluation import MotionEvaluation
+from salver.planning.trajopt.exchange import SHORTEST
+from salver.planning.trajopt.objectives import Point
+from salver.planning.trajopt.spline import RestSpline, SplineMotion, min_jerk_blend
+from salver.planning.trajopt.watch import Watch
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,9 +11,9 @@ import pytest
 import nasty
 from salver import scenario
 from salver.geometry import Array
-from salver.models.arm import ArmModel, load_arm
-from salver.models.arm_geometry import arm_geometry
-from salver.models.arm_limits import LIMITS, JointLimits, joint_limits
+from salver.models.arm.arm import ArmModel, load_arm
+from salver.models.arm.arm_geometry import arm_geometry
+from salver.models.arm.arm_limits import LIMITS, JointLimits, joint_limits
 from salver.planning.fastest import FastestOptions, TransportProblem, fastest, transport_problem
 from salver.planning.fastest.retiming import SplinePath, retime
 from salver.planning.follow.limits import peaks, verdict

@@ -12,11 +12,11 @@ import trimesh
 
 from salver import scenario
 from salver.geometry import Array
-from salver.models import link_pairs
-from salver.models.arm import ArmModel, load_arm
-from salver.models.arm_geometry import arm_geometry
-from salver.models.convex_shapes import PIECES, convex, convex_pieces
-from salver.models.link_shapes import link_shapes
+from salver.models.arm import link_pairs
+from salver.models.arm.arm import ArmModel, load_arm
+from salver.models.arm.arm_geometry import arm_geometry
+from salver.models.arm.link_shapes import link_shapes
+from salver.models.shapes.convex_shapes import PIECES, convex, convex_pieces
 
 URS = ("ur5", *(pytest.param(model, marks=pytest.mark.slow) for model in ("ur3", "ur10")))
 

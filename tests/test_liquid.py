@@ -8,8 +8,8 @@ from scipy.sparse import diags, identity, kron
 from scipy.sparse.linalg import spsolve
 
 from salver.errors import ScenarioError
+from salver.liquid.wave_cases import cases
 from salver.models.liquid import Liquid, damping_of
-from salver.sensitivity.wave_cases import cases
 
 CUP = Liquid((0.04,), 0.005, 0.06, 0.075, 1000.0, (0.0, 0.03))
 

@@ -10,12 +10,12 @@ import pytest
 from scipy.special import jnp_zeros, jv
 
 import salver as sv
+from salver.liquid.given_way import Sloshing
+from salver.liquid.wave_cases import Cases, SloshingCase
+from salver.liquid.waves import along
 from salver.models.liquid import GRAVITY
-from salver.planning.fastest.constraints import TorqueLimit
-from salver.planning.fastest.problem import transport_problem
-from salver.sensitivity.arm.liquids import Sloshing
-from salver.sensitivity.wave_cases import Cases, SloshingCase
-from salver.sensitivity.waves import along
+from salver.planning.trajopt.constraints.constraints import TorqueLimit
+from salver.planning.trajopt.problem import transport_problem
 from shaken import BOX
 
 DURATION, STEPS, EVERY = 0.6, 180, 3

@@ -12,6 +12,7 @@ from salver.contact_margins import margins
 from salver.errors import SalverError
 from salver.export.mujoco import write_scene
 from salver.geometry import exp
+from salver.liquid.waves import along
 from salver.models.liquid import Liquid
 from salver.models.rigid_body import RigidBody
 from salver.models.tray_motion import N_MOTION
@@ -19,7 +20,6 @@ from salver.planning.fastest import plan_fastest
 from salver.planning.make import plan_baseline
 from salver.sampling import draw
 from salver.scenario import parse
-from salver.sensitivity.waves import along
 from salver.simulation.loads import true_world
 from salver.simulation.physics import simulate_tray
 from salver.simulation.scene import build

@@ -12,19 +12,19 @@ import salver as sv
 from salver.contact_margins import margins, values
 from salver.contact_margins.whole import spill_status
 from salver.errors import ScenarioError
-from salver.models.parameters import Parameter
-from salver.models.wrench_cone import facets
-from salver.planning.fastest.brim import Brim
+from salver.liquid.given_way import Sloshing, of_cases
+from salver.liquid.slosh_rows import Sloshed
+from salver.liquid.wave_cases import SloshingCase
+from salver.models.contact.wrench_cone import facets
+from salver.models.uncertain.parameters import Parameter
 from salver.planning.fastest.found import EFFORTS, object_motion
 from salver.planning.fastest.planned import SPARE, _sterner
-from salver.planning.fastest.problem import transport_problem
 from salver.planning.fastest.retiming import plan_retimed
 from salver.planning.fastest.safest import plan_safest
 from salver.planning.object.problem import Problem
+from salver.planning.trajopt.constraints.brim import Brim
+from salver.planning.trajopt.problem import transport_problem
 from salver.scenario import parse
-from salver.sensitivity.arm.liquids import Sloshing, of_cases
-from salver.sensitivity.slosh_rows import Sloshed
-from salver.sensitivity.wave_cases import SloshingCase
 from salver.simulation.physics import simulate, simulate_tray
 from salver.trajectory import MotionSamples, SampledReference, min_jerk_line
 from shaken import BOX

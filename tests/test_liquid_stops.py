@@ -9,12 +9,12 @@ import pytest
 
 import salver as sv
 from live_runs import ROUNDS
+from salver.liquid.given_way import Sloshing
 from salver.planning.fastest import plan_fastest
-from salver.planning.fastest.ends import Anywhere, AtPosture
-from salver.planning.fastest.evaluation import MotionEvaluation
-from salver.planning.fastest.problem import TransportProblem, transport_problem
 from salver.planning.stops import along, past_of, plan_stops, stop_problem, stopped, with_stops
-from salver.sensitivity.arm.liquids import Sloshing
+from salver.planning.trajopt.ends import Anywhere, AtPosture
+from salver.planning.trajopt.evaluation import MotionEvaluation
+from salver.planning.trajopt.problem import TransportProblem, transport_problem
 from salver.simulation.physics import simulate
 from salver.trajectory import JointMotion
 from shaken import BOX

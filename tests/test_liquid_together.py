@@ -8,19 +8,19 @@ import numpy as np
 import pytest
 
 from salver.geometry import Array
-from salver.models.worst_contents import SURE
-from salver.planning.fastest.constraints import ContactConstraint
-from salver.planning.fastest.curves import FreeCurve, Grid
-from salver.planning.fastest.evaluation import MotionEvaluation
+from salver.liquid.given_way import Sloshing
+from salver.liquid.sloshing import Slosh
+from salver.liquid.wave_gradients import Unknowns
+from salver.models.uncertain.worst_contents import SURE
 from salver.planning.fastest.optimum import straight_start
-from salver.planning.fastest.problem import TransportProblem, transport_problem
-from salver.planning.fastest.spline import RestSpline
+from salver.planning.trajopt.constraints.constraints import ContactConstraint
+from salver.planning.trajopt.curves import FreeCurve, Grid
+from salver.planning.trajopt.evaluation import MotionEvaluation
+from salver.planning.trajopt.problem import TransportProblem, transport_problem
+from salver.planning.trajopt.spline import RestSpline
 from salver.scenario import load
 from salver.sensitivity import filter as filters
-from salver.sensitivity.arm.liquids import Sloshing
 from salver.sensitivity.filter import LinearFilter
-from salver.sensitivity.sloshing import Slosh
-from salver.sensitivity.wave_gradients import Unknowns
 
 BOX = {
     "objects__1__shape": {"type": "box", "size": [0.06, 0.07, 0.09]},

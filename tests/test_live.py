@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 import salver as sv
 from live_runs import LEAD, check, drive, executed, halted, in_turn, place, rows_of
 from salver.live import Live, Worker
-from salver.live.replan import Replanner
-from salver.live.wishes import pose_goal
+from salver.live.replanning.replan import Replanner
+from salver.live.replanning.wishes import pose_goal
 from salver.planning.fastest import fastest, joint_plan
-from salver.planning.fastest.ends import AtPosture
+from salver.planning.trajopt.ends import AtPosture
 
 
 @pytest.mark.slow
@@ -149,7 +149,7 @@ def test_when_the_clock_jumps_the_motion_goes_on_where_it_was(cube):
 
 
 def test_torque_is_that_of_the_nominal_load(cube):
-    from salver.models.arm import with_load
+    from salver.models.arm.arm import with_load
 
     live = Live(cube, lead=LEAD)
     drive(live, 0.45, [(0.0, place(0.45, 0.1, 0.45))])

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from live_runs import EVERY, drive, said
-from salver.live import Live, steer
-from salver.live.steer import HORIZON, TICK, ChunkWanted, TwistWanted
+from salver.live import Live
+from salver.live.replanning import steer
+from salver.live.replanning.steer import HORIZON, TICK, ChunkWanted, TwistWanted
 from salver.planning.fastest import Block
 from salver.sensitivity.arm.terms import motion_terms
 from salver.trajectory import JointMotion

@@ -10,15 +10,15 @@ import pytest
 import salver as sv
 from live_runs import APART, LEAD, ROUNDS, check, drive, executed, in_turn, place, rows_of
 from salver.errors import ScenarioError, Status
+from salver.liquid.before import Past
+from salver.liquid.given_way import Sloshing
 from salver.live import Live
-from salver.live.motion import between
-from salver.live.steer import HORIZON, TICK, Steering, TwistWanted
-from salver.live.verify import Judged, verified
+from salver.live.replanning.steer import HORIZON, TICK, Steering, TwistWanted
+from salver.live.verdict.motion import between
+from salver.live.verdict.verify import Judged, verified
 from salver.planning.fastest import evaluate, joint_plan
-from salver.planning.fastest.brim import Brim
-from salver.planning.fastest.evaluation import NOTHING
-from salver.sensitivity.arm.liquids import Sloshing
-from salver.sensitivity.arm.past import Past
+from salver.planning.trajopt.constraints.brim import Brim
+from salver.planning.trajopt.evaluation import NOTHING
 from transport import cup_and_jar
 
 FULL = {"fill": 0.065, "damping": 0.00168, "mass": 0.275, "friction": 0.36}

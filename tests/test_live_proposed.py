@@ -7,19 +7,20 @@ import numpy as np
 import pytest
 
 from live_runs import LEAD, drive, executed, place
-from salver.live import Live, seal, verify
-from salver.live.motion import between, joined, resting
-from salver.live.planner import Job, Planner
-from salver.live.replan import Replanner, ReplanOptions
-from salver.live.seal import sealed
-from salver.live.verify import Judged, verified
-from salver.live.wishes import Goal, Halt
+from salver.live import Live
+from salver.live.replanning.planner import Job, Planner
+from salver.live.replanning.replan import Replanner, ReplanOptions
+from salver.live.replanning.wishes import Goal, Halt
+from salver.live.verdict import seal, verify
+from salver.live.verdict.motion import between, joined, resting
+from salver.live.verdict.seal import sealed
+from salver.live.verdict.verify import Judged, verified
 from salver.live.worker import _Process
 from salver.planning.fastest import AtPosture, fastest
-from salver.planning.fastest.constraints import Clearance, ContactConstraint, evaluate
-from salver.planning.fastest.exchange import optimise
-from salver.planning.fastest.obstacles import NEAR, KeepOut
-from salver.planning.fastest.sqp import minimise
+from salver.planning.trajopt.constraints.constraints import Clearance, ContactConstraint, evaluate
+from salver.planning.trajopt.constraints.obstacles import NEAR, KeepOut
+from salver.planning.trajopt.exchange import optimise
+from salver.planning.trajopt.sqp import minimise
 from salver.trajectory import JointMotion
 
 
@@ -176,9 +177,9 @@ def test_what_a_search_calls_safe_is_looked_at_all_the_same(cube, monkeypatch):
         found = fastest(problem, options)
         return replace(found, duration=0.5 * found.duration)
 
-    monkeypatch.setattr("salver.live.replan.optimise", careless)
-    monkeypatch.setattr("salver.live.replan.minimise", careless_at_nodes)
-    monkeypatch.setattr("salver.live.replan.fastest", also_careless)
+    monkeypatch.setattr("salver.live.replanning.replan.optimise", careless)
+    monkeypatch.setattr("salver.live.replanning.replan.minimise", careless_at_nodes)
+    monkeypatch.setattr("salver.live.replanning.replan.fastest", also_careless)
     live = Live(cube, lead=LEAD)
     states = drive(live, 0.2, [(0.0, place(0.45, 0.1, 0.45))])
     assert not np.any(states[1])

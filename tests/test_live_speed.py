@@ -8,10 +8,10 @@ from live_runs import LEAD, PATIENCE, check, drive, executed, in_turn, place
 from salver.campaigns.summary import DROPPED, FAR
 from salver.errors import Status
 from salver.live import Live, Moving
-from salver.live.planner import Job, Planner
-from salver.live.profile import SpeedProfile
+from salver.live.replanning.planner import Job, Planner
+from salver.live.replanning.wishes import Retime
 from salver.live.script import Prompter, script
-from salver.live.wishes import Retime
+from salver.live.verdict.profile import SpeedProfile
 from salver.planning.fastest import joint_plan
 
 FIRST, SECOND = (0.45, 0.1, 0.45), (0.55, -0.2, 0.45)

@@ -7,9 +7,10 @@ import pytest
 
 from live_runs import EVERY, LEAD, drive, in_turn, jolts, rows_of, said
 from salver.geometry import exp, log
-from salver.live import Live, steer
-from salver.live.steer import TICK
-from salver.live.wishes import twist_wish
+from salver.live import Live
+from salver.live.replanning import steer
+from salver.live.replanning.steer import TICK
+from salver.live.replanning.wishes import twist_wish
 
 
 def check(live, states):

@@ -9,14 +9,14 @@ import pytest
 import salver as sv
 from live_runs import JUST, Linear
 from salver.live import Live
-from salver.live.margins import ConstraintMargins
-from salver.live.motion import resting
-from salver.live.verify import STANDARD, Judged, _committed, clearance, torque_rate, verified
-from salver.models.arm_limits import LIMITS
+from salver.live.verdict.margins import ConstraintMargins
+from salver.live.verdict.motion import resting
+from salver.live.verdict.verify import STANDARD, Judged, _committed, clearance, torque_rate, verified
+from salver.models.arm.arm_limits import LIMITS
 from salver.models.tray_motion import Speed
-from salver.models.worst_case import Drift, WorstCase
+from salver.models.uncertain.worst_case import Drift, WorstCase
 from salver.planning.fastest import fastest, transport_problem
-from salver.planning.fastest.constraints import FINEST, Clearance, ContactConstraint, strayed
+from salver.planning.trajopt.constraints.constraints import FINEST, Clearance, ContactConstraint, strayed
 from salver.trajectory import JointMotion, extremes, hulls
 
 

@@ -9,12 +9,12 @@ import pytest
 from live_runs import LEAD, check, drive, place
 from salver.errors import ScenarioError
 from salver.live import Live
-from salver.live.replan import straight
-from salver.models.arm_limits import POSITION
+from salver.live.replanning.replan import straight
+from salver.models.arm.arm_limits import POSITION
 from salver.planning.fastest import transport_problem
-from salver.planning.fastest.ends import AtPose, AtPosture
-from salver.planning.fastest.obstacles import AT_NODES
 from salver.planning.postures import PoseTarget
+from salver.planning.trajopt.constraints.obstacles import AT_NODES
+from salver.planning.trajopt.ends import AtPose, AtPosture
 
 
 @pytest.fixture(scope="module")

@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 
 from salver.geometry import Array
-from salver.models import shapes
+from salver.models.arm.link_shapes import link_shapes
 from salver.models.bodies import Body
-from salver.models.contents import Filling, Hull, inertia_ranges, largest_mean, most_second_moments
-from salver.models.convex_shapes import THINNEST, convex
+from salver.models.contact.internal_wrench import internal_wrenches
 from salver.models.interfaces import networks, sure_contacts
-from salver.models.internal_wrench import internal_wrenches
-from salver.models.link_shapes import link_shapes
 from salver.models.liquid import APART, Liquid, damping_of, hollow
-from salver.models.parameters import Parameter
-from salver.models.surfaces import surface
+from salver.models.shapes import shapes
+from salver.models.shapes.convex_shapes import THINNEST, convex
+from salver.models.shapes.surfaces import surface
+from salver.models.uncertain.contents import Filling, Hull, inertia_ranges, largest_mean, most_second_moments
+from salver.models.uncertain.parameters import Parameter
 from salver.scenario import Scenario, parse
 
 LOW, HIGH = np.array([-0.1, -0.2, -0.3]), np.array([0.3, 0.1, 0.2])

@@ -4,17 +4,17 @@ import numpy as np
 import pytest
 
 from salver import scenario
-from salver.driver.franka import FR3, velocity_range
-from salver.models.arm import load_arm
-from salver.models.arm_limits import LIMITS, POSITION, JointLimits
-from salver.models.known_arms import KNOWN_ARMS
+from salver.driver.robots.franka import FR3, velocity_range
+from salver.models.arm.arm import load_arm
+from salver.models.arm.arm_limits import LIMITS, POSITION, JointLimits
+from salver.models.arm.known_arms import KNOWN_ARMS
 
 
 def make(name="panda", tray=None, **keys):
     return load_arm(scenario.Arm(model=name, **keys), tray or scenario.Tray())
 
 
-# Each number again, from another place than the one that `salver.models.known_arms` names.
+# Each number again, from another place than the one that `salver.models.arm.known_arms` names.
 MAKERS = {
     # The crate franka_rust 0.1.15, src/franka/franka_emika.rs; positions, speeds and torques also in panda.urdf of
     # example-robot-data. Torque rate: libfranka 0.9, include/franka/rate_limiting.h.

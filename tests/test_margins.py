@@ -8,9 +8,9 @@ import nasty
 from salver.contact_margins import Margins, margin_model, margins, tracking_motion, whole
 from salver.control.object import Gains
 from salver.geometry import Array, exp
-from salver.models.parameters import INERTIAL, inertial_vector, phi_of
 from salver.models.rigid_body import RigidBody, inertia_matrix
 from salver.models.tray_motion import at_rest, frame_map, motion_vector, wrench_map
+from salver.models.uncertain.parameters import INERTIAL, inertial_vector, phi_of
 from salver.planning.object.evaluation import evaluate
 from salver.scenario import Scenario, load, parse
 from salver.simulation.closed_loop import rollout

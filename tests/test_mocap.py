@@ -15,7 +15,7 @@ from salver.driver import execute, mocap
 from salver.driver.seen import judge
 from salver.errors import FileFormatError, SalverError
 from salver.geometry import Array, compose, exp, log, matrix_from_quat_wxyz, quat_wxyz_from_matrix
-from salver.models.arm import load_arm
+from salver.models.arm.arm import load_arm
 from salver.planning.make import make_plan
 from salver.planning.plan import Plan, load_plan
 from salver.reports.page import write_report

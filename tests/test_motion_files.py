@@ -236,7 +236,7 @@ def test_a_command_to_the_joints_moves_the_tray_as_forward_kinematics_says(tmp_p
     """Both sides of every waypoint are instants of a command: no curve may be led through both."""
     from dataclasses import replace
 
-    from salver.models.arm import load_arm
+    from salver.models.arm.arm import load_arm
 
     scenario = sv.load_scenario("panda-cube")
     samples = joint_swing(60) if accelerations else replace(joint_swing(60), ddq=None)

@@ -5,11 +5,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from salver.planning.fastest.curves import FreeCurve, Grid
-from salver.planning.fastest.objectives import Distance, Duration, LeastMargin, Point
 from salver.planning.fastest.planned import _held_by
-from salver.planning.fastest.problem import transport_problem
-from salver.planning.fastest.spline import RestSpline
+from salver.planning.trajopt.curves import FreeCurve, Grid
+from salver.planning.trajopt.objectives import Distance, Duration, LeastMargin, Point
+from salver.planning.trajopt.problem import transport_problem
+from salver.planning.trajopt.spline import RestSpline
 from transport import cube, line
 
 SPLINE = RestSpline(5, 6)

@@ -14,7 +14,7 @@ from salver.control.arm import ArmState
 from salver.driver.execution import Watchdog
 from salver.errors import ScenarioError, UnreachableError
 from salver.learning.track import track
-from salver.models.arm import load_arm
+from salver.models.arm.arm import load_arm
 from salver.motion_files.samples import joint_samples
 from salver.planning.fastest import plan_fastest
 from salver.planning.follow.limits import peaks, verdict

@@ -7,9 +7,9 @@ from scipy.optimize import linprog
 
 from salver.geometry import Array
 from salver.models.bodies import Body
-from salver.models.parameters import inertial_vector
 from salver.models.physical import hull_faces, nearest, random_inertia, realisable, second_moments
 from salver.models.rigid_body import inertia_entries, parallel_axis
+from salver.models.uncertain.parameters import inertial_vector
 from salver.scenario import load, parse
 
 

@@ -13,7 +13,7 @@ from salver import scenario as scenarios
 from salver.control.arm import ArmState, controller_for
 from salver.errors import FileFormatError, SalverError, ScenarioError, UnreachableError
 from salver.geometry import matrix_from_quat_wxyz
-from salver.models.arm import load_arm
+from salver.models.arm.arm import load_arm
 from salver.models.rigid_body import wrench
 from salver.planning.make import make_plan
 from salver.scenario import parse

@@ -11,7 +11,7 @@ from scipy.optimize import brentq
 from salver import scenario as scenarios
 from salver.errors import SalverError
 from salver.geometry import exp
-from salver.models.arm import load_arm
+from salver.models.arm.arm import load_arm
 from salver.scenario import parse
 from salver.simulation import creep
 from salver.simulation.elements import DAMPING_WIDTH

@@ -16,7 +16,7 @@ from salver.contact_margins import margins
 from salver.errors import Status
 from salver.files import to_json
 from salver.geometry import Array, exp, invert
-from salver.models.arm import load_arm
+from salver.models.arm.arm import load_arm
 from salver.models.contact_rows import contact_rows
 from salver.planning.fastest import FastestOptions, fastest, transport_problem
 from salver.planning.make import make_plan, plan_baseline, plan_object

@@ -14,13 +14,10 @@ from numpy.testing import assert_allclose
 from salver import scenario
 from salver.errors import ScenarioError, Status
 from salver.geometry import Array, exp
-from salver.models.arm import ArmModel, load_arm
-from salver.models.arm_geometry import arm_geometry
-from salver.models.arm_limits import LIMITS, POSITION, JointLimits
+from salver.models.arm.arm import ArmModel, load_arm
+from salver.models.arm.arm_geometry import arm_geometry
+from salver.models.arm.arm_limits import LIMITS, POSITION, JointLimits
 from salver.planning import make, postures, qp
-from salver.planning.fastest import blocked, bound
-from salver.planning.fastest.ends import AtPose
-from salver.planning.fastest.problem import _level_enough
 from salver.planning.fastest.tradeoff import TradeoffTask
 from salver.planning.follow import redundancy
 from salver.planning.follow.limits import _room
@@ -30,6 +27,10 @@ from salver.planning.object.problem import Problem
 from salver.planning.object.solvers import Solution
 from salver.planning.plan import FINER
 from salver.planning.postures import INSIDE, PoseTarget, posture_at, postures_along
+from salver.planning.seeds import blocked
+from salver.planning.trajopt import bound
+from salver.planning.trajopt.ends import AtPose
+from salver.planning.trajopt.problem import _level_enough
 from salver.trajectory import min_jerk_line
 
 CUBE = scenario.load("panda-cube")

@@ -12,7 +12,7 @@ import pytest
 import salver as sv
 from browser import chromium, missing
 from salver.live import Worker
-from salver.models.arm import load_arm
+from salver.models.arm.arm import load_arm
 from salver.planning.plan import load_plan
 from salver.playground import World
 from salver.playground.server import Playground

@@ -14,12 +14,12 @@ from hypothesis import strategies as st
 from driver_rig import Rig
 from salver import scenario
 from salver.control.arm import ArmState
-from salver.driver.franka import FR3, check_franka
 from salver.driver.preflight import check_approach, check_plan, check_posture, demand, looked_at
+from salver.driver.robots.franka import FR3, check_franka
 from salver.errors import SalverError, Status
 from salver.geometry import Array
-from salver.models.arm import ArmModel, load_arm
-from salver.models.arm_geometry import arm_geometry
+from salver.models.arm.arm import ArmModel, load_arm
+from salver.models.arm.arm_geometry import arm_geometry
 from salver.planning.follow.clearance import sweep
 from salver.planning.follow.forward import tray_motion
 from salver.planning.make import make_plan

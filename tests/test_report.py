@@ -14,7 +14,7 @@ from pages import data_of
 from run_files import rewrite
 from salver import scenario
 from salver.errors import FileFormatError
-from salver.models.parameters import Parameter
+from salver.models.uncertain.parameters import Parameter
 from salver.planning.make import make_plan
 from salver.reports.page import write_report
 from salver.reports.parameters import half_range

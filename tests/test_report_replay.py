@@ -12,7 +12,7 @@ import pytest
 from pages import data_of, floats
 from salver import scenario
 from salver.geometry import matrix_from_quat_wxyz
-from salver.models.arm import load_arm
+from salver.models.arm.arm import load_arm
 from salver.planning.make import make_plan
 from salver.reports.meshes import decimate, link_meshes, merge_vertices, pack
 from salver.reports.page import write_report

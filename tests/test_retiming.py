@@ -18,8 +18,6 @@ from salver.errors import FileFormatError, ScenarioError
 from salver.models.contact_rows import contact_rows
 from salver.motion_files import read_path
 from salver.planning.fastest import FastestOptions, fastest, object_motion
-from salver.planning.fastest.curves import Grid, PathCurve
-from salver.planning.fastest.problem import TransportProblem, transport_problem
 from salver.planning.fastest.retiming import (
     PATH_TOLERANCE,
     SplinePath,
@@ -28,9 +26,11 @@ from salver.planning.fastest.retiming import (
     reachable_law,
     retime,
 )
-from salver.planning.fastest.spline import RestSpline
 from salver.planning.follow.limits import peaks
 from salver.planning.plan import load_plan
+from salver.planning.trajopt.curves import Grid, PathCurve
+from salver.planning.trajopt.problem import TransportProblem, transport_problem
+from salver.planning.trajopt.spline import RestSpline
 from salver.scenario import Scenario, load
 from salver.sensitivity.arm.terms import motion_terms
 

@@ -5,8 +5,8 @@ import pinocchio as pin
 import pytest
 
 from salver.geometry import exp
-from salver.models.parameters import Parameter, inertial_vector, parameters_of, phi_jacobian, phi_of
 from salver.models.rigid_body import RigidBody, inertia_matrix, regressor, spatial_inertia, wrench
+from salver.models.uncertain.parameters import Parameter, inertial_vector, parameters_of, phi_jacobian, phi_of
 
 
 @pytest.fixture

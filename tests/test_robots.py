@@ -12,7 +12,7 @@ from driver_rig import Rig
 from salver.control.arm import ArmState, controller_for
 from salver.driver import execution
 from salver.driver.execution import Drive, ExecutionLog, Watchdog
-from salver.driver.robots import robot_class
+from salver.driver.robots.robots import robot_class
 from salver.driver.signals import Signals
 from salver.driver.stops import PathStop, stops_of
 from salver.errors import SalverError

@@ -23,8 +23,8 @@ from salver.planning.fastest import EFFORTS, FastestOptions, plan_fastest, safes
 from salver.planning.fastest.found import FastestMotion
 from salver.planning.fastest.legs import plan_legs
 from salver.planning.fastest.safest import _as_found, _margin_at_rest, plan_safest, plan_safest_legs, shared
-from salver.planning.fastest.spline import RestSpline
 from salver.planning.make import make_plan
+from salver.planning.trajopt.spline import RestSpline
 
 FEW = FastestOptions(spans=8)
 POST = {"type": "capsule", "position": [0.55, -0.02, 0.35], "radius": 0.03, "length": 0.7}

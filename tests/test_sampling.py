@@ -7,7 +7,7 @@ import pytest
 
 from salver import scenario as scenarios
 from salver.errors import SalverError
-from salver.models.parameters import NOTHING, Parameter, UncertainSet
+from salver.models.uncertain.parameters import NOTHING, Parameter, UncertainSet
 from salver.sampling import METHODS, draw, sign_vectors
 
 OWN = (Parameter("cube", "mass"), Parameter("cube", "com", "x"), Parameter("cube", "friction"))

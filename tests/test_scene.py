@@ -9,7 +9,7 @@ import pytest
 from salver import scenario as scenarios
 from salver.errors import ScenarioError
 from salver.geometry import exp, matrix_from_quat_wxyz, matrix_from_rpy
-from salver.models.arm import load_arm
+from salver.models.arm.arm import load_arm
 from salver.scenario import parse
 from salver.simulation.elements import FOOT_RADIUS, hull_name
 from salver.simulation.loads import ROUND_POINTS, clip, true_world

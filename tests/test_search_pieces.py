@@ -13,20 +13,20 @@ from scipy.interpolate import CubicHermiteSpline
 
 from salver import scenario
 from salver.geometry import Array
-from salver.models.arm import load_arm
-from salver.models.arm_limits import JointLimits
+from salver.models.arm.arm import load_arm
+from salver.models.arm.arm_limits import JointLimits
 from salver.planning.fastest import transport_problem
-from salver.planning.fastest.around import STEP, FreeSpace, _cut_short
-from salver.planning.fastest.constraints import PER_METRE, REACH_BEYOND_TRAY, UNSEEN, Block, Clearance
-from salver.planning.fastest.curves import launch_basis
-from salver.planning.fastest.ends import Anywhere
-from salver.planning.fastest.evaluation import MotionEvaluation
-from salver.planning.fastest.objectives import Duration, LeastMargin, Point
-from salver.planning.fastest.obstacles import AT_NODES, EXACT, REACH, KeepOut
-from salver.planning.fastest.passing import ALLOWED, SCALE, Closest, PassPose, _blend
 from salver.planning.fastest.retiming import PATH_TOLERANCE, SplinePath
 from salver.planning.postures import INSIDE, PoseTarget
+from salver.planning.seeds.around import STEP, FreeSpace, _cut_short
 from salver.planning.stops import along
+from salver.planning.trajopt.constraints.constraints import PER_METRE, REACH_BEYOND_TRAY, UNSEEN, Block, Clearance
+from salver.planning.trajopt.constraints.obstacles import AT_NODES, EXACT, REACH, KeepOut
+from salver.planning.trajopt.constraints.via_poses import ALLOWED, SCALE, Closest, PassPose, _blend
+from salver.planning.trajopt.curves import launch_basis
+from salver.planning.trajopt.ends import Anywhere
+from salver.planning.trajopt.evaluation import MotionEvaluation
+from salver.planning.trajopt.objectives import Duration, LeastMargin, Point
 from salver.trajectory import JointMotion
 
 POSTURE = np.array([0.0, -0.6, 0.1, -2.2, 0.0, 1.6, 0.8])

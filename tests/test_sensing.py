@@ -10,11 +10,11 @@ import pytest
 
 from driver_rig import Rig
 from salver.control.arm import ArmState, controller_for
+from salver.driver.robots.simulated import SimulatedRobot
 from salver.driver.sensing import Senses
-from salver.driver.simulated import SimulatedRobot
 from salver.errors import SalverError
 from salver.geometry import Array
-from salver.models.arm import with_load
+from salver.models.arm.arm import with_load
 
 NAN = float("nan")
 

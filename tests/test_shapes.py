@@ -5,7 +5,7 @@ import pytest
 import trimesh
 from numpy.testing import assert_allclose
 
-from salver.models import shapes
+from salver.models.shapes import shapes
 
 L = np.array([[0.0, 0.0], [0.06, 0.0], [0.05, 0.04], [0.01, 0.05]])
 

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from salver import scenario as scenarios
 from salver.cli import app
-from salver.models.parameters import Parameter, UncertainSet
+from salver.models.uncertain.parameters import Parameter, UncertainSet
 from salver.planning.make import make_plan
 from salver.reports.page import write_report
 from salver.reports.run import read_run

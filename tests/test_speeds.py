@@ -21,7 +21,7 @@ from salver.export import FORMATS, write_export
 from salver.export.motion import read_motion
 from salver.export.urscript import program
 from salver.files import read_json
-from salver.models.arm import load_arm
+from salver.models.arm.arm import load_arm
 from salver.motion_files import read
 from salver.planning.fastest import plan_fastest
 from salver.planning.plan import Plan, load_plan

@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from salver.liquid.sloshing import LIGHTEST, Slosh
+from salver.liquid.spills import Liquids, Spill, slacks
+from salver.liquid.wave_cases import VERDICT_APART, SloshingCase, cases
+from salver.liquid.waves import along
 from salver.models.tray_motion import at_rest
-from salver.planning.fastest.brim import Brim
-from salver.planning.fastest.problem import transport_problem, with_missed_cases
-from salver.sensitivity.sloshing import LIGHTEST, Slosh
-from salver.sensitivity.spills import Liquids, Spill, slacks
-from salver.sensitivity.wave_cases import VERDICT_APART, SloshingCase, cases
-from salver.sensitivity.waves import along
+from salver.planning.trajopt.constraints.brim import Brim
+from salver.planning.trajopt.problem import transport_problem, with_missed_cases
 from shaken import shaken
 
 

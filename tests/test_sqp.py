@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 
 from salver.geometry import Array
-from salver.planning.fastest import sqp
-from salver.planning.fastest.constraints import UNSEEN, Block, Constraint
-from salver.planning.fastest.curves import ORDERS, Grid
-from salver.planning.fastest.evaluation import Indices, MotionEvaluation
-from salver.planning.fastest.objectives import Distance, Duration, Objective, Point, QuadraticModel, Scalar
-from salver.planning.fastest.programme import Iterate, Linearised, Programme, Subproblem
-from salver.planning.fastest.sqp import Attempt, SqpOptions, minimise
-from salver.planning.fastest.trust import Trust
+from salver.planning.trajopt import sqp
+from salver.planning.trajopt.constraints.constraints import UNSEEN, Block, Constraint
+from salver.planning.trajopt.curves import ORDERS, Grid
+from salver.planning.trajopt.evaluation import Indices, MotionEvaluation
+from salver.planning.trajopt.objectives import Distance, Duration, Objective, Point, QuadraticModel, Scalar
+from salver.planning.trajopt.programme import Iterate, Linearised, Programme, Subproblem
+from salver.planning.trajopt.sqp import Attempt, SqpOptions, minimise
+from salver.planning.trajopt.trust import Trust
 
 Value = Callable[[Array, float], Array]
 PLAIN = {"margins": (0.0, 0.0), "scales": False}

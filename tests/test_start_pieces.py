@@ -12,17 +12,13 @@ import pytest
 from salver import scenario
 from salver.errors import Status
 from salver.geometry import Array
-from salver.models.arm_limits import POSITION
-from salver.planning.fastest import FastestOptions, search, sides, transport_problem
-from salver.planning.fastest.ends import AtPose, AtPosture
-from salver.planning.fastest.exchange import ROUGH_GAIN
+from salver.models.arm.arm_limits import POSITION
+from salver.planning.fastest import FastestOptions, search, transport_problem
 from salver.planning.fastest.found import FastestMotion
-from salver.planning.fastest.obstacles import ENOUGH_AT_ENDS, KeepOut
 from salver.planning.fastest.optimum import few_pieces
-from salver.planning.fastest.problem import TransportProblem
-from salver.planning.fastest.sides import DetourOptions, past
-from salver.planning.fastest.spline import RestSpline
-from salver.planning.fastest.starts import (
+from salver.planning.seeds import sides
+from salver.planning.seeds.sides import DetourOptions, past
+from salver.planning.seeds.starts import (
     EndOptions,
     Ends,
     Start,
@@ -39,7 +35,12 @@ from salver.planning.fastest.starts import (
     straight,
     touches,
 )
-from salver.planning.fastest.watch import Watch
+from salver.planning.trajopt.constraints.obstacles import ENOUGH_AT_ENDS, KeepOut
+from salver.planning.trajopt.ends import AtPose, AtPosture
+from salver.planning.trajopt.exchange import ROUGH_GAIN
+from salver.planning.trajopt.problem import TransportProblem
+from salver.planning.trajopt.spline import RestSpline
+from salver.planning.trajopt.watch import Watch
 
 SOUGHT, PAST = EndOptions(), DetourOptions()
 

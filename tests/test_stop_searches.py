@@ -10,9 +10,7 @@ import salver as sv
 from salver.errors import SalverError
 from salver.planning import stops
 from salver.planning.fastest import Anywhere, AtPosture, transport_problem
-from salver.planning.fastest.curves import BrakingCurve, FreeCurve, Grid
 from salver.planning.fastest.retiming import SplinePath
-from salver.planning.fastest.spline import RestSpline
 from salver.planning.stop_library import StopLibrary
 from salver.planning.stops import (
     LEAST,
@@ -27,6 +25,8 @@ from salver.planning.stops import (
     stop_from,
     stop_problem,
 )
+from salver.planning.trajopt.curves import BrakingCurve, FreeCurve, Grid
+from salver.planning.trajopt.spline import RestSpline
 from salver.trajectory import JointMotion
 
 PAPER = sv.load_scenario("panda-cube")

@@ -15,9 +15,8 @@ from salver.control.arm import ArmState
 from salver.driver.preflight import _stops
 from salver.driver.stops import CoolStop
 from salver.errors import FileFormatError, SalverError, ScenarioError, Status
-from salver.models.arm import load_arm, with_load
+from salver.models.arm.arm import load_arm, with_load
 from salver.planning.fastest import AtPosture, transport_problem
-from salver.planning.fastest.constraints import evaluate, worst_of
 from salver.planning.stop_library import StopLibrary
 from salver.planning.stops import (
     plan_stops,
@@ -26,6 +25,7 @@ from salver.planning.stops import (
     stopped,
     with_stops,
 )
+from salver.planning.trajopt.constraints.constraints import evaluate, worst_of
 
 PAPER = sv.load_scenario("panda-cube")
 

@@ -16,8 +16,8 @@ from salver.geometry import Array
 from salver.learning import SensorBounds, identify
 from salver.learning.sensors import Defects, SensedArm, Sensors
 from salver.learning.systematic import Felt, wrist_errors
-from salver.models.parameters import INERTIAL, inertial_vector
 from salver.models.physical import random_inertia
+from salver.models.uncertain.parameters import INERTIAL, inertial_vector
 from salver.planning.plan import Plan
 
 WIDE = {"mass": "50%", "com": [0.015, 0.015, 0.015], "contents": "any"}

@@ -14,7 +14,7 @@ from salver.errors import ScenarioError
 from salver.geometry import Array, log
 from salver.learning.friction import GRAVITY, USUAL, FrictionOptions, friction, proves, ways
 from salver.learning.tilts import _motion, room, short_tilt, tilt_test
-from salver.models.arm import load_arm
+from salver.models.arm.arm import load_arm
 from salver.models.tray_motion import N_MOTION
 from salver.motion_files.samples import joint_samples
 from salver.planning.plan import Plan

@@ -28,7 +28,7 @@ from salver.learning.tune import (
     tune,
     with_margin,
 )
-from salver.models.arm import load_arm
+from salver.models.arm.arm import load_arm
 from salver.motion_files import JointSamples
 from salver.motion_files.samples import joint_samples
 from salver.planning.plan import Plan, load_plan

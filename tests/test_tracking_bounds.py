@@ -17,10 +17,11 @@ from numpy.testing import assert_allclose
 import by_looking
 import nasty
 from salver.geometry import Array
-from salver.models.arm import load_arm
-from salver.planning.fastest import obstacles, transport_problem
-from salver.planning.fastest.constraints import Block, evaluate
+from salver.models.arm.arm import load_arm
+from salver.planning.fastest import transport_problem
 from salver.planning.plan import Plan
+from salver.planning.trajopt.constraints import obstacles
+from salver.planning.trajopt.constraints.constraints import Block, evaluate
 from salver.scenario import Scenario, load
 from salver.sensitivity.arm import ArmChain, arm_chain, chain_model
 from salver.simulation.physics import simulate

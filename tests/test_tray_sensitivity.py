@@ -5,9 +5,9 @@ import pytest
 
 from salver.control.object import Gains
 from salver.geometry import exp
-from salver.models.contact import support_contacts
-from salver.models.parameters import INERTIAL, inertial_vector, parameters_of, phi_jacobian, phi_of
+from salver.models.contact.contact import support_contacts
 from salver.models.rigid_body import RigidBody, inertia_matrix
+from salver.models.uncertain.parameters import INERTIAL, inertial_vector, parameters_of, phi_jacobian, phi_of
 from salver.sensitivity.dual import Dual, DualRotation
 from salver.sensitivity.tray import TrayLoop
 from salver.simulation.closed_loop import rollout

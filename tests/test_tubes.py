@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from salver.models.parameters import NOTHING, Parameter, UncertainSet
+from salver.models.uncertain.parameters import NOTHING, Parameter, UncertainSet
 from salver.sensitivity.tubes import ellipsoid, excess, radius
 
 

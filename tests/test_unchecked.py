@@ -13,18 +13,18 @@ import pytest
 from salver import scenario
 from salver.errors import ScenarioError, Status
 from salver.geometry import Array
-from salver.models.arm import ArmModel, load_arm
-from salver.models.arm_geometry import ArmGeometry, arm_geometry
-from salver.models.arm_limits import LIMITS
-from salver.models.known_arms import KNOWN_ARMS, robot_file
-from salver.models.link_shapes import link_shapes
-from salver.models.parameters import unshaken
+from salver.models.arm.arm import ArmModel, load_arm
+from salver.models.arm.arm_geometry import ArmGeometry, arm_geometry
+from salver.models.arm.arm_limits import LIMITS
+from salver.models.arm.known_arms import KNOWN_ARMS, robot_file
+from salver.models.arm.link_shapes import link_shapes
+from salver.models.uncertain.parameters import unshaken
 from salver.planning.fastest import transport_problem
-from salver.planning.fastest.starts import ends
 from salver.planning.follow.limits import verdict
 from salver.planning.make import make_plan
 from salver.planning.plan import Plan
 from salver.planning.round import MultiLegPlan
+from salver.planning.seeds.starts import ends
 from salver.reports import tables, words
 from salver.reports.meshes import link_meshes
 from salver.reports.replay import replay_scene

@@ -17,13 +17,14 @@ import pytest
 
 from salver import scenario
 from salver.control.arm import ArmState
-from salver.driver import execute, ur
+from salver.driver import execute
 from salver.driver.preflight import Check, check_plan
+from salver.driver.robots import ur
 from salver.driver.sensing import Sensed
 from salver.driver.signals import Signals
 from salver.errors import SalverError
-from salver.models.arm import load_arm
-from salver.models.known_arms import UR_JOINTS
+from salver.models.arm.arm import load_arm
+from salver.models.arm.known_arms import UR_JOINTS
 from salver.planning.make import make_plan
 from salver.planning.plan import Plan, load_plan
 from salver.planning.stops import plan_stops, stop_problem

@@ -12,10 +12,10 @@ import pytest
 from odd_arms import LINK, cell, gantry, joint, loaded
 from salver import scenario
 from salver.errors import ScenarioError
-from salver.models import urdf
-from salver.models.arm import load_arm
-from salver.models.arm_geometry import arm_geometry
-from salver.models.urdf import find_mesh
+from salver.models.arm import urdf
+from salver.models.arm.arm import load_arm
+from salver.models.arm.arm_geometry import arm_geometry
+from salver.models.arm.urdf import find_mesh
 from salver.planning.follow.limits import unchecked, verdict
 from salver.simulation.loads import true_world
 from salver.simulation.scene import build

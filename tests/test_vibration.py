@@ -16,23 +16,23 @@ from by_looking import samples
 from salver.auditing.motion import AuditedMotion
 from salver.auditing.verdict import audit_motion
 from salver.contact_margins import margin_model
+from salver.driver.robots.simulated import SimulatedRobot
 from salver.driver.sensing import Sensed
-from salver.driver.simulated import SimulatedRobot
 from salver.errors import ScenarioError
 from salver.geometry import GRAVITY_S, Array, invert
-from salver.live.motion import resting
-from salver.live.verify import verified
+from salver.live.verdict.motion import resting
+from salver.live.verdict.verify import verified
 from salver.models.contact_rows import contact_rows
-from salver.models.parameters import Vibration
 from salver.models.tray_motion import FULL_SPEED, at_rest
-from salver.models.worst_case import WorstCase, values_near
+from salver.models.uncertain.parameters import Vibration
+from salver.models.uncertain.worst_case import WorstCase, values_near
 from salver.planning.fastest import fastest, transport_problem
-from salver.planning.fastest.ends import AtPosture
 from salver.planning.fastest.tradeoff import TradeoffTask, scaled
 from salver.planning.make import make_plan
 from salver.planning.object import conditions
 from salver.planning.plan import Plan
 from salver.planning.stops import stop_from
+from salver.planning.trajopt.ends import AtPosture
 from salver.playground.world import World
 from salver.sampling import draw
 from salver.scenario import Scenario
@@ -147,7 +147,7 @@ def test_what_contents_that_may_be_any_add_is_no_less_than_of_any_that_are() -> 
 def test_tangents_of_a_plans_conditions_touch_them(name: str) -> None:
     made = shaking(sv.load_scenario(name), BOTH)
     rng, t = np.random.default_rng(4), np.linspace(0.0, 1.0, 30)
-    along = conditions.TrayMotion(made.payload, t, np.tile(at_rest(), (30, 1)), 0.3 * rng.standard_normal((30, 12, 2)))
+    along = conditions.FeltMotion(made.payload, t, np.tile(at_rest(), (30, 1)), 0.3 * rng.standard_normal((30, 12, 2)))
     step = np.array([0.2, -0.3])
     for rows in contact_rows(made.payload):
         condition = conditions.MotionRows.of(rows, along, FULL_SPEED)

@@ -90,7 +90,7 @@ def test_what_is_meant_is_not_warned_of(changes: dict[str, Any]) -> None:
 
 def test_limits_of_a_urdf_are_its_own(tmp_path: Path) -> None:
     """Of an arm that nobody knows by name, what its URDF gives."""
-    from salver.models.arm import load_arm
+    from salver.models.arm.arm import load_arm
 
     assert CUBE.arm is not None
     path = tmp_path / "mine.urdf"

@@ -8,15 +8,15 @@ from scipy.integrate import solve_ivp
 from scipy.sparse import diags, identity, kron
 from scipy.sparse.linalg import spsolve
 
-import salver.sensitivity.waves as waves_module
+import salver.liquid.waves as waves_module
 from potential_flow import box, cylinder, rectangle, simulate
+from salver.liquid.sloshing import Slosh
+from salver.liquid.underway import Underway
+from salver.liquid.wave_cases import Cases, SloshingCase
+from salver.liquid.wave_changes import changed
+from salver.liquid.wave_gradients import Unknowns, wrench_by
+from salver.liquid.waves import Waves, along
 from salver.models.tray_motion import at_rest
-from salver.sensitivity.sloshing import Slosh
-from salver.sensitivity.underway import Underway
-from salver.sensitivity.wave_cases import Cases, SloshingCase
-from salver.sensitivity.wave_changes import changed
-from salver.sensitivity.wave_gradients import Unknowns, wrench_by
-from salver.sensitivity.waves import Waves, along
 from shaken import BOX, BOX_IN, shaken
 
 

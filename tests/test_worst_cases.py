@@ -14,10 +14,10 @@ import nasty
 from salver.errors import ScenarioError
 from salver.geometry import Array
 from salver.models.contact_rows import contact_rows
-from salver.models.contents import Filling, Hull
-from salver.models.parameters import Parameter
-from salver.models.worst_case import Drift, UncertainRows, WorstCase, values_near
-from salver.models.worst_contents import SURE
+from salver.models.uncertain.contents import Filling, Hull
+from salver.models.uncertain.parameters import Parameter
+from salver.models.uncertain.worst_case import Drift, UncertainRows, WorstCase, values_near
+from salver.models.uncertain.worst_contents import SURE
 from salver.scenario import Scenario
 
 LOADS = {"single": nasty.single, "stack": nasty.stack, "pair": nasty.pair}

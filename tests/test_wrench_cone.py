@@ -8,9 +8,8 @@ from scipy import sparse
 from scipy.optimize import linprog
 
 from salver.geometry import exp
-from salver.models import shapes
-from salver.models.contact import ContactSet, support_contacts
-from salver.models.wrench_cone import (
+from salver.models.contact.contact import ContactSet, support_contacts
+from salver.models.contact.wrench_cone import (
     cone_facets,
     coulomb_friction_needed,
     facets,
@@ -20,6 +19,7 @@ from salver.models.wrench_cone import (
     support_rows,
     tip_over_margin,
 )
+from salver.models.shapes import shapes
 
 G = 9.81
 CUBE = np.array([[0.02, 0.02, -0.02], [-0.02, 0.02, -0.02], [-0.02, -0.02, -0.02], [0.02, -0.02, -0.02]])

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from salver.geometry import Array
-from salver.planning.fastest.problem import TransportProblem
-from salver.planning.fastest.spline import RestSpline, min_jerk_blend
+from salver.planning.trajopt.problem import TransportProblem
+from salver.planning.trajopt.spline import RestSpline, min_jerk_blend
 from salver.scenario import Scenario, load, parse
 
 

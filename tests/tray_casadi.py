@@ -15,15 +15,15 @@ import numpy.typing as npt
 from salver import trajectory
 from salver.control.object import Gains
 from salver.geometry import GRAVITY_S, Array
-from salver.models.parameters import INERTIAL, inertial_vector
 from salver.models.rigid_body import RigidBody
+from salver.models.uncertain.parameters import INERTIAL, inertial_vector
 from salver.sensitivity.engine import ClosedLoop, SampledReference, Sensitivity, sensitivity
 from salver.sensitivity.symbolic import ca
 from salver.trajectory import Reference
 
 
 def tray_loop(body: RigidBody, grasp_map: Array, gains: Gains, names: tuple[str, ...]) -> ClosedLoop:
-    """Closed loop of a body on a tray; names: the uncertain ones of `salver.models.parameters.INERTIAL`.
+    """Closed loop of a body on a tray; names: the uncertain ones of `salver.models.uncertain.parameters.INERTIAL`.
 
     Its y_d is (R_SB by columns, a_S, omega_B, alpha_B), 18 numbers: see `sampled`.
     Raises ValueError for a name that does not act through the dynamics.

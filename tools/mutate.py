@@ -196,7 +196,9 @@ def describe(mutant: Mutant) -> str:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--module", action="append", help="salver.models, salver.models.arm ...; default: all folders")
+    parser.add_argument(
+        "--module", action="append", help="salver.models, salver.models.arm.arm ...; default: all folders"
+    )
     parser.add_argument("-n", type=int, default=300, help="number of mutants, drawn at random (0: all)")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--tests", action="append", metavar="FILE", help="judge by these test files alone, not by all")

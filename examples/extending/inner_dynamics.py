@@ -7,7 +7,7 @@ import numpy as np
 
 import salver as sv
 from salver.models.contact_rows import ContactRows
-from salver.models.worst_case import WorstCase
+from salver.models.uncertain.worst_case import WorstCase
 from salver.planning.fastest import Block, Constraint, MotionEvaluation, fastest, padded, transport_problem
 from salver.sensitivity.filter import LinearFilter
 

@@ -7,8 +7,8 @@ import numpy as np
 
 import salver as sv
 from salver.models.contact_rows import ContactRows
-from salver.models.parameters import Parameter
-from salver.models.worst_case import Drift, WorstCase
+from salver.models.uncertain.parameters import Parameter
+from salver.models.uncertain.worst_case import Drift, WorstCase
 from salver.planning.fastest import Block, Constraint, MotionEvaluation, fastest, padded, transport_problem
 
 

@@ -6,7 +6,7 @@ python examples/extending/urdf_arm.py [URDF FLANGE]
 import sys
 
 import salver as sv
-from salver.models.known_arms import KNOWN_ARMS, robot_file
+from salver.models.arm.known_arms import KNOWN_ARMS, robot_file
 
 if __name__ == "__main__":
     urdf, flange = sys.argv[1:] or (robot_file(KNOWN_ARMS["ur5"]), "tool0")  # or any file of yours

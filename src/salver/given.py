@@ -17,7 +17,7 @@ from salver.auditing.motion import check_radians
 from salver.auditing.options import DEFAULT
 from salver.errors import FileFormatError, SalverError, ScenarioError
 from salver.geometry import Array
-from salver.models.arm import load_arm
+from salver.models.arm.arm import load_arm
 from salver.motion_files import JointSamples, Samples, read_path
 from salver.motion_files.readers import TABLES
 from salver.motion_files.samples import AT_REST

@@ -14,8 +14,8 @@ import numpy as np
 
 from salver.errors import SalverError
 from salver.geometry import Array, Mask
-from salver.models.parameters import Parameter, UncertainSet, inertial_vector
 from salver.models.physical import hull_faces, random_inertia, realisable
+from salver.models.uncertain.parameters import Parameter, UncertainSet, inertial_vector
 
 if TYPE_CHECKING:
     from salver.models.bodies import Body

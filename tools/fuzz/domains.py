@@ -86,8 +86,8 @@ def small_urdf(rng: Rng) -> str:
 
 def urdf(rng: Rng, folder: Path) -> None:
     """An arm: of what is accepted mass matrix and pose are finite, the matrix symmetric and not negative."""
-    from salver.models.arm import load_arm
-    from salver.models.arm_geometry import arm_geometry
+    from salver.models.arm.arm import load_arm
+    from salver.models.arm.arm_geometry import arm_geometry
 
     path = folder / "case.urdf"
     path.write_bytes(damaged_xml(rng, small_urdf(rng)))

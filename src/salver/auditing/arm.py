@@ -6,8 +6,8 @@ import numpy as np
 
 from salver.auditing.commanded import commanded_motion
 from salver.errors import ScenarioError, Status
-from salver.models.arm import ArmModel
-from salver.models.arm_geometry import arm_geometry
+from salver.models.arm.arm import ArmModel
+from salver.models.arm.arm_geometry import arm_geometry
 from salver.motion_files.samples import JointSamples, reordered
 from salver.planning.follow.clearance import sweep
 from salver.planning.follow.limits import COLLISION, LIMIT_EXCEEDED, WITHIN_LIMITS, unchecked

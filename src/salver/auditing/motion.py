@@ -19,7 +19,7 @@ from salver.motion_files.samples import Samples, TraySamples, reordered
 from salver.trajectory import MotionSamples
 
 if TYPE_CHECKING:
-    from salver.models.arm import ArmModel
+    from salver.models.arm.arm import ArmModel
 
 LEAST_DEGREES = 12.0  # angles beyond this, of which all are within the joints' ranges as degrees, are taken for such
 SUSPECT_STEP = 0.5  # s between samples: rather a clock in ms

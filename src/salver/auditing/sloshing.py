@@ -20,10 +20,10 @@ from salver.auditing.options import AuditOptions
 from salver.auditing.recorded import FASTER, LEVER, OUTER
 from salver.auditing.slip import hidden_shakes, up_to
 from salver.geometry import Array
+from salver.liquid.sloshing import Slosh
+from salver.liquid.spills import Spill
+from salver.liquid.waves import Waves, along
 from salver.models.liquid import GRAVITY
-from salver.sensitivity.sloshing import Slosh
-from salver.sensitivity.spills import Spill
-from salver.sensitivity.waves import Waves, along
 
 FOLLOWED = 2.0  # times the fastest mode: a surface does not follow what shakes it faster, but for what moves a mass
 _SOFTEST = 0.1  # beyond which no second order says anything

@@ -26,17 +26,17 @@ from salver.display import Shown
 from salver.errors import Status
 from salver.files import provenance
 from salver.geometry import Array, Indices, invert
+from salver.liquid.spills import Liquids, Spill
 from salver.models.tray_motion import at_rest, motion_vector
 from salver.motion_files import JointSamples, Samples, of_columns, read
 from salver.motion_files.samples import cut_at_rests
 from salver.motion_files.units import Units
 from salver.scenario import Scenario
-from salver.sensitivity.spills import Liquids, Spill
 from salver.tables import Table, Tabular
 from salver.trajectory import MotionSamples
 
 if TYPE_CHECKING:
-    from salver.models.arm import ArmModel
+    from salver.models.arm.arm import ArmModel
 
 EDGES = 16  # of the friction pyramids: at most 2 % short of the round cone
 
@@ -424,7 +424,7 @@ def audit_samples(samples: Samples, scenario: Scenario, options: AuditOptions = 
 def _arm(scenario: Scenario) -> ArmModel | None:
     if scenario.arm is None:
         return None
-    from salver.models.arm import load_arm
+    from salver.models.arm.arm import load_arm
 
     return load_arm(scenario.arm, scenario.tray)
 

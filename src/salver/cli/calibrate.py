@@ -104,7 +104,7 @@ def _read(
     from salver.files import write_atomic
     from salver.learning.executed import read_joints
     from salver.learning.friction import friction
-    from salver.models.arm import load_arm
+    from salver.models.arm.arm import load_arm
     from salver.planning.plan import load_plan
 
     if out is not None and (out.suffix != ".toml" or out.exists()):

@@ -77,7 +77,7 @@ def execute(
     """
     from salver.driver.execute import merge_mocap, run_plan
     from salver.driver.execution import Watchdog
-    from salver.driver.robots import robot_class
+    from salver.driver.robots.robots import robot_class
     from salver.run_directory import scenario_of
     from salver.scenario import load
 

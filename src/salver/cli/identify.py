@@ -52,7 +52,7 @@ def identify(
     from salver.files import write_atomic
     from salver.learning import identify as learn
     from salver.learning import read_log
-    from salver.models.arm import load_arm
+    from salver.models.arm.arm import load_arm
     from salver.planning.plan import load_plan
 
     if out is not None and (out.suffix != ".toml" or out.exists()):

@@ -13,7 +13,7 @@ from salver.cli.common import NO_SAFE_PLAN, Json, print_json, result_console, sa
 from salver.errors import SalverError, ScenarioError
 
 if TYPE_CHECKING:
-    from salver.models.arm import ArmModel
+    from salver.models.arm.arm import ArmModel
 
 QUESTIONS = {
     "load": ("The load: box LENGTH WIDTH HEIGHT, or cylinder RADIUS HEIGHT, in metres", "cylinder 0.03 0.24"),
@@ -198,7 +198,7 @@ def _arm(text: str) -> tuple[str, str | None]:
 
 def _loaded(model: str, flange: str | None) -> ArmModel:
     """The arm. Raises ScenarioError when there is no such arm or link."""
-    from salver.models.arm import load_arm
+    from salver.models.arm.arm import load_arm
     from salver.scenario import Arm, Tray
 
     return load_arm(Arm(model=model, flange=flange), Tray())

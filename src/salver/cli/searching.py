@@ -16,9 +16,9 @@ from salver.cli.common import say
 from salver.cli.progress import step
 
 if TYPE_CHECKING:
-    from salver.planning.fastest.watch import Watch
     from salver.planning.plan import Plan
     from salver.planning.round import MultiLegPlan
+    from salver.planning.trajopt.watch import Watch
 
 Planned = TypeVar("Planned", bound="Plan | MultiLegPlan")
 
@@ -28,7 +28,7 @@ ONCE = 0.3  # s within which a second signal is the same: some shells send it to
 @contextmanager
 def searching(time_limit: float | None = None) -> Iterator[Watch]:
     """The watch. Ctrl-C once more ends the command. time_limit: s, None for none."""
-    from salver.planning.fastest.watch import Watch
+    from salver.planning.trajopt.watch import Watch
 
     def tell(watch: Watch) -> None:
         best = "" if watch.best is None else f"; {watch.best:.3f} s so far, Ctrl-C takes it"

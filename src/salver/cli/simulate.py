@@ -199,7 +199,7 @@ def _legs(asked: _Asked, json: bool) -> None:
 def _write(records: Sequence[SimulationRecord], scenario: Scenario, path: Path, verdict: str) -> None:
     """Write the executed motion of all legs as a motion file, which says if the motion is unsafe or the load was
     lost."""
-    from salver.models.arm import load_arm
+    from salver.models.arm.arm import load_arm
     from salver.motion_files import MotionSeries, write
     from salver.motion_files.verdict import UNSAFE, one_line
 

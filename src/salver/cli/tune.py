@@ -44,7 +44,7 @@ def tune(
     from salver.learning.executed import read_joints
     from salver.learning.tune import engine_robot, step
     from salver.learning.tune import tune as rounds
-    from salver.models.arm import load_arm
+    from salver.models.arm.arm import load_arm
     from salver.planning.plan import load_plan
     from salver.planning.plan_files import check_place
 

@@ -10,10 +10,10 @@ import numpy as np
 from salver.contact_margins.model import friction_rows
 from salver.contact_margins.values import RowValues
 from salver.geometry import Array, Indices, Mask
+from salver.models.contact.wrench_cone import coulomb_friction_needed, friction_needed, tip_over_margin
 from salver.models.contact_rows import ContactRows
 from salver.models.interfaces import Interface, to_tray
 from salver.models.tray_motion import frame_map, wrench_map
-from salver.models.wrench_cone import coulomb_friction_needed, friction_needed, tip_over_margin
 
 _TOLERANCE = 1e-9  # of a margin, as a share of the weight
 _FINE = 32  # edges of the pyramids that settle what the model's leave open

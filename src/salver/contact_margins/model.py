@@ -9,12 +9,12 @@ import numpy as np
 
 from salver.display import Outlined
 from salver.geometry import Array
-from salver.models.contact import ContactSet
+from salver.models.contact.contact import ContactSet
+from salver.models.contact.wrench_cone import support_rows, unit_friction_rows
 from salver.models.contact_rows import MOST_GENERATORS, ContactRows, Labels, RowsOf, cone_rows, network_rows
 from salver.models.interfaces import ContactNetwork
-from salver.models.parameters import NOTHING, Parameter, UncertainSet
 from salver.models.payload import Payload
-from salver.models.wrench_cone import support_rows, unit_friction_rows
+from salver.models.uncertain.parameters import NOTHING, Parameter, UncertainSet
 from salver.scenario import Scenario
 
 EDGES = 8  # of the friction pyramids, at least: at most 8 % short of the round cone

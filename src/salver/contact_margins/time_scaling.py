@@ -27,8 +27,8 @@ from salver.contact_margins.model import MarginModel
 from salver.contact_margins.whole import Margins
 from salver.errors import Status
 from salver.geometry import Array, Indices
+from salver.liquid.spills import Liquids
 from salver.models.tray_motion import motion_vector
-from salver.sensitivity.spills import Liquids
 from salver.trajectory import MotionSamples
 
 TRIED = np.append(0.0, 1.04 ** np.arange(-59.0, 1.0))  # factors at which a motion with a liquid is looked at

@@ -10,12 +10,12 @@ import numpy as np
 
 from salver.contact_margins.model import MarginModel
 from salver.geometry import Array, Indices
+from salver.liquid.slosh_rows import Sloshed, most_added
+from salver.liquid.spills import Liquids
+from salver.models.contact.internal_wrench import internal_wrenches
 from salver.models.contact_rows import ContactRows
-from salver.models.internal_wrench import internal_wrenches
-from salver.models.worst_case import ALL
+from salver.models.uncertain.worst_case import ALL
 from salver.sensitivity import tubes
-from salver.sensitivity.slosh_rows import Sloshed, most_added
-from salver.sensitivity.spills import Liquids
 
 AT_ONCE = 256  # instants
 

@@ -15,14 +15,14 @@ from salver.contact_margins.values import RowValues
 from salver.display import Shown
 from salver.errors import Status
 from salver.geometry import Array
+from salver.liquid.sloshing import LIGHTEST
+from salver.liquid.spills import Liquids, Spill
 from salver.models.interfaces import regions_lost
 from salver.models.liquid import LEAST_WEIGHT
 from salver.scenario import Scenario
-from salver.sensitivity.sloshing import LIGHTEST
-from salver.sensitivity.spills import Liquids, Spill
 
 if TYPE_CHECKING:
-    from salver.models.parameters import Parameter
+    from salver.models.uncertain.parameters import Parameter
     from salver.trajectory import MotionSamples
 
 FEW = 8  # instants at which the least of a motion is looked for first

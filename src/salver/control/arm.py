@@ -22,7 +22,7 @@ from scipy.linalg.lapack import dposv
 from salver.control.object import Gains
 from salver.errors import ScenarioError
 from salver.geometry import GRAVITY_S, Array
-from salver.models.arm import ArmModel, load_arm, with_load
+from salver.models.arm.arm import ArmModel, load_arm, with_load
 from salver.models.bodies import Body
 from salver.scenario import Scenario
 from salver.trajectory import JointMotion, Reference

@@ -15,14 +15,14 @@ from salver.driver import mocap, seen
 from salver.driver.execution import Drive, ExecutionLog, Watchdog, named
 from salver.driver.logs import FOLDER, arrays_of, check_place, keep, summary_of
 from salver.driver.preflight import Check, check_approach, check_plan, check_posture, demand
-from salver.driver.robots import Robot, robot_class
+from salver.driver.robots.robots import Robot, robot_class
+from salver.driver.robots.simulated import SimulatedRobot
 from salver.driver.signals import Signals, noted_signals
-from salver.driver.simulated import SimulatedRobot
 from salver.driver.stops import StopFrom, stops_of
 from salver.errors import FileFormatError, SalverError, UnreachableError
 from salver.files import read_result
 from salver.geometry import Array
-from salver.models.arm import ArmModel, load_arm
+from salver.models.arm.arm import ArmModel, load_arm
 from salver.models.bodies import Body
 from salver.planning.plan import Plan, load_plan
 from salver.run_directory import file_stem, known_stems
@@ -69,8 +69,8 @@ def run_plan(
 ) -> Execution:
     """A plan on an arm.
 
-    robot: a name of `salver.driver.robots.ROBOTS`; "simulated" runs the very loop that drives a real one, in real time.
-    confirm: asked with the checks after all of them passed, before anything moves.
+    robot: a name of `salver.driver.robots.robots.ROBOTS`; "simulated" runs the very loop that drives a real one, in
+    real time. confirm: asked with the checks after all of them passed, before anything moves.
     signals: through which the caller may ask for a stop (`Signals.note`), from another thread.
     move_to_start: go to the start posture first, at a tenth of the speed limits, with nothing on the tray.
     full_speed_only: run also a plan that does not keep its load at every speed.

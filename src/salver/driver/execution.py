@@ -22,13 +22,13 @@ from salver.driver.signals import Signals, noted_signals
 from salver.driver.stops import HOLD_AFTER_STOP, SENSED, PathStop, Stop, StopFrom, cool_stops
 from salver.errors import SalverError
 from salver.geometry import Array
-from salver.models.arm import ArmModel, with_load
+from salver.models.arm.arm import ArmModel, with_load
 from salver.trajectory import JointMotion
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from salver.driver.robots import Robot
+    from salver.driver.robots.robots import Robot
     from salver.models.bodies import Body
 
 STOP_ROOM = 60.0  # s that the log has for a stop

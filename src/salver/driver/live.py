@@ -20,24 +20,24 @@ import numpy as np
 from salver.control.arm import ArmController, ArmState, controller_for
 from salver.driver.execute import Execution, seen_in_the_engine
 from salver.driver.execution import Drive, ExecutionLog, Watchdog, named
-from salver.driver.franka import FR3, FrankaRobot, check_franka, within_fr3
 from salver.driver.gate import Gate
 from salver.driver.logs import arrays_of, check_place, keep, summary_of
 from salver.driver.preflight import Check, check_plan, check_posture, demand
-from salver.driver.robots import Robot
+from salver.driver.robots.franka import FR3, FrankaRobot, check_franka, within_fr3
+from salver.driver.robots.robots import Robot
+from salver.driver.robots.simulated import SimulatedRobot
 from salver.driver.sensing import Sensed
 from salver.driver.signals import Signals, noted_signals
-from salver.driver.simulated import SimulatedRobot
 from salver.driver.stops import Along, Stop
 from salver.errors import SalverError, Status
 from salver.files import provenance
 from salver.geometry import Array, quat_wxyz_from_matrix
 from salver.live import Live, LiveCourse, Worker
-from salver.live.motion import SAME, between, joined
 from salver.live.script import Prompter, script
 from salver.live.standing import live_scenario
-from salver.models.arm import ArmModel, load_arm, with_load
-from salver.models.arm_limits import JointLimits
+from salver.live.verdict.motion import SAME, between, joined
+from salver.models.arm.arm import ArmModel, load_arm, with_load
+from salver.models.arm.arm_limits import JointLimits
 from salver.planning import plan_files
 from salver.planning.fastest import joint_plan, transport_problem
 from salver.planning.plan import Plan

@@ -18,8 +18,8 @@ from salver.geometry import log, quat_wxyz_from_matrix
 from salver.run_directory import save_record
 
 if TYPE_CHECKING:
-    from salver.driver.robots import Robot
-    from salver.models.arm import ArmModel
+    from salver.driver.robots.robots import Robot
+    from salver.models.arm.arm import ArmModel
     from salver.planning.plan import Plan
 
 FOLDER = "execution"

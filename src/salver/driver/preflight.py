@@ -14,7 +14,7 @@ import numpy as np
 from salver.contact_margins import margins
 from salver.errors import SalverError
 from salver.geometry import log
-from salver.models.arm_geometry import arm_geometry
+from salver.models.arm.arm_geometry import arm_geometry
 from salver.planning.follow.clearance import sweep
 from salver.planning.follow.forward import tray_motion
 from salver.planning.follow.limits import BETWEEN, verdict
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from salver.control.arm import ArmState
-    from salver.models.arm import ArmModel
+    from salver.models.arm.arm import ArmModel
     from salver.models.bodies import Body
     from salver.planning.plan import Plan
 

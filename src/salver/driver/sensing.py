@@ -25,7 +25,7 @@ import pinocchio as pin
 from salver.control.arm import ArmState
 from salver.errors import SalverError
 from salver.geometry import Array, Mask
-from salver.models.arm import ArmModel, with_load
+from salver.models.arm.arm import ArmModel, with_load
 
 if TYPE_CHECKING:
     from salver.models.bodies import Body

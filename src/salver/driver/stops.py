@@ -11,7 +11,7 @@ import pinocchio as pin
 
 from salver.control.arm import ArmController, ArmState, Course, JointTable, wanted_acceleration
 from salver.geometry import Array
-from salver.models.arm import ArmModel, with_load
+from salver.models.arm.arm import ArmModel, with_load
 
 if TYPE_CHECKING:
     from salver.models.bodies import Body
@@ -95,7 +95,7 @@ class CoolStop:
     keeps_load, allowed = False, -1.0
 
     def __init__(self, loaded: ArmModel, state: ArmState) -> None:
-        """loaded: the arm with what it carries (`salver.models.arm.with_load`)."""
+        """loaded: the arm with what it carries (`salver.models.arm.arm.with_load`)."""
         self._loaded = loaded
         self._fading = Fading(state.q, state.dq, STOP_SHARE * loaded.limits.acceleration)
 

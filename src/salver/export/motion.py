@@ -115,7 +115,7 @@ def motion_of_file(
     """
     names, known = tuple[str, ...](), Units.parse(units)
     if scenario is not None and scenario.arm is not None:
-        from salver.models.arm import load_arm
+        from salver.models.arm.arm import load_arm
 
         arm = load_arm(scenario.arm, scenario.tray)
         names, known = arm.joint_names, Units.parse(units, arm.linear)
@@ -146,7 +146,7 @@ def _joints(plan: Plan, t: Array, lead: float) -> tuple[tuple[str, ...], tuple[A
     none = np.zeros((len(t), 0))
     if plan.told is None or plan.scenario.arm is None:
         return (), (none, none, none), none
-    from salver.models.arm import load_arm
+    from salver.models.arm.arm import load_arm
 
     arm = load_arm(plan.scenario.arm, plan.scenario.tray)
     if plan.tau is None:

@@ -19,7 +19,7 @@ from salver.motion_files.writers import write_csv
 from salver.planning.plan import load_plan
 
 if TYPE_CHECKING:
-    from salver.models.arm import ArmModel
+    from salver.models.arm.arm import ArmModel
 
 START = "start"
 MESHES = "meshes"
@@ -35,7 +35,7 @@ def write_scene(directory: str | Path, path: Path, stem: str = "plan", *, unsafe
     and the objects on the tray. unsafe: as `salver.export.write_export`. Raises SalverError when `path` exists and for
     a liquid that is no body to such a file, FileFormatError for a directory without such a plan, UnsafeError.
     """
-    from salver.models.arm import load_arm
+    from salver.models.arm.arm import load_arm
     from salver.simulation import scene as scenes
     from salver.simulation.elements import lent
     from salver.simulation.engine import mujoco

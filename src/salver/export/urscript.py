@@ -11,7 +11,7 @@ import numpy as np
 
 from salver.errors import SalverError
 from salver.geometry import Array
-from salver.models.known_arms import KNOWN_ARMS, UR_JOINTS
+from salver.models.arm.known_arms import KNOWN_ARMS, UR_JOINTS
 from salver.motion_files import MotionSeries
 from salver.motion_files.verdict import one_line, warns
 

@@ -10,7 +10,7 @@ import numpy as np
 from salver.errors import FileFormatError
 from salver.geometry import Array
 from salver.learning.logs import Log
-from salver.learning.noise import BlockNoise, NoiseLevel, SensorNoise
+from salver.learning.noise import BlockNoise, ChannelNoise, SensorNoise
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +36,7 @@ class SensedMotion:
 
 
 @dataclass(frozen=True, eq=False)
-class Reading:
+class ChannelReading:
     """A sensor of m channels at N instants: values (N, m) that the load makes, rows (N, m, 10) per unit of phi.
 
     names, told (m): of each channel, and its noise as far as known beforehand. nuisance (m): (N, .) other effects, per
@@ -46,15 +46,15 @@ class Reading:
     names: tuple[str, ...]
     values: Array
     rows: Array
-    told: tuple[NoiseLevel, ...]
+    told: tuple[ChannelNoise, ...]
     nuisance: tuple[Array, ...]
     motion: SensedMotion
     links: Array | None = None
 
 
-def differences(motion: SensedMotion, without: SensedMotion, log: Log, empty: Log) -> list[Reading]:
+def differences(motion: SensedMotion, without: SensedMotion, log: Log, empty: Log) -> list[ChannelReading]:
     """Readings of every sensor less those of the empty run."""
-    found, sensors = list[Reading](), SensorNoise()
+    found, sensors = list[ChannelReading](), SensorNoise()
 
     def more(values: Array, before: Array) -> Array:
         """(N, m) than the empty run at the loaded run's instants."""
@@ -77,13 +77,13 @@ def differences(motion: SensedMotion, without: SensedMotion, log: Log, empty: Lo
         nuisance = tuple(np.hstack([of_each[:, :, j].T, unlike(own[:, j])]) for j in range(n))
         names, told = ("joint torques",) * n, (sensors.torque,) * n
         values = more(motion.tau, without.tau)
-        found.append(Reading(names, values, motion.to_tau, told, nuisance, motion, motion.links))
+        found.append(ChannelReading(names, values, motion.to_tau, told, nuisance, motion, motion.links))
     if motion.wrench is not None and without.wrench is not None:
         names = ("wrist forces",) * 3 + ("wrist torques",) * 3
         told = (sensors.force,) * 3 + (sensors.moment,) * 3
         nuisance = tuple(map(unlike, more(motion.tray, without.tray).T))
         values = more(motion.wrench, without.wrench)
-        found.append(Reading(names, values, motion.to_wrench, told, nuisance, motion))
+        found.append(ChannelReading(names, values, motion.to_wrench, told, nuisance, motion))
     if not found:
         raise FileFormatError(
             f"{log.source} and {empty.source} share no sensor; both must hold tau, or both wrench_F (fx to tz)."

@@ -33,7 +33,7 @@ from salver.trajectory import JointMotion
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
+class DeviationFit:
     """base (3, K, n): a deviation with two derivatives. tangent (3, n, K, m): what it changes by with each of the m
     numbers that were fitted for each joint."""
 
@@ -50,11 +50,11 @@ class Fit:
         return np.asarray(self.base + np.einsum("djkm,jm->dkj", self.tangent, by))
 
     @classmethod
-    def known(cls, base: Array) -> Fit:
+    def known(cls, base: Array) -> DeviationFit:
         return cls(base, np.zeros((3, base.shape[2], base.shape[1], 0)))
 
 
-Fitted = Callable[[Array, JointMotion, Array], list[Fit]]
+Fitted = Callable[[Array, JointMotion, Array], list[DeviationFit]]
 """Fits, of times t (K,), a plan and a deviation (K, n)."""
 STANDSTILL = 0.02  # rad/s over which Coulomb friction changes its sign
 _SAGGED = 2.0  # s that a wrong payload has acted before the log begins
@@ -70,7 +70,7 @@ def lag(t: Array, plan: JointMotion, rate: float, damping: float, delay: float, 
     return np.asarray(asked - here + np.stack([x, v, filter_.acceleration(drive, x, v)]))
 
 
-def of_lags(t: Array, plan: JointMotion, off: Array) -> list[Fit]:
+def of_lags(t: Array, plan: JointMotion, off: Array) -> list[DeviationFit]:
     """Lags without and with friction. Begun at 10 Hz; 2 to 60 Hz are tried."""
     low, high, unit = [12.0, 0.1, -0.05, -100.0], [400.0, 2.0, 0.05, 100.0], np.array([60.0, 0.6, 0.005, 1.0])
     bases, rubbed, tangents = [], [], []
@@ -87,7 +87,7 @@ def of_lags(t: Array, plan: JointMotion, off: Array) -> list[Fit]:
         rubbed.append(joint(found))
         tangents.append(np.stack([(joint(found + x) - joint(found - x)) / 2e-4 for x in steps], axis=2))
     tangent = np.stack(tangents, axis=1)
-    return [Fit(np.stack(bases, axis=2), tangent[..., :3]), Fit(np.stack(rubbed, axis=2), tangent)]
+    return [DeviationFit(np.stack(bases, axis=2), tangent[..., :3]), DeviationFit(np.stack(rubbed, axis=2), tangent)]
 
 
 def under_torque(scenario: Scenario, model: Any, tray: int) -> Fitted:
@@ -96,7 +96,7 @@ def under_torque(scenario: Scenario, model: Any, tray: int) -> Fitted:
     kp, kd = scenario.control.kp[0], scenario.control.kd[0]
     body = scenario.payload.first
 
-    def fitted(t: Array, plan: JointMotion, off: Array) -> list[Fit]:
+    def fitted(t: Array, plan: JointMotion, off: Array) -> list[DeviationFit]:
         loop = LinearFilter.on_nodes(t, kp, kd, 3)
         q, dq, ddq = plan.sample(t)
         terms = motion_terms(model, tray, q, dq, ddq)
@@ -114,7 +114,7 @@ def under_torque(scenario: Scenario, model: Any, tray: int) -> Fitted:
         turned = np.moveaxis(terms.mass_inverse * np.tanh(dq / STANDSTILL)[:, None, :], 2, 0)
         both = [payload, again, *delays]
         reasons = ([payload, again], delays, both, [*both, *(answer(each) for each in turned)])
-        return [Fit.known(_sum(np.stack(shapes), off)) for shapes in reasons]
+        return [DeviationFit.known(_sum(np.stack(shapes), off)) for shapes in reasons]
 
     return fitted
 

@@ -17,7 +17,7 @@ from scipy.interpolate import make_interp_spline
 from scipy.linalg import solve_triangular
 
 from salver.geometry import Array
-from salver.learning.channels import Reading
+from salver.learning.channels import ChannelReading
 from salver.learning.noise import RUNS
 from salver.learning.ranges import WIDTH, Estimate
 from salver.learning.systematic import Felt, SensorBounds, SystematicError, torque_errors, wrist_errors
@@ -41,7 +41,7 @@ class LoadSolution:
 
 
 def solve(
-    runs: Sequence[Sequence[Reading]], weights: Sequence[float], prior: tuple[Array, Array], bounds: SensorBounds
+    runs: Sequence[Sequence[ChannelReading]], weights: Sequence[float], prior: tuple[Array, Array], bounds: SensorBounds
 ) -> LoadSolution:
     """From what sensors felt in each run, which weighs so much."""
     phi, spread = prior
@@ -79,7 +79,7 @@ def solve(
 
 
 def _normal(
-    runs: Sequence[Sequence[Reading]],
+    runs: Sequence[Sequence[ChannelReading]],
     weights: Sequence[float],
     prior: tuple[Array, Array],
     phi: Array,
@@ -122,7 +122,9 @@ def _later(t: Array, rows: Array, delay: float) -> Array:
     return np.asarray(make_interp_spline(t, rows, k=1)(np.clip(t - delay, t[0], t[-1])) if delay else rows)
 
 
-def _whitened(reading: Reading, j: int, effects: Array, prior: tuple[Array, Array]) -> tuple[Array, Array, float]:
+def _whitened(
+    reading: ChannelReading, j: int, effects: Array, prior: tuple[Array, Array]
+) -> tuple[Array, Array, float]:
     """Rows (N, 10 + K) per unit of phi and of systematic errors per bound, and values (N,), over the noise of a channel
     that was found, or more where more is left than it explains; by how much it is noisier than told."""
     noise, rows, nuisance, told = reading.motion.noise, reading.rows[:, j], reading.nuisance[j], reading.told[j]

@@ -3,7 +3,7 @@
 A motion from a posture back to it, in a given time, under all constraints of a fastest plan for the *present* ranges;
 made large is the information of `salver.learning.identify` about mass and centre of mass (D-optimal: Fedorov 1972;
 exciting motions: Swevers et al. 1997), what inertia is and a bias of each channel not being known. An objective of the
-planner like any other (`salver.planning.fastest.objectives`).
+planner like any other (`salver.planning.trajopt.objectives`).
 """
 
 from __future__ import annotations
@@ -34,12 +34,12 @@ from salver.planning.fastest import (
     nearby,
     transport_problem,
 )
-from salver.planning.fastest.constraints import ContactConstraint
-from salver.planning.fastest.curves import Curve
 from salver.planning.fastest.planned import solver_record
-from salver.planning.fastest.spline import RestSpline
-from salver.planning.fastest.starts import ends
 from salver.planning.plan import Plan
+from salver.planning.seeds.starts import ends
+from salver.planning.trajopt.constraints.constraints import ContactConstraint
+from salver.planning.trajopt.curves import Curve
+from salver.planning.trajopt.spline import RestSpline
 from salver.scenario import Scenario
 from salver.sensitivity.arm.terms import MotionTerms, motion_terms
 

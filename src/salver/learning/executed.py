@@ -20,9 +20,9 @@ from scipy.optimize import minimize_scalar
 
 from salver.errors import FileFormatError
 from salver.geometry import Array
-from salver.learning.deviations import Fit, Fitted, of_lags
+from salver.learning.deviations import DeviationFit, Fitted, of_lags
 from salver.learning.logs import check_times
-from salver.models.arm import ArmModel
+from salver.models.arm.arm import ArmModel
 from salver.motion_files import JointSamples, read
 from salver.motion_files.samples import reordered
 from salver.trajectory import JointMotion
@@ -73,7 +73,7 @@ class Executed:
     shift: float
     noisy: Array
     plan: JointMotion
-    fits: list[Fit]
+    fits: list[DeviationFit]
     each: int
     fastest: float
     slowest: float
@@ -139,7 +139,7 @@ def executed(
             "0.3 s on."
         )
     t, off = even.reshape(-1, every).mean(axis=1), off.reshape(-1, every, off.shape[1]).mean(axis=1)
-    fits = [Fit.known(np.zeros((3, *off.shape))), *fitted(t, plan, off)]
+    fits = [DeviationFit.known(np.zeros((3, *off.shape))), *fitted(t, plan, off)]
     fastest = min(0.4 / (every * step), options.fastest)
     found = Executed(t, off, off, off, off, off[0], shift, off, plan, fits, every, fastest, options.slowest)
     return found.again(off)
@@ -200,7 +200,7 @@ def _rates(coefficients: Array, step: float) -> Array:
     )
 
 
-def _most_likely(noisy: Array, fits: list[Fit], step: float, band: tuple[float, float]) -> tuple[Array, Array]:
+def _most_likely(noisy: Array, fits: list[DeviationFit], step: float, band: tuple[float, float]) -> tuple[Array, Array]:
     """(3, K, n) a deviation (K, n) without its noise, the mean over all fits and cut-offs as likely as they are; (n,)
     its noise."""
     count = len(noisy)

@@ -25,9 +25,9 @@ import numpy as np
 from salver.errors import SalverError, ScenarioError
 from salver.geometry import GRAVITY_S, Array
 from salver.learning.executed import executed
-from salver.models.arm import load_arm, with_load
+from salver.models.arm.arm import load_arm, with_load
 from salver.models.bodies import Body
-from salver.models.parameters import TILT, Parameter
+from salver.models.uncertain.parameters import TILT, Parameter
 from salver.motion_files import JointSamples
 from salver.planning.plan import Plan
 from salver.scenario import Scenario

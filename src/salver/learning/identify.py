@@ -27,7 +27,7 @@ import numpy as np
 
 from salver.errors import FileFormatError, SalverError, ScenarioError
 from salver.geometry import Array, hat
-from salver.learning.channels import Reading, SensedMotion, differences
+from salver.learning.channels import ChannelReading, SensedMotion, differences
 from salver.learning.estimate import solve
 from salver.learning.executed import lateness
 from salver.learning.logs import Log, check_times
@@ -35,13 +35,13 @@ from salver.learning.narrowing import half_ranges, narrowed, not_shown, prior
 from salver.learning.ranges import NAMES, Range
 from salver.learning.systematic import SensorBounds
 from salver.models.interfaces import to_tray
-from salver.models.parameters import INERTIAL, inertial_vector, phi_of
 from salver.models.physical import nearest, realisable
 from salver.models.rigid_body import inertia_entries
 from salver.models.tray_motion import frame_map, wrench_map
+from salver.models.uncertain.parameters import INERTIAL, inertial_vector, phi_of
 
 if TYPE_CHECKING:
-    from salver.models.arm import ArmModel
+    from salver.models.arm.arm import ArmModel
     from salver.planning.plan import Plan
     from salver.scenario import Scenario
 
@@ -132,7 +132,7 @@ class Identified:
 
 
 @dataclass(frozen=True)
-class Run:
+class LoggedRun:
     """A plan carried out with the load, and with nothing on the tray."""
 
     plan: Plan
@@ -148,11 +148,11 @@ def identify(plan: Plan, loaded: Sequence[Log], empty: Log, bounds: SensorBounds
     Raises ScenarioError for a scenario that this cannot be asked of, FileFormatError for logs that do not belong to it
     or show a systematic error beyond its bound, SalverError when the logs contradict the scenario's ranges.
     """
-    return identify_runs(plan.scenario, [Run(plan, log, empty) for log in loaded], bounds=bounds)
+    return identify_runs(plan.scenario, [LoggedRun(plan, log, empty) for log in loaded], bounds=bounds)
 
 
 def identify_runs(
-    scenario: Scenario, runs: Sequence[Run], within: Scenario | None = None, bounds: SensorBounds | None = None
+    scenario: Scenario, runs: Sequence[LoggedRun], within: Scenario | None = None, bounds: SensorBounds | None = None
 ) -> Identified:
     """Identify a scenario's load from runs of any plans, in which it stood at the same place.
 
@@ -200,7 +200,7 @@ def identify_runs(
     )
 
 
-def _one_rigid_load(scenario: Scenario, runs: Sequence[Run]) -> None:
+def _one_rigid_load(scenario: Scenario, runs: Sequence[LoggedRun]) -> None:
     """Raise ScenarioError where no arm carries the load, or what it carries is not one rigid load."""
     if scenario.arm is None or any(run.plan.joint is None for run in runs):
         raise ScenarioError(f"{scenario.name} has no arm that moves; a load is identified by the arm that carries it.")
@@ -216,12 +216,12 @@ def _one_rigid_load(scenario: Scenario, runs: Sequence[Run]) -> None:
         )
 
 
-def _felt(scenario: Scenario, runs: Sequence[Run], known: tuple[Array, Array]) -> list[list[Reading]]:
+def _felt(scenario: Scenario, runs: Sequence[LoggedRun], known: tuple[Array, Array]) -> list[list[ChannelReading]]:
     """Sensor channels of each run.
 
     known: what the scenario says of phi, and its spread. Raises FileFormatError for logs that belong to no such run.
     """
-    from salver.models.arm import load_arm
+    from salver.models.arm.arm import load_arm
 
     assert scenario.arm is not None
     arm = load_arm(scenario.arm, scenario.tray)
@@ -241,7 +241,7 @@ def _felt(scenario: Scenario, runs: Sequence[Run], known: tuple[Array, Array]) -
     return readings
 
 
-def _each_its_own(runs: Sequence[Run]) -> None:
+def _each_its_own(runs: Sequence[LoggedRun]) -> None:
     """Raise FileFormatError when two runs are one: what was felt once would count twice."""
     for a, b in combinations([run.loaded for run in runs], 2):
         felt = (a.q, b.q), (a.tau, b.tau), (a.wrench_F, b.wrench_F)

@@ -9,8 +9,8 @@ import numpy as np
 from salver.errors import SalverError
 from salver.geometry import Array, Mask
 from salver.learning.ranges import LIKELY, NAMES, WIDTH, Estimate, Range, consistent, intervals, slid
-from salver.models.contents import inertia_ranges
-from salver.models.parameters import INERTIAL, inertial_vector, phi_of
+from salver.models.uncertain.contents import inertia_ranges
+from salver.models.uncertain.parameters import INERTIAL, inertial_vector, phi_of
 
 if TYPE_CHECKING:
     from salver.scenario import Scenario

@@ -22,7 +22,7 @@ RUNS = 2  # of which a difference is: the loaded one less the empty one
 
 
 @dataclass(frozen=True)
-class NoiseLevel:
+class ChannelNoise:
     """Standard deviations of one channel in one run, in its unit. white: of a single sample. drift: by which it wanders
     in a second."""
 
@@ -30,7 +30,7 @@ class NoiseLevel:
     coloured: float
     drift: float
 
-    def share(self, told: NoiseLevel, samples: int) -> float:
+    def share(self, told: ChannelNoise, samples: int) -> float:
         """Ratio of this noise to `told`, white and coloured together, in a mean over `samples`."""
         both = [n.white**2 / samples + n.coloured**2 for n in (self, told)]
         return float(np.sqrt(both[0] / both[1]))
@@ -54,9 +54,9 @@ class SensorNoise:
         unlike: share and s, by which the arm's own torques are wrong where its motion deviates from the empty run's.
     """
 
-    torque: NoiseLevel = NoiseLevel(0.057, 0.057, 0.03)
-    force: NoiseLevel = NoiseLevel(0.035, 0.035, 0.015)
-    moment: NoiseLevel = NoiseLevel(0.0014, 0.0014, 0.0006)
+    torque: ChannelNoise = ChannelNoise(0.057, 0.057, 0.03)
+    force: ChannelNoise = ChannelNoise(0.035, 0.035, 0.015)
+    moment: ChannelNoise = ChannelNoise(0.0014, 0.0014, 0.0006)
     colour: float = 0.035
     slow: float = 2.0
     friction: tuple[float, float] = (0.06, 0.06)
@@ -89,13 +89,13 @@ class BlockNoise:
         values, vectors = np.linalg.eigh(coloured)
         return cls(samples, coloured, (values, vectors), slow, shapes[:, kept] * np.sqrt(size[kept]))
 
-    def covariance(self, noise: NoiseLevel) -> Array:
+    def covariance(self, noise: ChannelNoise) -> Array:
         """(N, N) of its errors."""
         out = noise.coloured**2 * self.coloured + noise.drift**2 * self.slow
         out[np.diag_indices(len(out))] += noise.white**2 / self.samples
         return np.asarray(out)
 
-    def found(self, told: NoiseLevel, values: Array, effects: Array, runs: int) -> NoiseLevel:
+    def found(self, told: ChannelNoise, values: Array, effects: Array, runs: int) -> ChannelNoise:
         """The noise of a channel with values (N,), the sum of so many runs': its variances, as the mean over all that
         are likely. The drift as told.
 

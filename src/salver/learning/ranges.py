@@ -18,9 +18,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from salver.geometry import Array
-from salver.models.contents import PAIRS
-from salver.models.parameters import INERTIAL
 from salver.models.rigid_body import inertia_entries, parallel_axis
+from salver.models.uncertain.contents import PAIRS
+from salver.models.uncertain.parameters import INERTIAL
 
 WIDTH = 3.0  # standard deviations, of ranges that are taken for certain
 LIKELY = 2.0  # and of those that hold the truth in 95 % of runs or more

@@ -15,9 +15,9 @@ from salver.geometry import Array
 from salver.learning.logs import Log
 from salver.learning.systematic import SensorBounds
 from salver.models.interfaces import to_tray
-from salver.models.parameters import inertial_vector, phi_of
 from salver.models.rigid_body import inertia_entries
 from salver.models.tray_motion import frame_map, wrench_map
+from salver.models.uncertain.parameters import inertial_vector, phi_of
 from salver.planning.plan import Plan
 from salver.sensitivity.arm.terms import motion_terms
 
@@ -134,7 +134,7 @@ class SensedArm:
         joints: bool = True,
         defects: Defects | None = None,
     ) -> None:
-        from salver.models.arm import load_arm
+        from salver.models.arm.arm import load_arm
 
         assert plan.scenario.arm is not None
         assert plan.joint is not None

@@ -1,9 +1,9 @@
 """Was it the plan that was executed? What the tray really felt, judged as the plan is: for every load in the ranges.
 
-A robust row of a plan is at most 0 at any load of the set (`salver.models.worst_case`). Along what was executed it may
-be more: that is the *excess*, as a share of the weight. A delay that all joints share costs nothing, however large;
-joints that lag by different times, friction or a wrong payload do. A margin as large as the excess, bought when
-planning (`contact.margin`), pays for it.
+A robust row of a plan is at most 0 at any load of the set (`salver.models.uncertain.worst_case`). Along what was
+executed it may be more: that is the *excess*, as a share of the weight. A delay that all joints share costs nothing,
+however large; joints that lag by different times, friction or a wrong payload do. A margin as large as the excess,
+bought when planning (`contact.margin`), pays for it.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from salver.errors import ScenarioError
 from salver.geometry import Array
 from salver.learning.deviations import STANDSTILL, of_lags, under_torque
 from salver.learning.executed import Executed, executed
-from salver.models.arm import ArmModel, load_arm, with_load
+from salver.models.arm.arm import ArmModel, load_arm, with_load
 from salver.models.contact_rows import ContactRows, contact_rows
-from salver.models.worst_case import Drift, WorstCase
+from salver.models.uncertain.worst_case import Drift, WorstCase
 from salver.motion_files import JointSamples
 from salver.planning.plan import Plan
 from salver.scenario import Scenario

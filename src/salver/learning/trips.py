@@ -27,12 +27,12 @@ from salver.errors import SalverError, ScenarioError, UnreachableError
 from salver.geometry import Array
 from salver.learning.excite import plan_excite
 from salver.learning.friction import USUAL, Friction, friction
-from salver.learning.identify import Identified, Run, identify_runs
+from salver.learning.identify import Identified, LoggedRun, identify_runs
 from salver.learning.sensors import Defects, Done, SensedArm, Sensors
 from salver.learning.systematic import SensorBounds
 from salver.learning.tilts import short_tilt
-from salver.models.arm import load_arm
-from salver.models.parameters import INERTIAL, inertial_vector
+from salver.models.arm.arm import load_arm
+from salver.models.uncertain.parameters import INERTIAL, inertial_vector
 from salver.motion_files.samples import joint_samples
 from salver.planning.fastest import EFFORTS, FastestOptions, plan_fastest
 from salver.planning.plan import Plan
@@ -191,7 +191,7 @@ class _Hidden:
     true: Array
     seed: int
     sensor: Sensor
-    runs: list[Run] = field(default_factory=list)
+    runs: list[LoggedRun] = field(default_factory=list)
     learnt: Identified | None = None
 
     def __post_init__(self) -> None:
@@ -219,7 +219,7 @@ class _Hidden:
             defects=Defects.usual(SensorBounds(), self.seed),
         )
         load, named = np.array(_in_frame(self.base, self.true)), self.named(plan)
-        run = Run(
+        run = LoggedRun(
             plan,
             arm.log(load, name, _done(plan, named, self.seed)),
             arm.log(None, f"{name}, empty", _done(*_empty(plan, named), self.seed)),

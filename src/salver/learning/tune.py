@@ -20,7 +20,7 @@ from salver.errors import ScenarioError
 from salver.geometry import Array
 from salver.learning.executed import low_passed
 from salver.learning.track import Judge, Tracking, track
-from salver.models.arm import load_arm
+from salver.models.arm.arm import load_arm
 from salver.motion_files import JointSamples
 from salver.motion_files.samples import joint_samples
 from salver.planning.make import make_plan

@@ -2,7 +2,7 @@
 
 from salver.live.course import LiveCourse
 from salver.live.live import Live
-from salver.live.obstacles import Moving
+from salver.live.replanning.obstacles import Moving
 from salver.live.state import State
 from salver.live.worker import Worker
 

@@ -18,8 +18,8 @@ import numpy as np
 from salver.errors import MissingDependencyError, ScenarioError
 from salver.geometry import Array
 from salver.live.live import Live
+from salver.live.replanning.steer import TICK
 from salver.live.state import State
-from salver.live.steer import TICK
 
 try:
     import torch

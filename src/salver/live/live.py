@@ -1,6 +1,6 @@
 """A motion that may be changed at any time, and never drops what it carries.
 
-At every moment a motion is committed that was verified (`salver.live.verify`) and ends at rest. It is only ever
+At every moment a motion is committed that was verified (`salver.live.verdict.verify`) and ends at rest. It is only ever
 replaced by another such motion that goes on from it. So nothing that planners, users or networks do, or fail to do, can
 bring the load into danger: what is not verified is not committed, and when nothing new comes the arm comes to rest.
 
@@ -27,22 +27,14 @@ import numpy.typing as npt
 
 from salver.errors import Status
 from salver.geometry import Array
-from salver.live.lead import Lead
-from salver.live.lookout import Lookout, Sighting
-from salver.live.motion import Committed, resting
-from salver.live.obstacles import Moving, predicted
-from salver.live.planner import Answer, Job, Planner
-from salver.live.profile import STANDARD as SPEED
 from salver.live.reader import Reader
 from salver.live.ready import STOPS_EVERY, Ready
-from salver.live.running import Running
-from salver.live.seal import sealed
-from salver.live.standing import live_scenario, standing
-from salver.live.state import State
-from salver.live.steer import TICK
-from salver.live.stopped import Held, Stopped
-from salver.live.verify import verified
-from salver.live.wishes import (
+from salver.live.replanning.lead import Lead
+from salver.live.replanning.lookout import Lookout, Sighting
+from salver.live.replanning.obstacles import Moving, predicted
+from salver.live.replanning.planner import Answer, Job, Planner
+from salver.live.replanning.steer import TICK
+from salver.live.replanning.wishes import (
     ACCEPTED,
     OPERATOR,
     PRIORITY,
@@ -63,7 +55,15 @@ from salver.live.wishes import (
     refused,
     twist_wish,
 )
-from salver.models.arm import with_load
+from salver.live.running import Running
+from salver.live.standing import live_scenario, standing
+from salver.live.state import State
+from salver.live.stopped import Hold, Stopped
+from salver.live.verdict.motion import Committed, resting
+from salver.live.verdict.profile import STANDARD as SPEED
+from salver.live.verdict.seal import sealed
+from salver.live.verdict.verify import verified
+from salver.models.arm.arm import with_load
 from salver.planning.fastest import TransportProblem, transport_problem
 from salver.scenario import Scenario, load
 from salver.trajectory import JointMotion
@@ -120,7 +120,7 @@ class Live:
         self._ready = Ready()
         # Written by whoever requests.
         self._stopped: Stopped | None = None  # read by the loop too, which takes nothing but a stop while there is one
-        self._held: Held | None = None  # read by the loop too
+        self._held: Hold | None = None  # read by the loop too
         self._factor = self._most = 1.0  # of full speed; and the most that the operator allows
         self._tried = -np.inf  # live time, s, when it was tried last to run what is committed at another factor
         self._astray = ""  # why the arm is not where it was commanded to be, as it was measured last
@@ -307,9 +307,9 @@ class Live:
         source, held = source if source in PRIORITY else OPERATOR, self._held
         if held is not None:
             if PRIORITY[source] > PRIORITY[held.halt.source]:
-                self._held = Held(replace(held.halt, source=source), held.at)
+                self._held = Hold(replace(held.halt, source=source), held.at)
             return ACCEPTED
-        self._held = Held(Halt(source), self._now)
+        self._held = Hold(Halt(source), self._now)
         self._halt = self._ready.soonest(self.committed, self._now)
         return ACCEPTED
 
@@ -502,7 +502,7 @@ class Live:
         Args:
             budget: s that the step may take, roughly.
             answer: plans elsewhere; default: in this thread. Its proposal is verified here, unless it carries a valid
-                seal (`salver.live.seal`).
+                seal (`salver.live.verdict.seal`).
         """
         if self._planning.acquire(blocking=False):
             try:

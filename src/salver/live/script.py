@@ -30,7 +30,7 @@ import numpy as np
 from salver.errors import SalverError, Status
 from salver.geometry import matrix_from_quat_wxyz
 from salver.live.live import Live
-from salver.live.wishes import OPERATOR, PRIORITY, is_flag, numbers
+from salver.live.replanning.wishes import OPERATOR, PRIORITY, is_flag, numbers
 
 AGAIN = 0.02  # s after which a twist that lasts is sent again
 # What may stand beside each request, with "t" and "source".

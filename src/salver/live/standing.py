@@ -10,12 +10,12 @@ import numpy.typing as npt
 
 from salver.errors import ScenarioError, Status, UnreachableError
 from salver.geometry import Array
-from salver.live.motion import Committed, resting
-from salver.live.verify import verified
-from salver.live.wishes import numbers
+from salver.live.replanning.wishes import numbers
+from salver.live.verdict.motion import Committed, resting
+from salver.live.verdict.verify import verified
 from salver.planning.fastest import AtPosture, TransportProblem
-from salver.planning.fastest.obstacles import KeepOut
-from salver.planning.fastest.starts import standing_at
+from salver.planning.seeds.starts import standing_at
+from salver.planning.trajopt.constraints.obstacles import KeepOut
 from salver.scenario import Scenario
 
 LOOKS = 8  # at postures at the scenario's start, when none is given

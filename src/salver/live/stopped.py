@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from salver.live.wishes import PRIORITY, Halt, Source
+from salver.live.replanning.wishes import PRIORITY, Halt, Source
 
 
-class Held:
+class Hold:
     """The hold until it is released. halt: what the planner is asked for because of it. at: live time, s."""
 
     def __init__(self, halt: Halt, at: float) -> None:

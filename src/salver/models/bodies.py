@@ -9,13 +9,13 @@ from functools import cached_property
 import numpy as np
 
 from salver.geometry import Array, exp
-from salver.models import shapes
-from salver.models.contact import ContactSet, support_contacts
-from salver.models.hulls import polytope
+from salver.models.contact.contact import ContactSet, support_contacts
 from salver.models.liquid import Liquid
-from salver.models.parameters import Parameter, inertial_vector, phi_jacobian, phi_of
-from salver.models.polygons import inset, intersection
 from salver.models.rigid_body import RigidBody
+from salver.models.shapes import shapes
+from salver.models.shapes.hulls import polytope
+from salver.models.shapes.polygons import inset, intersection
+from salver.models.uncertain.parameters import Parameter, inertial_vector, phi_jacobian, phi_of
 
 TRAY = "tray"
 
@@ -64,7 +64,7 @@ class Body:
     inertial: nominal inertial parameters in B (centre of mass at the origin).
     p_EB, R_EB: pose of B in the tray frame E. com_G: origin of B in the shape frame G.
     supports: what it stands on: names of objects, or ("tray",). contacts: with all of them, in B, in the order
-    of supports; regions: how many contact points belong to each. any_contents: see `salver.models.contents`.
+    of supports; regions: how many contact points belong to each. any_contents: see `salver.models.uncertain.contents`.
     liquid, empty: as in `LooseObject`.
     """
 

@@ -2,10 +2,10 @@
 
 With w of `salver.models.tray_motion` at the tray frame E, each facet of each interface's contact wrench cone is
     c(p) . w <= 0,
-with c a polynomial of the uncertain parameters p; `salver.models.worst_case` takes its worst case. That is exact for
-mass, centre of mass and inertia of a single object on a tray that does not turn. Friction enters through its least
-value (a smaller cone lies inside the larger), position through the area that every placement keeps, mass through its
-two extreme values, and contents that are not known through `salver.models.contents`.
+with c a polynomial of the uncertain parameters p; `salver.models.uncertain.worst_case` takes its worst case. That is
+exact for mass, centre of mass and inertia of a single object on a tray that does not turn. Friction enters through its
+least value (a smaller cone lies inside the larger), position through the area that every placement keeps, mass through
+its two extreme values, and contents that are not known through `salver.models.uncertain.contents`.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ import numpy.typing as npt
 from salver.errors import ScenarioError
 from salver.geometry import Array, Indices
 from salver.models.bodies import Body
-from salver.models.contact import ContactSet
-from salver.models.contents import INERTIA_OF_MOMENTS, Filling, Hull, moments_of_inertia
+from salver.models.contact.contact import ContactSet
+from salver.models.contact.wrench_cone import cone_facets
 from salver.models.interfaces import ContactNetwork, shift_ranges, sure_contacts, to_tray
-from salver.models.parameters import TILT, Parameter, UncertainSet, tilt_at
 from salver.models.payload import Payload
 from salver.models.tray_motion import N_MOTION, at_rest, frame_map, wrench_map
-from salver.models.worst_case import UncertainRows
-from salver.models.wrench_cone import cone_facets
+from salver.models.uncertain.contents import INERTIA_OF_MOMENTS, Filling, Hull, moments_of_inertia
+from salver.models.uncertain.parameters import TILT, Parameter, UncertainSet, tilt_at
+from salver.models.uncertain.worst_case import UncertainRows
 
 MOST_GENERATORS = 256  # points times edges of one contact: at most some 12 000 facets
 _MOST_MASSES = 3  # so many uncertain masses in one network are taken at all their extreme values

@@ -16,9 +16,9 @@ import numpy as np
 
 from salver.geometry import Array, hat
 from salver.models.bodies import TRAY, Body
-from salver.models.contact import ContactSet
-from salver.models.parameters import Parameter, UncertainSet
-from salver.models.polygons import eroded, half_planes, intersection
+from salver.models.contact.contact import ContactSet
+from salver.models.shapes.polygons import eroded, half_planes, intersection
+from salver.models.uncertain.parameters import Parameter, UncertainSet
 
 
 @dataclass(frozen=True)

@@ -26,9 +26,9 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from salver.geometry import Array
-from salver.models import shapes
 from salver.models.rigid_body import RigidBody
-from salver.models.shapes import Solid
+from salver.models.shapes import shapes
+from salver.models.shapes.shapes import Solid
 
 GRAVITY = 9.81  # m/s^2
 MODES = 2  # that move, of each lateral axis

@@ -17,7 +17,7 @@ from salver.errors import ScenarioError
 from salver.geometry import Array
 from salver.models.bodies import Body, check_standing
 from salver.models.interfaces import ContactNetwork, networks, regions_lost
-from salver.models.parameters import NOTHING, Parameter, UncertainSet, inertial_vector, parse
+from salver.models.uncertain.parameters import NOTHING, Parameter, UncertainSet, inertial_vector, parse
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -16,8 +16,8 @@ import numpy as np
 import numpy.typing as npt
 
 from salver.geometry import Array, Mask
-from salver.models.hulls import polytope
 from salver.models.rigid_body import inertia_entries, inertia_matrix
+from salver.models.shapes.hulls import polytope
 
 if TYPE_CHECKING:
     from salver.models.bodies import Body

@@ -20,7 +20,7 @@ from salver.wording import listed
 
 if TYPE_CHECKING:
     from salver.planning.fastest import FastestOptions
-    from salver.planning.fastest.watch import Watch
+    from salver.planning.trajopt.watch import Watch
 
 METHODS = ("robust", "baseline", "fastest", "safest", "least-sensitive")
 
@@ -89,7 +89,7 @@ def with_arm(plan: Plan, q_start: Array | None = None) -> Plan:
 
     q_start: posture to start from instead of the scenario's or the best one, so that two plans can share theirs.
     """
-    from salver.models.arm import load_arm
+    from salver.models.arm.arm import load_arm
     from salver.planning.follow.limits import torques
     from salver.planning.follow.motion import follow_scenario
 

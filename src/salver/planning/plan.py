@@ -15,7 +15,7 @@ from salver.display import Shown
 from salver.errors import FileFormatError, ScenarioError, Status
 from salver.files import provenance
 from salver.geometry import Array, invert, log, matrix_from_quat_wxyz
-from salver.models.parameters import unshaken
+from salver.models.uncertain.parameters import unshaken
 from salver.motion_files.verdict import SPEED, UNSAFE, one_line
 from salver.planning.extent import Extent, extent
 from salver.planning.object.conditions import TILT, apart, unit_of
@@ -36,7 +36,7 @@ from salver.trajectory import (
 
 if TYPE_CHECKING:
     from salver.contact_margins import InterfaceMargins, Margins, SafeSpeeds
-    from salver.models.parameters import UncertainSet
+    from salver.models.uncertain.parameters import UncertainSet
     from salver.sensitivity.arm import ArmChain
 
 FINER = 10  # the check's grid against the planner's
@@ -453,7 +453,7 @@ class Plan(Shown, Tabular):
         about = {"scenario": self.scenario.name, "method": self.method, "ok": self.ok}
         labels = {}
         if self.joint is not None and self.scenario.arm is not None:
-            from salver.models.arm import load_arm
+            from salver.models.arm.arm import load_arm
 
             labels["joint"] = load_arm(self.scenario.arm, self.scenario.tray).joint_names
         return Table(dimensioned(self.arrays(), {}), labels, about)

@@ -19,8 +19,8 @@ from scipy.linalg.lapack import dgesv
 
 from salver.errors import ScenarioError
 from salver.geometry import Array, exp
-from salver.models.arm import ArmModel, tray_to_object
-from salver.models.arm_limits import POSITION, JointLimits
+from salver.models.arm.arm import ArmModel, tray_to_object
+from salver.models.arm.arm_limits import POSITION, JointLimits
 
 REACHED = 1e-11  # m and rad: the pose error below which a posture counts as exact
 # How far a start posture that was given may miss the start of the motion before it is refused instead of being put

@@ -22,22 +22,22 @@ import numpy as np
 from salver.control.object import Gains
 from salver.errors import SalverError, ScenarioError
 from salver.geometry import Array
-from salver.models.arm import load_arm
+from salver.liquid.before import Past
+from salver.liquid.given_way import Sloshing
+from salver.models.arm.arm import load_arm
 from salver.planning.fastest.after import stays
-from salver.planning.fastest.constraints import LEVEL_TOLERANCE
-from salver.planning.fastest.curves import BrakingCurve, FreeCurve, Grid, launch_basis, united
-from salver.planning.fastest.ends import Anywhere, AtPosture
-from salver.planning.fastest.exchange import CurveOf, optimise
-from salver.planning.fastest.obstacles import KeepOut
-from salver.planning.fastest.problem import TransportProblem, transport_problem, with_missed_cases
 from salver.planning.fastest.retiming import SplinePath
-from salver.planning.fastest.spline import RestSpline, SplineMotion, min_jerk_blend
-from salver.planning.fastest.starts import braking_time
 from salver.planning.follow.forward import tray_motion
 from salver.planning.follow.limits import BETWEEN, verdict
+from salver.planning.seeds.starts import braking_time
 from salver.planning.stop_library import SAME, StopLibrary
-from salver.sensitivity.arm.liquids import Sloshing
-from salver.sensitivity.arm.past import Past
+from salver.planning.trajopt.constraints.constraints import LEVEL_TOLERANCE
+from salver.planning.trajopt.constraints.obstacles import KeepOut
+from salver.planning.trajopt.curves import BrakingCurve, FreeCurve, Grid, launch_basis, united
+from salver.planning.trajopt.ends import Anywhere, AtPosture
+from salver.planning.trajopt.exchange import CurveOf, optimise
+from salver.planning.trajopt.problem import TransportProblem, transport_problem, with_missed_cases
+from salver.planning.trajopt.spline import RestSpline, SplineMotion, min_jerk_blend
 from salver.sensitivity.arm.task import task_law
 from salver.sensitivity.arm.terms import motion_terms
 from salver.sensitivity.arm.tracking import Deviation, deviation, late

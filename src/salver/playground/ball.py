@@ -9,9 +9,9 @@ import numpy as np
 
 from salver.geometry import GRAVITY_S, Array
 from salver.live import Moving
-from salver.live.obstacles import Movable, predicted
-from salver.models.arm import ArmModel
-from salver.models.arm_geometry import arm_geometry
+from salver.live.replanning.obstacles import Movable, predicted
+from salver.models.arm.arm import ArmModel
+from salver.models.arm.arm_geometry import arm_geometry
 from salver.models.bodies import TRAY
 from salver.models.payload import Payload
 from salver.simulation.elements import FLOOR, HULL, INERT, TRAY_GEOM, hull_name

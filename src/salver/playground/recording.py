@@ -16,7 +16,7 @@ from salver.driver.live import commanded
 from salver.driver.logs import RECORD_RATE, keep
 from salver.files import provenance
 from salver.geometry import Array
-from salver.models.arm import load_arm
+from salver.models.arm.arm import load_arm
 from salver.planning.plan import Plan
 from salver.planning.plan_files import make_way
 from salver.scenario import Scenario

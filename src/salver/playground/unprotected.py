@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from salver.geometry import Array
-from salver.models.arm import ArmModel
+from salver.models.arm.arm import ArmModel
 
 
 @dataclass(frozen=True)

@@ -17,8 +17,8 @@ from salver.control.arm import ArmState, controller_for
 from salver.errors import Status
 from salver.geometry import Array, matrix_from_quat_wxyz, quat_wxyz_from_matrix
 from salver.live import Live, LiveCourse
-from salver.live.wishes import numbers
-from salver.models.arm import load_arm
+from salver.live.replanning.wishes import numbers
+from salver.models.arm.arm import load_arm
 from salver.playground.ball import Ball, Throw, furnish
 from salver.playground.liquids import LiquidSurfaces
 from salver.playground.recording import SessionRecording

@@ -29,7 +29,7 @@ from salver.reports.words import Verdict
 from salver.trajectory import MotionSamples, SampledReference
 
 if TYPE_CHECKING:
-    from salver.models.arm import ArmModel
+    from salver.models.arm.arm import ArmModel
 
 HEADLINES = {
     "holds": ("good", "Everything stays where it is, whatever is carried within its ranges"),
@@ -187,7 +187,7 @@ def _run(audit: Audit) -> tuple[ReportedRun, ArmModel | None]:
     arrays: dict[str, Array] = dict(plan.arrays())
     arm, joints = None, audit.given
     if isinstance(joints, JointSamples) and scenario.arm is not None:
-        from salver.models.arm import load_arm
+        from salver.models.arm.arm import load_arm
 
         arm = load_arm(scenario.arm, scenario.tray)
         q = reordered(joints, arm.joint_names).q

@@ -8,15 +8,15 @@ import numpy as np
 
 from salver.errors import ScenarioError
 from salver.geometry import Array
-from salver.models.parameters import Parameter
+from salver.models.uncertain.parameters import Parameter
 from salver.reports.parameters import pretty
 from salver.reports.style import CYCLE, ROLE_COLOURS
 from salver.sensitivity import tubes
 from salver.wording import listed
 
 if TYPE_CHECKING:
-    from salver.models.arm import ArmModel
-    from salver.models.arm_limits import JointLimits
+    from salver.models.arm.arm import ArmModel
+    from salver.models.arm.arm_limits import JointLimits
     from salver.reports.run import Record, ReportedMotion, ReportedRun
 
 Spec = dict[str, Any]
@@ -253,7 +253,7 @@ def joint_charts(run: ReportedRun, limits: JointLimits) -> list[Spec]:
 
 def clearance_charts(run: ReportedRun, arm: ArmModel) -> list[Spec]:
     """Clearance of arm, tray and load from one another and from obstacles, over time."""
-    from salver.models.arm_geometry import arm_geometry
+    from salver.models.arm.arm_geometry import arm_geometry
 
     try:
         parts = arm_geometry(arm, run.bodies, run.scenario.around)

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from salver.geometry import Array
-from salver.models.obstacle_shapes import obstacle_shapes
-from salver.models.surfaces import Surface, surface
+from salver.models.shapes.obstacle_shapes import obstacle_shapes
+from salver.models.shapes.surfaces import Surface, surface
 
 if TYPE_CHECKING:
-    from salver.models.arm import ArmModel
+    from salver.models.arm.arm import ArmModel
     from salver.scenario import Obstacle
 
 # Below this many triangles a link of the Panda visibly loses its shape; above it only the file grows.

@@ -32,7 +32,7 @@ from salver.scenario import Scenario
 from salver.wording import listed
 
 if TYPE_CHECKING:
-    from salver.models.arm import ArmModel
+    from salver.models.arm.arm import ArmModel
 
 
 def write_report(
@@ -188,7 +188,7 @@ def asset(name: str, package: str = "salver.reports") -> str:
 def _arm(run: ReportedRun) -> ArmModel | None:
     if run.scenario.arm is None or any("q" not in m.arrays for m in run.motions):
         return None
-    from salver.models.arm import load_arm
+    from salver.models.arm.arm import load_arm
 
     return load_arm(run.scenario.arm, run.scenario.tray)
 

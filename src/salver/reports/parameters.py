@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from salver.models.parameters import Parameter, UncertainSet
+from salver.models.uncertain.parameters import Parameter, UncertainSet
 
 _UNITS = {
     "mass": (1e3, "g"),

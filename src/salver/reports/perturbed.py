@@ -9,7 +9,7 @@ from salver import sampling
 from salver.control.object import Gains
 from salver.errors import SalverError
 from salver.geometry import Array
-from salver.models.parameters import Parameter
+from salver.models.uncertain.parameters import Parameter
 from salver.simulation.closed_loop import Coverage, Rollout, coverage, rollout
 
 if TYPE_CHECKING:

@@ -10,9 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from salver.geometry import GRAVITY_S, Array, matrix_from_quat_wxyz, quat_wxyz_from_matrix
-from salver.models import hulls
 from salver.models.bodies import Body
-from salver.models.parameters import Parameter
+from salver.models.shapes import hulls
+from salver.models.uncertain.parameters import Parameter
 from salver.reports.meshes import LinkMesh, decimate, link_meshes, obstacle_meshes, pack
 from salver.reports.style import OBJECT_COLOURS, ROLE_COLOURS, TRAY_COLOUR, rgb
 from salver.simulation import liquid_surface
@@ -21,7 +21,7 @@ from salver.simulation.liquid_surface import DrawnSurface
 from salver.simulation.loads import true_world
 
 if TYPE_CHECKING:
-    from salver.models.arm import ArmModel
+    from salver.models.arm.arm import ArmModel
     from salver.reports.run import ReportedMotion, ReportedRun
     from salver.scenario import Scenario
 

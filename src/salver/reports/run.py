@@ -15,14 +15,14 @@ from salver.errors import FileFormatError
 from salver.files import read_result, read_sealed
 from salver.geometry import Array, matrix_from_quat_wxyz
 from salver.models.bodies import Body
-from salver.models.parameters import Parameter
+from salver.models.uncertain.parameters import Parameter
 from salver.planning.plan_files import read_plan
 from salver.reports.contact import ContactCurves, contact_curves
 from salver.run_directory import RECORDS, STEMS, check_digest, known_stems, plan_digest, scenario_of
 from salver.simulation.record import FOLDER, WHAT_IF
 
 if TYPE_CHECKING:
-    from salver.sensitivity.spills import Liquids
+    from salver.liquid.spills import Liquids
 
 _NEEDED = (
     "t", "p_SB", "v_S", "a_S", "quat_SB_wxyz", "omega_B", "alpha_B", "wrench_B", "grasp_map", "cone_coefficients",
@@ -137,7 +137,7 @@ class ReportedRun:
     def waves(self, motion: ReportedMotion) -> Liquids | None:
         """The liquids along a motion as it was planned, at its times; None without any."""
         from salver.contact_margins import tray_motion
-        from salver.sensitivity.spills import Liquids
+        from salver.liquid.spills import Liquids
         from salver.trajectory import MotionSamples
 
         p, v, a, omega, alpha = (motion.arrays[key] for key in ("p_SB", "v_S", "a_S", "omega_B", "alpha_B"))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from markupsafe import Markup
 
-from salver.models.arm_limits import LIMITS
+from salver.models.arm.arm_limits import LIMITS
 from salver.reports import charts, perturbed_runs
 from salver.reports.cells import NOTHING, joined, motion_cell, number, outcome_cell, table
 from salver.reports.speed_bar import speed_bar
@@ -18,7 +18,7 @@ from salver.reports.words import length, true_parameters
 from salver.wording import listed
 
 if TYPE_CHECKING:
-    from salver.models.arm import ArmModel
+    from salver.models.arm.arm import ArmModel
 from salver.reports.run import Record, ReportedMotion, ReportedRun
 
 NAVIGATION = {

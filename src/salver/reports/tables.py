@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from salver.files import write_atomic
-from salver.models.arm_limits import LIMITS
+from salver.models.arm.arm_limits import LIMITS
 from salver.planning.object.conditions import UNITS
 from salver.reports.parameters import ranges
 
 if TYPE_CHECKING:
-    from salver.models.arm import ArmModel
+    from salver.models.arm.arm import ArmModel
     from salver.reports.perturbed import Perturbed
     from salver.reports.run import ReportedMotion, ReportedRun
     from salver.scenario import Obstacle

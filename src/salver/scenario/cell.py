@@ -7,8 +7,8 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from salver.models.arm_limits import PLANNING_SHARES
-from salver.models.urdf import MOST_JOINTS
+from salver.models.arm.arm_limits import PLANNING_SHARES
+from salver.models.arm.urdf import MOST_JOINTS
 from salver.scenario.fields import (
     Degrees,
     File,
@@ -74,7 +74,7 @@ class ArmLimits(Model):
 
 
 class Arm(Model):
-    """The arm: a known name (see `salver.models.arm`) or a URDF file with the frame that carries the tray.
+    """The arm: a known name (see `salver.models.arm.arm`) or a URDF file with the frame that carries the tray.
 
     package_dirs: where the packages are whose meshes the URDF names. collisions: what to do about links whose geometry
     cannot be read: refuse, fit capsules to them, or leave them unchecked.
@@ -102,7 +102,7 @@ class Arm(Model):
 
     @property
     def limit_shares(self) -> dict[str, float]:
-        """The share of each kind of limit (`salver.models.arm_limits.LIMITS`, by key) that a plan may use."""
+        """The share of each kind of limit (`salver.models.arm.arm_limits.LIMITS`, by key) that a plan may use."""
         return {key: getattr(self, f"{key}_scale", share) for key, share in PLANNING_SHARES.items()}
 
 

@@ -27,8 +27,8 @@ from salver.validation import sentences
 
 if TYPE_CHECKING:
     from salver.models.bodies import Body
-    from salver.models.parameters import UncertainSet
     from salver.models.payload import Payload
+    from salver.models.uncertain.parameters import UncertainSet
 
 MOST_COEFFICIENTS = 256  # of the friction cones of one object
 MOST_VALUES = 5e7  # numbers in the largest array of a plan: 0.4 GB

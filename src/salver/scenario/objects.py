@@ -26,8 +26,8 @@ from salver.scenario.liquid import LiquidIn
 
 if TYPE_CHECKING:
     from salver.models.bodies import LooseObject
-    from salver.models.parameters import Parameter, UncertainSet, Vibration
-    from salver.models.shapes import Solid
+    from salver.models.shapes.shapes import Solid
+    from salver.models.uncertain.parameters import Parameter, UncertainSet, Vibration
 
 
 class Box(Model):
@@ -35,7 +35,7 @@ class Box(Model):
     size: tuple[Metres, Metres, Metres]
 
     def solid(self) -> Solid:
-        from salver.models import shapes
+        from salver.models.shapes import shapes
 
         return shapes.box(self.size)
 
@@ -47,7 +47,7 @@ class Cylinder(Model):
     support_points: Annotated[Whole, Field(ge=3, le=64)] = 8
 
     def solid(self) -> Solid:
-        from salver.models import shapes
+        from salver.models.shapes import shapes
 
         return shapes.cylinder(self.radius, self.height, self.support_points)
 
@@ -71,7 +71,7 @@ class Prism(Model):
         return self
 
     def solid(self) -> Solid:
-        from salver.models import shapes
+        from salver.models.shapes import shapes
 
         return shapes.prism(np.array(self.polygon), self.height)
 
@@ -82,7 +82,7 @@ class Mesh(Model):
     scale: Scale = 1.0
 
     def solid(self) -> Solid:
-        from salver.models import shapes
+        from salver.models.shapes import shapes
 
         return shapes.mesh(self.file, self.scale)
 
@@ -100,7 +100,7 @@ class Composite(Model):
     parts: Annotated[list[Part], Field(min_length=1, max_length=50)]
 
     def solid(self) -> Solid:
-        from salver.models import shapes
+        from salver.models.shapes import shapes
 
         return shapes.composite([(part.shape.solid(), np.array(part.position), part.mass) for part in self.parts])
 
@@ -170,7 +170,7 @@ class Uncertainty(Model):
 
     def ranges(self, item: LooseObject, lone: bool) -> Iterator[tuple[Parameter, float, float]]:
         """What is uncertain about an object, with its nominal value and half-range, each above 0."""
-        from salver.models.parameters import inertial_vector, parameters_of
+        from salver.models.uncertain.parameters import inertial_vector, parameters_of
 
         inertial, liquid = inertial_vector(item.own), item.liquid
         half = {
@@ -181,7 +181,7 @@ class Uncertainty(Model):
             "position": self.position,
         }
         if item.any_contents:
-            from salver.models.contents import inertia_ranges
+            from salver.models.uncertain.contents import inertia_ranges
 
             points = item.solid.bounding_points_G - item.com_G
             heaviest = item.inertial.mass + _absolute(self.mass, inertial[0])
@@ -372,7 +372,7 @@ class Shake(Model):
 
     @property
     def vibration(self) -> Vibration:
-        from salver.models.parameters import Vibration
+        from salver.models.uncertain.parameters import Vibration
 
         return Vibration(self.amplitude, float(np.deg2rad(self.tilt_deg)), self.frequency)
 
@@ -392,7 +392,7 @@ class UncertaintySet(Model):
 
         Raises ValueError when the correlation is none, or of something that is not uncertain.
         """
-        from salver.models.parameters import TILT, UncertainSet
+        from salver.models.uncertain.parameters import TILT, UncertainSet
 
         lone = len(objects) == 1
         found = [r for item, it in zip(objects, loose, strict=True) for r in item.uncertainty.ranges(it, lone)]

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from salver.geometry import Array
-from salver.models.arm_limits import LIMITS
+from salver.models.arm.arm_limits import LIMITS
 from salver.scenario.model import Scenario
 from salver.scenario.objects import assumed
 
 if TYPE_CHECKING:
-    from salver.models.arm import ArmModel
+    from salver.models.arm.arm import ArmModel
 
 SLIPPERY_AT_MOST = 1.2  # dry rubber on a dry tray has about that; little has more
 LIGHTEST = 1e-3  # kg
@@ -22,10 +22,10 @@ LEAST_TILT = 2.0  # degrees; who bounds a tilt by less has it in radians
 
 
 def warnings_of(scenario: Scenario) -> tuple[str, ...]:
-    """All of a scenario, a sentence each. Raises what `salver.models.arm.load_arm` does."""
+    """All of a scenario, a sentence each. Raises what `salver.models.arm.arm.load_arm` does."""
     found = [*_of_ranges(scenario), *_of_objects(scenario), *_of_angles(scenario.model_dump(exclude_unset=True))]
     if scenario.arm is not None:
-        from salver.models.arm import load_arm
+        from salver.models.arm.arm import load_arm
 
         arm = load_arm(scenario.arm, scenario.tray)
         found = [*_of_limits(arm), *_of_payload(scenario, arm), *found]

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from salver.geometry import Array
-from salver.models.parameters import UncertainSet, support
+from salver.models.uncertain.parameters import UncertainSet, support
 
 
 def radius(sensitivity: Array, uncertain: UncertainSet) -> Array:

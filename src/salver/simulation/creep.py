@@ -20,7 +20,7 @@ from functools import cached_property
 import numpy as np
 
 from salver.geometry import Array, hat
-from salver.models.arm import ArmModel
+from salver.models.arm.arm import ArmModel
 
 
 @dataclass(frozen=True)

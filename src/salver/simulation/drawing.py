@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from salver.geometry import Array
-from salver.models.obstacle_shapes import obstacle_shapes
-from salver.models.surfaces import Surface, surface
+from salver.models.shapes.obstacle_shapes import obstacle_shapes
+from salver.models.shapes.surfaces import Surface, surface
 from salver.scenario import Obstacle
 
 OBSTACLE_COLOUR = "#a5816b"

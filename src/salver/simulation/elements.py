@@ -18,11 +18,11 @@ import numpy as np
 import pinocchio as pin
 
 from salver.geometry import Array, matrix_from_rpy, quat_wxyz_from_matrix
-from salver.models.arm import ArmModel, moved_links
+from salver.models.arm.arm import ArmModel, moved_links
 from salver.models.bodies import TRAY
 from salver.models.liquid import Rod
-from salver.models.obstacle_shapes import mesh_pieces
 from salver.models.rigid_body import RigidBody
+from salver.models.shapes.obstacle_shapes import mesh_pieces
 from salver.scenario import Cylinder, Obstacle, Tray
 from salver.simulation.engine import mujoco
 from salver.simulation.liquid_surface import WALL_OPACITY

@@ -12,9 +12,9 @@ from salver.errors import ScenarioError
 from salver.geometry import Array, exp
 from salver.models.bodies import TRAY, Body
 from salver.models.liquid import THICKEST, Modes
-from salver.models.parameters import TILT, Parameter, UncertainSet, all_parameters, inertial_vector
 from salver.models.rigid_body import RigidBody, inertia_matrix
-from salver.models.shapes import Solid, cylinder
+from salver.models.shapes.shapes import Solid, cylinder
+from salver.models.uncertain.parameters import TILT, Parameter, UncertainSet, all_parameters, inertial_vector
 from salver.scenario import CarriedObject, Scenario
 
 LEAST_MOMENT = 1e-14  # kg m^2; MuJoCo takes less for zero

@@ -10,10 +10,10 @@ from xml.etree import ElementTree
 import numpy as np
 
 from salver.geometry import Array, Indices, matrix_from_rpy
-from salver.models.arm import ArmModel
-from salver.models.link_shapes import link_shapes
-from salver.models.mesh_files import LARGEST, read_mesh_file
-from salver.models.surfaces import surface
+from salver.models.arm.arm import ArmModel
+from salver.models.arm.link_shapes import link_shapes
+from salver.models.shapes.mesh_files import LARGEST, read_mesh_file
+from salver.models.shapes.surfaces import surface
 
 WHITE = (0.93, 0.93, 0.95)
 GREY = (0.72, 0.76, 0.80)

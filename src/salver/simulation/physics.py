@@ -20,8 +20,8 @@ from scipy.interpolate import interp1d
 from salver.control.arm import ArmController, ArmState, Relay, Saturation
 from salver.errors import SalverError, ScenarioError, UnreachableError
 from salver.geometry import Array, matrix_from_quat_wxyz
-from salver.models.arm import ArmModel, load_arm
-from salver.models.arm_limits import JointLimits
+from salver.models.arm.arm import ArmModel, load_arm
+from salver.models.arm.arm_limits import JointLimits
 from salver.scenario import Scenario
 from salver.simulation import creep, tray_frame
 from salver.simulation.engine import mujoco

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from salver.geometry import Array, matrix_from_quat_wxyz
-from salver.models.arm import ArmModel, load_arm
+from salver.models.arm.arm import ArmModel, load_arm
 from salver.scenario import Scenario
 from salver.simulation.drawing import draw_obstacles
 from salver.simulation.engine import mujoco

@@ -11,7 +11,7 @@ import numpy as np
 from salver.control.arm import ArmController, PositionController, controller_for
 from salver.errors import ScenarioError
 from salver.geometry import Array
-from salver.models.arm import ArmModel
+from salver.models.arm.arm import ArmModel
 from salver.models.bodies import Body
 from salver.models.rigid_body import RigidBody
 from salver.scenario import Scenario

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from salver.errors import ScenarioError
-from salver.models.parameters import Parameter, all_parameters
+from salver.models.uncertain.parameters import Parameter, all_parameters
 from salver.planning.round import MultiLegPlan
 from salver.scenario import Scenario
 from salver.simulation.loads import outside

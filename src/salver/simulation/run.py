@@ -12,7 +12,7 @@ import numpy as np
 
 from salver.files import provenance
 from salver.geometry import Array, invert, log, quat_wxyz_from_matrix
-from salver.models.arm import ArmModel
+from salver.models.arm.arm import ArmModel
 from salver.scenario import Scenario
 from salver.simulation import creep
 from salver.simulation.loads import true_world

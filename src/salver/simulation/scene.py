@@ -18,7 +18,7 @@ import numpy as np
 
 from salver.errors import ScenarioError
 from salver.geometry import Array, Indices, quat_wxyz_from_matrix
-from salver.models.arm import ArmModel
+from salver.models.arm.arm import ArmModel
 from salver.models.bodies import TRAY
 from salver.scenario import Scenario
 from salver.simulation.elements import (

@@ -16,7 +16,7 @@ import numpy as np
 from salver.geometry import GRAVITY_S, Array, Indices
 
 if TYPE_CHECKING:
-    from salver.models.parameters import Vibration
+    from salver.models.uncertain.parameters import Vibration
 
 
 @dataclass(frozen=True)

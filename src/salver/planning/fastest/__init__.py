@@ -3,15 +3,15 @@
 Constraints, objectives and ends of one's own: docs/extending.md.
 """
 
-from salver.planning.fastest.constraints import Block, Constraint, evaluate, padded, worst_of
-from salver.planning.fastest.ends import Anywhere, AtPose, AtPosture, End
-from salver.planning.fastest.evaluation import MotionEvaluation
 from salver.planning.fastest.found import EFFORTS, FastestMotion, FastestOptions, object_motion
-from salver.planning.fastest.objectives import Distance, Duration, LeastMargin, Objective, Point, QuadraticModel
 from salver.planning.fastest.optimum import nearby
 from salver.planning.fastest.planned import joint_plan, plan_fastest
-from salver.planning.fastest.problem import TransportProblem, transport_problem
 from salver.planning.fastest.search import fastest
+from salver.planning.trajopt.constraints.constraints import Block, Constraint, evaluate, padded, worst_of
+from salver.planning.trajopt.ends import Anywhere, AtPose, AtPosture, End
+from salver.planning.trajopt.evaluation import MotionEvaluation
+from salver.planning.trajopt.objectives import Distance, Duration, LeastMargin, Objective, Point, QuadraticModel
+from salver.planning.trajopt.problem import TransportProblem, transport_problem
 
 __all__ = [
     "EFFORTS",

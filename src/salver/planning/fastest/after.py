@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 
 from salver.geometry import Array
-from salver.planning.fastest.brim import Brim
-from salver.planning.fastest.constraints import ContactConstraint, evaluate
-from salver.planning.fastest.evaluation import MotionEvaluation
-from salver.planning.fastest.problem import TransportProblem
+from salver.planning.trajopt.constraints.brim import Brim
+from salver.planning.trajopt.constraints.constraints import ContactConstraint, evaluate
+from salver.planning.trajopt.evaluation import MotionEvaluation
+from salver.planning.trajopt.problem import TransportProblem
 
 
 def stays(problem: TransportProblem, t: Array, z: Array) -> bool:

@@ -8,10 +8,10 @@ import numpy as np
 
 from salver.errors import Status
 from salver.geometry import Array
-from salver.planning.fastest.curves import FreeCurve, Grid, united
-from salver.planning.fastest.problem import TransportProblem
-from salver.planning.fastest.spline import RestSpline
 from salver.planning.follow.forward import tray_motion
+from salver.planning.trajopt.curves import FreeCurve, Grid, united
+from salver.planning.trajopt.problem import TransportProblem
+from salver.planning.trajopt.spline import RestSpline
 from salver.trajectory import JointMotion, MotionSamples, SampledReference
 
 

@@ -15,19 +15,19 @@ import numpy as np
 
 from salver.errors import ScenarioError, Status, UnreachableError
 from salver.geometry import Array, quat_wxyz_from_matrix
-from salver.planning.fastest.ends import AtPosture
 from salver.planning.fastest.found import FastestOptions, object_motion
 from salver.planning.fastest.optimum import few_pieces, refitted
 from salver.planning.fastest.planned import plan_problem
-from salver.planning.fastest.problem import TransportProblem, transport_problem
 from salver.planning.fastest.search import NEARLY
-from salver.planning.fastest.spline import SplineMotion
-from salver.planning.fastest.starts import Ends, Start, between, ends
 from salver.planning.fastest.together import together
-from salver.planning.fastest.watch import WHY, Watch
 from salver.planning.plan import Plan
 from salver.planning.plan_files import begun_at
 from salver.planning.round import MultiLegPlan
+from salver.planning.seeds.starts import Ends, Start, between, ends
+from salver.planning.trajopt.ends import AtPosture
+from salver.planning.trajopt.problem import TransportProblem, transport_problem
+from salver.planning.trajopt.spline import SplineMotion
+from salver.planning.trajopt.watch import WHY, Watch
 from salver.scenario import Scenario
 
 ROUGHS, HALF = 0.2, 0.6  # share of the work that rough optima are, about, and that and legs along the best of them

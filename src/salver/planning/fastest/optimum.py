@@ -9,15 +9,15 @@ import numpy as np
 
 from salver.errors import UnreachableError
 from salver.geometry import Array
-from salver.planning.fastest.blocked import why_unreached
-from salver.planning.fastest.curves import FreeCurve
-from salver.planning.fastest.exchange import SHORTEST, optimise
 from salver.planning.fastest.found import FastestMotion, FastestOptions
-from salver.planning.fastest.objectives import Objective
-from salver.planning.fastest.problem import TransportProblem
-from salver.planning.fastest.spline import RestSpline, SplineMotion
-from salver.planning.fastest.starts import Start, ends, straight
-from salver.planning.fastest.watch import Watch
+from salver.planning.seeds.blocked import why_unreached
+from salver.planning.seeds.starts import Start, ends, straight
+from salver.planning.trajopt.curves import FreeCurve
+from salver.planning.trajopt.exchange import SHORTEST, optimise
+from salver.planning.trajopt.objectives import Objective
+from salver.planning.trajopt.problem import TransportProblem
+from salver.planning.trajopt.spline import RestSpline, SplineMotion
+from salver.planning.trajopt.watch import Watch
 
 DEGREE = 5
 REFINED = 0.5  # damping of the first step after pieces have been added,

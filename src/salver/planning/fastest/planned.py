@@ -11,17 +11,17 @@ import numpy as np
 from salver.errors import Status, UnreachableError
 from salver.geometry import Array
 from salver.planning.fastest.after import calmer
-from salver.planning.fastest.bound import least_by_friction, least_duration
-from salver.planning.fastest.constraints import LEVEL_TOLERANCE, ContactConstraint
-from salver.planning.fastest.exchange import SHORTEST, reached
 from salver.planning.fastest.found import FastestMotion, FastestOptions, object_motion
-from salver.planning.fastest.problem import TransportProblem, transport_problem, with_missed_cases
 from salver.planning.fastest.search import fastest
 from salver.planning.fastest.speeds import at_every_speed
-from salver.planning.fastest.spline import SplineMotion
-from salver.planning.fastest.watch import Watch
 from salver.planning.follow.limits import LIMIT_EXCEEDED
 from salver.planning.object.conditions import LIQUID
+from salver.planning.trajopt.bound import least_by_friction, least_duration
+from salver.planning.trajopt.constraints.constraints import LEVEL_TOLERANCE, ContactConstraint
+from salver.planning.trajopt.exchange import SHORTEST, reached
+from salver.planning.trajopt.problem import TransportProblem, transport_problem, with_missed_cases
+from salver.planning.trajopt.spline import SplineMotion
+from salver.planning.trajopt.watch import Watch
 from salver.scenario import Scenario
 from salver.trajectory import JointMotion, SampledReference
 from salver.wording import listed

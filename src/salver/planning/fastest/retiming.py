@@ -22,13 +22,13 @@ from scipy.sparse import coo_matrix
 from salver.errors import ScenarioError, Status, UnreachableError
 from salver.geometry import Array, quat_wxyz_from_matrix
 from salver.planning.fastest import joint_plan
-from salver.planning.fastest.constraints import evaluate, worst_of
-from salver.planning.fastest.curves import Grid, PathCurve, united
-from salver.planning.fastest.exchange import CurveOf, optimise
-from salver.planning.fastest.problem import TransportProblem, transport_problem
 from salver.planning.fastest.speeds import at_every_speed
-from salver.planning.fastest.spline import RestSpline, SplineMotion, min_jerk_blend
 from salver.planning.round import MultiLegPlan
+from salver.planning.trajopt.constraints.constraints import evaluate, worst_of
+from salver.planning.trajopt.curves import Grid, PathCurve, united
+from salver.planning.trajopt.exchange import CurveOf, optimise
+from salver.planning.trajopt.problem import TransportProblem, transport_problem
+from salver.planning.trajopt.spline import RestSpline, SplineMotion, min_jerk_blend
 from salver.scenario import Scenario
 from salver.sensitivity.arm.terms import motion_terms
 from salver.trajectory import JointMotion

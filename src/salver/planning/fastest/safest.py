@@ -12,20 +12,20 @@ import numpy as np
 
 from salver.errors import ScenarioError, Status, UnreachableError
 from salver.geometry import Array
-from salver.planning.fastest.constraints import ContactConstraint
-from salver.planning.fastest.ends import AtPosture
 from salver.planning.fastest.found import FastestMotion, FastestOptions
 from salver.planning.fastest.legs import plan_legs
-from salver.planning.fastest.objectives import LeastMargin, Objective
 from salver.planning.fastest.optimum import DEGREE, nearby
 from salver.planning.fastest.planned import joint_plan, solver_record
-from salver.planning.fastest.problem import transport_problem
 from salver.planning.fastest.search import fastest
 from salver.planning.fastest.speeds import at_every_speed
-from salver.planning.fastest.spline import RestSpline
-from salver.planning.fastest.starts import Ends, between, straight, tray_line
-from salver.planning.fastest.watch import Watch
 from salver.planning.round import MultiLegPlan
+from salver.planning.seeds.starts import Ends, between, straight, tray_line
+from salver.planning.trajopt.constraints.constraints import ContactConstraint
+from salver.planning.trajopt.ends import AtPosture
+from salver.planning.trajopt.objectives import LeastMargin, Objective
+from salver.planning.trajopt.problem import transport_problem
+from salver.planning.trajopt.spline import RestSpline
+from salver.planning.trajopt.watch import Watch
 from salver.scenario import Scenario
 
 if TYPE_CHECKING:

@@ -15,17 +15,11 @@ import numpy as np
 
 from salver.errors import Status
 from salver.geometry import Array
-from salver.planning.fastest.blocked import why_blocked, why_touching, why_unreached
-from salver.planning.fastest.curves import FreeCurve
-from salver.planning.fastest.exchange import ROUGH_GAIN, rough
 from salver.planning.fastest.found import FastestMotion, FastestOptions
 from salver.planning.fastest.optimum import DEGREE, NEAR, REFINED, few_pieces, optimum, refitted
-from salver.planning.fastest.problem import TransportProblem
-from salver.planning.fastest.programme import Iterate
-from salver.planning.fastest.sides import past
-from salver.planning.fastest.spline import RestSpline, SplineMotion
-from salver.planning.fastest.sqp import SqpSolution
-from salver.planning.fastest.starts import (
+from salver.planning.seeds.blocked import why_blocked, why_touching, why_unreached
+from salver.planning.seeds.sides import past
+from salver.planning.seeds.starts import (
     ALONG,
     Ends,
     Start,
@@ -37,7 +31,13 @@ from salver.planning.fastest.starts import (
     touches,
     tray_line,
 )
-from salver.planning.fastest.watch import WHY, Watch
+from salver.planning.trajopt.curves import FreeCurve
+from salver.planning.trajopt.exchange import ROUGH_GAIN, rough
+from salver.planning.trajopt.problem import TransportProblem
+from salver.planning.trajopt.programme import Iterate
+from salver.planning.trajopt.spline import RestSpline, SplineMotion
+from salver.planning.trajopt.sqp import SqpSolution
+from salver.planning.trajopt.watch import WHY, Watch
 
 NEARLY = 1e-2  # violation of a rough optimum that more pieces may mend
 

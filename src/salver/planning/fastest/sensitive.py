@@ -11,17 +11,17 @@ import numpy as np
 
 from salver.errors import ScenarioError, Status
 from salver.geometry import Array
-from salver.planning.fastest.curves import Curve, FreeCurve, Grid
 from salver.planning.fastest.found import FastestMotion, FastestOptions
-from salver.planning.fastest.objectives import Objective, Point, QuadraticModel
 from salver.planning.fastest.optimum import nearby
 from salver.planning.fastest.planned import joint_plan, solver_record
-from salver.planning.fastest.problem import TransportProblem
 from salver.planning.fastest.safest import optima, quickest_within
 from salver.planning.fastest.speeds import at_every_speed
-from salver.planning.fastest.spline import RestSpline
-from salver.planning.fastest.watch import Watch
 from salver.planning.object.cost import CostWeights, cost_residual, refinement, sensitivity_cost, tray_loop
+from salver.planning.trajopt.curves import Curve, FreeCurve, Grid
+from salver.planning.trajopt.objectives import Objective, Point, QuadraticModel
+from salver.planning.trajopt.problem import TransportProblem
+from salver.planning.trajopt.spline import RestSpline
+from salver.planning.trajopt.watch import Watch
 from salver.scenario import Scenario
 from salver.sensitivity.arm.terms import motion_terms
 from salver.sensitivity.dual import Dual, DualRotation

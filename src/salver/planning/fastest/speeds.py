@@ -10,7 +10,7 @@ import numpy as np
 
 from salver.contact_margins.time_scaling import SLOWEST
 from salver.models.tray_motion import Speed
-from salver.planning.fastest.constraints import ContactConstraint, evaluate, worst_of
+from salver.planning.trajopt.constraints.constraints import ContactConstraint, evaluate, worst_of
 
 if TYPE_CHECKING:
     from salver.planning.plan import Plan

@@ -14,18 +14,18 @@ from functools import cached_property
 import numpy as np
 
 from salver.geometry import Array, Indices
-from salver.planning.fastest.constraints import Block, Constraint, evaluate
-from salver.planning.fastest.curves import ORDERS, Grid, end_equalities, with_ends
-from salver.planning.fastest.ends import End
-from salver.planning.fastest.evaluation import MotionEvaluation
-from salver.planning.fastest.exchange import ROUGH_GAIN, SHORTEST
-from salver.planning.fastest.objectives import Point
-from salver.planning.fastest.problem import TransportProblem
-from salver.planning.fastest.programme import Iterate, Programme
-from salver.planning.fastest.spline import DERIVATIVES, RestSpline, SplineMotion
-from salver.planning.fastest.sqp import SqpOptions, minimise
-from salver.planning.fastest.trust import Trust
-from salver.planning.fastest.watch import Watch
+from salver.planning.trajopt.constraints.constraints import Block, Constraint, evaluate
+from salver.planning.trajopt.curves import ORDERS, Grid, end_equalities, with_ends
+from salver.planning.trajopt.ends import End
+from salver.planning.trajopt.evaluation import MotionEvaluation
+from salver.planning.trajopt.exchange import ROUGH_GAIN, SHORTEST
+from salver.planning.trajopt.objectives import Point
+from salver.planning.trajopt.problem import TransportProblem
+from salver.planning.trajopt.programme import Iterate, Programme
+from salver.planning.trajopt.spline import DERIVATIVES, RestSpline, SplineMotion
+from salver.planning.trajopt.sqp import SqpOptions, minimise
+from salver.planning.trajopt.trust import Trust
+from salver.planning.trajopt.watch import Watch
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,7 @@ from salver.contact_margins import margins
 from salver.errors import ScenarioError, Status, UnreachableError
 from salver.planning.fastest.found import FastestMotion, FastestOptions
 from salver.planning.fastest.planned import found_and_planned
-from salver.planning.fastest.problem import transport_problem
+from salver.planning.trajopt.problem import transport_problem
 from salver.scenario import Scenario
 
 SCALES = (0.0, 0.25, 0.5, 0.75, 1.0, 1.25, 1.5, 2.0)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from salver.geometry import Array, Indices
-from salver.models.arm_geometry import ArmGeometry
+from salver.models.arm.arm_geometry import ArmGeometry
 from salver.trajectory import JointMotion
 
 RESOLUTION = 1e-4  # m: parts that may have come nearer than this count as touching

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 
-from salver.models.arm import ArmModel
+from salver.models.arm.arm import ArmModel
 from salver.trajectory import JointMotion, MotionSamples
 
 

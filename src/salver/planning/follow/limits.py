@@ -10,9 +10,9 @@ import numpy as np
 
 from salver.errors import Status
 from salver.geometry import Array
-from salver.models.arm import ArmModel, with_load
-from salver.models.arm_geometry import ArmGeometry, arm_geometry
-from salver.models.arm_limits import LIMITS, LimitKind
+from salver.models.arm.arm import ArmModel, with_load
+from salver.models.arm.arm_geometry import ArmGeometry, arm_geometry
+from salver.models.arm.arm_limits import LIMITS, LimitKind
 from salver.models.bodies import Body
 from salver.models.described import Floor
 from salver.planning.follow.clearance import sweep

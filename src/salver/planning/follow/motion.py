@@ -13,8 +13,8 @@ import numpy as np
 
 from salver.errors import ScenarioError, Status
 from salver.geometry import Array
-from salver.models.arm import ArmModel, load_arm, with_load
-from salver.models.arm_geometry import ArmGeometry, arm_geometry
+from salver.models.arm.arm import ArmModel, load_arm, with_load
+from salver.models.arm.arm_geometry import ArmGeometry, arm_geometry
 from salver.models.bodies import Body
 from salver.models.described import ObstacleDescription
 from salver.planning.follow.limits import COLLISION, blocked_end, verdict

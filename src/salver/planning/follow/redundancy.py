@@ -24,9 +24,9 @@ import numpy as np
 import pinocchio as pin
 
 from salver.geometry import Array, invert, log
-from salver.models.arm import ArmModel
-from salver.models.arm_geometry import ArmGeometry
-from salver.models.arm_limits import LIMITS
+from salver.models.arm.arm import ArmModel
+from salver.models.arm.arm_geometry import ArmGeometry
+from salver.models.arm.arm_limits import LIMITS
 from salver.planning.follow.descent import descend
 from salver.planning.postures import REACHED
 from salver.trajectory import MotionSamples, Reference

@@ -23,19 +23,19 @@ import numpy as np
 
 from salver.errors import ScenarioError
 from salver.geometry import Array, Indices, exp, invert
+from salver.liquid.slosh_rows import Sloshed
+from salver.liquid.sloshing import Slosh
+from salver.liquid.spills import Liquids, limits, slacks
+from salver.liquid.wave_gradients import Unknowns
 from salver.models.bodies import TRAY, Body
 from salver.models.contact_rows import ContactRows, contact_rows
 from salver.models.interfaces import sure_contacts
-from salver.models.parameters import Parameter, support
 from salver.models.payload import Payload
 from salver.models.tray_motion import FULL_SPEED, N_MOTION, PRODUCTS, Speed, corners, frame_map, wrench_map
+from salver.models.uncertain.parameters import Parameter, support
 from salver.scenario import Scenario
 from salver.sensitivity.dual import Dual, joined
-from salver.sensitivity.slosh_rows import Sloshed
-from salver.sensitivity.sloshing import Slosh
-from salver.sensitivity.spills import Liquids, limits, slacks
 from salver.sensitivity.tray import BodyMotion, TraySensitivity
-from salver.sensitivity.wave_gradients import Unknowns
 
 UNITS = {"paper": "N", "exact": "of the weight"}
 TILT = "tilt limit"
@@ -75,7 +75,7 @@ def conditions_along(
         return (*(_paper(payload, body, motion, sensitivity, n_z) for body in payload.bodies), *tilt)
     # How a liquid sloshes at other speeds is looked at along whole motions, not by rows of instants.
     speeds = (FULL_SPEED,) if payload.liquids else corners(scenario.motion.speeds, scenario.motion.speed_rate)
-    felt = {speed: TrayMotion(payload, t, *felt_at(motion, payload.first, n_z, speed)) for speed in speeds}
+    felt = {speed: FeltMotion(payload, t, *felt_at(motion, payload.first, n_z, speed)) for speed in speeds}
     contacts = (MotionRows.of(rows, felt[speed], speed) for rows in contact_rows(payload) for speed in speeds)
     return (*contacts, *(BrimRows(body.name, felt[FULL_SPEED]) for body in payload.liquids), *tilt)
 
@@ -201,7 +201,7 @@ def _stacked(force: Dual, torque: Dual, n_z: int) -> tuple[Array, Array]:
 
 
 @dataclass(frozen=True, eq=False)
-class TrayMotion:
+class FeltMotion:
     """What the tray feels, w (T, 12) at t (T,), its derivative (T, 12, n_z), and what liquids make of it."""
 
     payload: Payload
@@ -229,10 +229,10 @@ class MotionRows:
 
     owner: tuple[str, ...]
     rows: ContactRows
-    felt: TrayMotion
+    felt: FeltMotion
 
     @classmethod
-    def of(cls, rows: ContactRows, felt: TrayMotion, speed: Speed) -> MotionRows:
+    def of(cls, rows: ContactRows, felt: FeltMotion, speed: Speed) -> MotionRows:
         return cls(tuple(rows.network.interfaces[int(e)].name + speed.words for e in rows.interface), rows, felt)
 
     def slack(self, step: Array | None = None) -> Array:
@@ -253,11 +253,11 @@ class MotionRows:
 
 @dataclass(frozen=True)
 class BrimRows:
-    """The least share that one liquid leaves of all that it must keep, `salver.sensitivity.spills.limits`, in any case;
+    """The least share that one liquid leaves of all that it must keep, `salver.liquid.spills.limits`, in any case;
     at the last instant, of what it does after the motion too."""
 
     name: str
-    felt: TrayMotion
+    felt: FeltMotion
 
     @property
     def owner(self) -> tuple[str, ...]:

@@ -13,7 +13,7 @@ import numpy as np
 
 from salver.display import Outlined
 from salver.geometry import Array, Mask
-from salver.models.parameters import UncertainSet
+from salver.models.uncertain.parameters import UncertainSet
 from salver.planning.object.conditions import apart, conditions_along
 from salver.planning.object.cost import tray_loop
 from salver.scenario import Scenario

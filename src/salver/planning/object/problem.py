@@ -21,7 +21,7 @@ import numpy as np
 
 from salver.geometry import Array, hat, log, right_jacobian_inverse
 from salver.models.bodies import Body
-from salver.models.parameters import UncertainSet
+from salver.models.uncertain.parameters import UncertainSet
 from salver.planning.object.conditions import Rows, conditions_along
 from salver.planning.object.cost import CostWeights, base_radius, cost_residual, refinement, tray_loop
 from salver.scenario import Scenario

@@ -22,10 +22,10 @@ from salver.control.object import Gains
 from salver.display import Outlined
 from salver.errors import ScenarioError
 from salver.geometry import Array
-from salver.models.arm import ArmModel, load_arm, with_load
+from salver.models.arm.arm import ArmModel, load_arm, with_load
 from salver.models.bodies import Body
 from salver.models.contact_rows import ContactRows, contact_rows
-from salver.models.parameters import UncertainSet
+from salver.models.uncertain.parameters import UncertainSet
 from salver.sensitivity import tubes
 from salver.sensitivity.arm.contact import ContactChange, contact_change
 from salver.sensitivity.arm.load import LoadChange
@@ -33,7 +33,7 @@ from salver.sensitivity.arm.task import task_law
 from salver.sensitivity.arm.terms import MotionTerms, motion_terms
 from salver.sensitivity.arm.tracking import (
     Deviation,
-    Held,
+    HeldCommands,
     JointDeviation,
     JointLoop,
     deviation,
@@ -162,7 +162,7 @@ class ArmChain(Outlined):
         return self.deviation.torque
 
     @property
-    def held(self) -> Held:
+    def held(self) -> HeldCommands:
         return self.deviation.held
 
     @property

@@ -14,8 +14,8 @@ import numpy as np
 from salver.geometry import Array
 from salver.models.contact_rows import ContactRows, network_rows
 from salver.models.interfaces import ContactNetwork
-from salver.models.parameters import NOTHING, Parameter, UncertainSet
 from salver.models.payload import Payload
+from salver.models.uncertain.parameters import NOTHING, Parameter, UncertainSet
 
 _STEP = 1e-4  # of a parameter's half-range
 

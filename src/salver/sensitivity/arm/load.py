@@ -21,9 +21,9 @@ import numpy.typing as npt
 from salver.geometry import Array
 from salver.models.bodies import Body
 from salver.models.interfaces import to_tray
-from salver.models.parameters import Parameter, UncertainSet, support, tilt_at
 from salver.models.payload import Payload
 from salver.models.tray_motion import N_MOTION, frame_map, wrench_map
+from salver.models.uncertain.parameters import Parameter, UncertainSet, support, tilt_at
 
 _STEP = 1e-3  # of a parameter's half-range, for first derivatives; they are then exact to 1e-6, also for a tilt
 

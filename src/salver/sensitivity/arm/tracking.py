@@ -29,7 +29,7 @@ import numpy as np
 from salver.geometry import Array, Indices, hat
 from salver.models.payload import Payload
 from salver.models.tray_motion import N_MOTION
-from salver.models.worst_case import Drift
+from salver.models.uncertain.worst_case import Drift
 from salver.scenario import Scenario
 from salver.sensitivity.arm.load import LoadChange, load_change
 from salver.sensitivity.arm.terms import MotionTerms
@@ -114,7 +114,7 @@ class Reaction:
 
 
 @dataclass(frozen=True, eq=False)
-class Held:
+class HeldCommands:
     """Deviation of the nominal motion by the zero-order hold: q, dq, torque (T, n), tray, w (T, 12), see `Deviation`.
 
     These are means over a period. swing: (T, 12) by which w is ahead of its mean when a command begins, and behind when
@@ -129,9 +129,9 @@ class Held:
     swing: Array
     late: Array
 
-    def __add__(self, other: Held) -> Held:
+    def __add__(self, other: HeldCommands) -> HeldCommands:
         """Sum of two hold effects."""
-        return Held(*(a + b for a, b in zip(vars(self).values(), vars(other).values(), strict=True)))
+        return HeldCommands(*(a + b for a, b in zip(vars(self).values(), vars(other).values(), strict=True)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,7 +147,7 @@ class Deviation:
     joints: JointDeviation
     tray: TrayDeviation
     torque: Array
-    held: Held
+    held: HeldCommands
     law: Law
 
     def along(self, terms: MotionTerms) -> Deviation:
@@ -332,12 +332,12 @@ def deviation(load: LoadChange, terms: MotionTerms, late: Array, law: Law, start
     return Deviation(load, terms, JointDeviation(state, missing), TrayDeviation(moved, w), torque, held, law)
 
 
-def _held(terms: MotionTerms, joints: JointDeviation, tray: TrayDeviation, torque: Array) -> Held:
+def _held(terms: MotionTerms, joints: JointDeviation, tray: TrayDeviation, torque: Array) -> HeldCommands:
     """Effect of the hold delay; the last part of the missing acceleration."""
     late, swing = joints.missing[:, :, -1], np.zeros_like(terms.w)
     swing[:, :6] = (terms.jacobian @ late[:, :, None])[:, :, 0]
     q, dq, torque, moved, w = (x[:, :, -1] for x in (joints.q, joints.dq, torque, tray.state, tray.w))
-    return Held(q, dq, torque, moved, w, swing, late)
+    return HeldCommands(q, dq, torque, moved, w, swing, late)
 
 
 def tray_of_joints(terms: MotionTerms, joints: JointDeviation) -> TrayDeviation:

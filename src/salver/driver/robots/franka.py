@@ -1,0 +1,241 @@
+"""Franka arms, through pylibfranka's torque interface.
+
+pylibfranka drives the Franka Research 3, whose joints turn as the Panda's do, within tighter limits: a plan made for
+the Panda is checked against these before the arm moves. Source: Franka Robotics, "Limits for Franka Research 3" in the
+robot and interface specifications; the same numbers in libfranka, include/franka/rate_limiting.h.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from salver.control.arm import ArmState
+from salver.driver.gate import Gate
+from salver.driver.preflight import Check, looked_at
+from salver.driver.signals import Signals, noted_signals
+from salver.errors import MissingDependencyError, SalverError
+from salver.geometry import Array
+from salver.models.arm.arm_limits import JointLimits
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from salver.driver.robots.robots import Takes
+    from salver.driver.sensing import Sensed
+    from salver.models.arm.arm import ArmModel
+    from salver.planning.plan import Plan
+    from salver.trajectory import JointMotion
+
+PERIOD = 1e-3  # s
+COMMAND_RATE_SHARE = 0.999  # of the limit: the arm refuses what touches it
+LONGEST_STEP = 0.02  # s between two states on the way to the start; then the arm has given up by itself
+
+FR3 = JointLimits(
+    q_min=np.array([-2.7437, -1.7837, -2.9007, -3.0421, -2.8065, 0.5445, -3.0159]),
+    q_max=np.array([2.7437, 1.7837, 2.9007, -0.1518, 2.8065, 4.5169, 3.0159]),
+    velocity=np.array([2.62, 2.62, 2.62, 2.62, 5.26, 4.18, 5.26]),
+    acceleration=np.full(7, 10.0),
+    jerk=np.full(7, 5000.0),
+    torque=np.array([87.0, 87.0, 87.0, 87.0, 12.0, 12.0, 12.0]),
+    torque_rate=np.full(7, 1000.0),
+)
+
+_OFFSET = np.array([0.30, 0.20, 0.20, 0.30, 0.35, 0.35, 0.35])
+_SLOPE = np.array([12.0, 5.17, 7.00, 8.00, 34.0, 11.0, 34.0])
+_UPPER_END = np.array([2.75010, 1.79180, 2.90650, -0.1458, 2.81010, 4.52050, 3.01960])
+_LOWER_END = np.array([-2.750100, -1.791800, -2.906500, -3.048100, -2.810100, 0.54092, -3.019600])
+
+
+def velocity_range(q: Array) -> tuple[Array, Array]:
+    """Least and largest joint velocity (..., 7) that the arm allows at joint positions (..., 7): towards an end of its
+    range a joint must go slower, as it can still brake before it."""
+
+    def towards(distance: Array) -> Array:
+        return np.clip(np.sqrt(np.maximum(_SLOPE * distance, 0.0)) - _OFFSET, 0.0, FR3.velocity)
+
+    return -towards(q - _LOWER_END), towards(_UPPER_END - q)
+
+
+class FrankaRobot:
+    """A Franka arm through pylibfranka's torque interface. Written for pylibfranka 0.19 and later."""
+
+    takes: Takes = "torque"
+    period, lag, speed = PERIOD, 0.0, 1.0
+
+    @classmethod
+    def connect(cls, address: str, plan: Plan, arm: ArmModel, realtime: bool) -> FrankaRobot:
+        tray = plan.scenario.tray
+        return cls(address, arm, tray.mass, np.array(tray.inertia), realtime)
+
+    @staticmethod
+    def check(plan: Plan, arm: ArmModel) -> list[Check]:
+        return check_franka(plan, arm)
+
+    def __init__(
+        self, address: str, arm: ArmModel, tray_mass: float, tray_inertia: Array, realtime: bool = True
+    ) -> None:
+        """Connect and tell the arm of the tray. Raises MissingDependencyError without pylibfranka, SalverError when the
+        arm does not answer.
+
+        realtime: refuse to run on a kernel that gives no real-time priority, as libfranka advises.
+        """
+        self._library = library()
+        config = self._library.RealtimeConfig
+        try:
+            self._robot = self._library.Robot(address, config.kEnforce if realtime else config.kIgnore)
+            self._robot.set_load(tray_mass, arm.tray_com_F.tolist(), np.diag(tray_inertia).ravel().tolist())
+            # Thresholds of a collision, N m and N: well above what the planned accelerations need.
+            self._robot.set_collision_behavior([40.0] * 7, [60.0] * 7, [60.0] * 6, [90.0] * 6)
+            self._model = self._robot.load_model()
+        except self._library.FrankaException as error:
+            raise _said(address, error) from None
+        except RuntimeError as error:  # pylibfranka's exceptions are RuntimeErrors, not all of them FrankaExceptions
+            raise _said(address, error) from None
+        self._address, self._arm = address, arm
+        self._control: Any = None
+        self._state: Any = None
+
+    @property
+    def source(self) -> str:
+        return f"franka at {self._address}"
+
+    def look(self) -> ArmState:
+        try:
+            self._state = self._robot.read_once()
+        except RuntimeError as error:
+            raise _said(self._address, error) from None
+        return _arm_state(self._state)
+
+    def start(self) -> None:
+        # The arm bears itself and the tray; what is commanded beyond that begins at nothing.
+        rate = COMMAND_RATE_SHARE * self._arm.limits.torque_rate
+        limit = self._arm.limits.torque
+        self._gate = Gate(-limit, limit, rate, PERIOD, np.zeros(self._arm.n))
+        self._differs = np.zeros(self._arm.n)
+        self._compare(_arm_state(self._state).q)
+        self._control = self._robot.start_torque_control()
+
+    def read(self) -> tuple[ArmState, float]:
+        try:
+            self._state, elapsed = self._control.readOnce()
+        except RuntimeError as error:
+            raise _said(self._address, error) from None
+        return _arm_state(self._state), elapsed.to_sec()
+
+    def write(self, torque: Array, sensed: Sensed, *, last: bool = False) -> None:
+        if not sensed.wrong:
+            self._compare(sensed.state.q)
+        adds = self._arm.gravity(sensed.state.q) + self._differs
+        command = self._library.Torques(self._gate(torque - adds).tolist())
+        command.motion_finished = last
+        try:
+            self._control.writeOnce(command)
+        except RuntimeError as error:
+            raise _said(self._address, error) from None
+
+    def _compare(self, q: Array) -> None:
+        """Keep the difference between the torque that the arm adds by itself and our model of it, if it is finite."""
+        adds = np.array(self._model.gravity(self._state), dtype=float)
+        if np.all(np.isfinite(adds)):
+            self._differs = adds - self._arm.gravity(q)
+
+    def stop(self) -> None:
+        try:
+            self._robot.stop()
+        finally:
+            self._control = None
+
+    def move(self, motion_from: Callable[[Array], JointMotion]) -> None:
+        """Follow a joint motion by the arm's own position control, from where it holds itself. Raises SalverError, when
+        it is interrupted too; the arm has been told to stop then.
+        """
+        with noted_signals() as signals:
+            try:
+                self._move(motion_from(self._finite(self._robot.read_once().q_d)), signals)
+            except RuntimeError as error:
+                raise _said(self._address, error) from None
+            finally:
+                self._robot.stop()
+
+    def _move(self, motion: JointMotion, signals: Signals) -> None:
+        control = self._robot.start_joint_position_control(self._library.ControllerMode.JointImpedance)
+        t = 0.0
+        while t < motion.duration:
+            elapsed = float(control.readOnce()[1].to_sec())
+            if not 0 <= elapsed <= LONGEST_STEP:
+                raise SalverError(f"The arm at {self._address} says that {elapsed:g} s passed between two states.")
+            if signals.seen:
+                raise SalverError(f"{signals.wish(t)} The arm was stopped on its way to the start.")
+            t += elapsed
+            command = self._library.JointPositions(motion.sample(t)[0][0].tolist())
+            command.motion_finished = t >= motion.duration
+            control.writeOnce(command)
+
+    def _finite(self, values: Any) -> Array:
+        found = np.array(values, dtype=float)
+        if found.shape != (self._arm.n,) or not np.all(np.isfinite(found)):
+            raise SalverError(f"The arm at {self._address} reports no numbers for its joints.")
+        return found
+
+
+def library() -> Any:
+    """pylibfranka, or one sentence that says how to get it."""
+    try:
+        import pylibfranka
+    except ImportError:
+        raise MissingDependencyError(
+            "Driving a Franka needs the package pylibfranka; install it with: pip install 'salver[robot]'."
+        ) from None
+    return pylibfranka
+
+
+def _said(address: str, error: Exception) -> SalverError:
+    return SalverError(f"The arm at {address} says: {str(error).removeprefix('libfranka: ')}")
+
+
+def _arm_state(state: Any) -> ArmState:
+    return ArmState(np.array(state.q), np.array(state.dq))
+
+
+def check_franka(plan: Plan, arm: ArmModel) -> list[Check]:
+    """Requirements of the Franka Research 3 beyond the Panda's, and limits of its interface."""
+    assert plan.joint is not None
+    physics = plan.scenario.physics
+    right_arm = plan.scenario.arm is not None and plan.scenario.arm.model == "panda"
+    checks = [
+        Check("arm", right_arm, f"The plan is for the arm {arm.name}; --robot franka drives a panda."),
+        Check(
+            "period",
+            physics.command_period == PERIOD,
+            f"physics.command_period is {physics.command_period:g} s; the arm wants a torque every {PERIOD:g} s.",
+        ),
+    ]
+    return checks + (_within(FR3, arm, looked_at(plan.joint)) if right_arm else [])
+
+
+def within_fr3(arm: ArmModel, motion: JointMotion) -> str:
+    """The part of a motion that exceeds the Franka Research 3, in a sentence; empty if none does."""
+    return next((check.sentence for check in _within(FR3, arm, looked_at(motion)) if not check.ok), "")
+
+
+def _within(limits: JointLimits, arm: ArmModel, motion: JointMotion) -> list[Check]:
+    q, dq, ddq, jerk = motion.q, motion.dq, motion.ddq, motion.jerk(motion.t)
+    low, high = velocity_range(q)
+    shares = {
+        key: np.abs(share) for key, share in limits.shares({"position": q, "acceleration": ddq, "jerk": jerk}).items()
+    }
+    shares["velocity"] = np.where(dq > 0, dq / np.maximum(high, 1e-9), dq / np.minimum(low, -1e-9))
+    made = []
+    for kind, share in shares.items():
+        k, j = np.unravel_index(int(np.argmax(share)), share.shape)
+        made.append(
+            Check(
+                f"FR3 {kind}",
+                bool(share[k, j] <= 1.0),
+                f"{arm.joint_names[j]} uses {100 * share[k, j]:.0f} % of the Franka Research 3's {kind} limit "
+                f"at t = {motion.t[k]:.2f} s.",
+            )
+        )
+    return made

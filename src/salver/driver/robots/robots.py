@@ -1,0 +1,97 @@
+"""Robots as the control loop drives them, and the robots that are known by name.
+
+A robot is asked for its state and given a command, once per period; `salver.driver.execution` does both, and checks,
+watchdog, gate, stops and log are the same for all. Another robot is a class with these methods and a line in `ROBOTS`.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, Literal, Protocol
+
+from salver.errors import SalverError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from salver.control.arm import ArmState
+    from salver.driver.preflight import Check
+    from salver.driver.sensing import Sensed
+    from salver.geometry import Array
+    from salver.models.arm.arm import ArmModel
+    from salver.planning.plan import Plan
+    from salver.trajectory import JointMotion
+
+ROBOTS = {
+    "simulated": "salver.driver.robots.simulated:SimulatedRobot",
+    "franka": "salver.driver.robots.franka:FrankaRobot",
+    "ur": "salver.driver.robots.ur:URRobot",
+}  # name: module and class
+
+
+Takes = Literal["torque", "position", "velocity"]
+
+
+class Robot(Protocol):
+    """An arm under control.
+
+    takes: what it is commanded by, for each joint: torque (N m; all of it, gravity included: an adapter takes off what
+    its robot adds), position (rad) or velocity (rad/s). period: s between two commands. lag: s by which the joints
+    follow what they are commanded. speed: the share of full speed, 0 to 1, at which the robot lets itself be moved now.
+    """
+
+    takes: Takes
+    period: float
+    lag: float
+    speed: float
+
+    @classmethod
+    def connect(cls, address: str, plan: Plan, arm: ArmModel, realtime: bool) -> Robot:
+        """The robot at an address, told of the plan's tray. realtime: refuse a machine that cannot keep the period.
+
+        Raises SalverError when it does not answer, MissingDependencyError without its library.
+        """
+        ...
+
+    @staticmethod
+    def check(plan: Plan, arm: ArmModel) -> list[Check]:
+        """Checks of a plan by this robot, beyond those of every plan, before it is connected."""
+        ...
+
+    @property
+    def source(self) -> str:
+        """The robot's name in the log."""
+        ...
+
+    def look(self) -> ArmState:
+        """The state now, without control."""
+        ...
+
+    def start(self) -> None:
+        """Begin to take commands; the first `read` follows."""
+        ...
+
+    def read(self) -> tuple[ArmState, float]:
+        """Wait for the next period. The state, and the time since the last read, s (0 at first)."""
+        ...
+
+    def write(self, command: Array, sensed: Sensed, *, last: bool = False) -> None:
+        """The command (n,) for this period. sensed: the state that is believed. last: the motion ends with it."""
+        ...
+
+    def stop(self) -> None:
+        """Take no more commands, whatever happened."""
+        ...
+
+    def move(self, motion_from: Callable[[Array], JointMotion]) -> None:
+        """Follow a slow joint motion from where the arm stands, with an empty tray. Raises SalverError when it is
+        interrupted; the arm has stopped then."""
+        ...
+
+
+def robot_class(name: str) -> Any:
+    """The class of a robot. Raises SalverError for a name that is not known."""
+    if name not in ROBOTS:
+        raise SalverError(f'There is no robot "{name}"; known are {", ".join(ROBOTS)}.')
+    module, _, cls = ROBOTS[name].partition(":")
+    return getattr(import_module(module), cls)

@@ -1,0 +1,135 @@
+"""The simulated arm in real time: the physics engine behind the calls of a robot."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from salver.control.arm import ArmState
+from salver.geometry import Array
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from salver.driver.preflight import Check
+    from salver.driver.robots.robots import Takes
+    from salver.driver.sensing import Sensed
+    from salver.models.arm.arm import ArmModel
+    from salver.planning.plan import Plan
+    from salver.simulation.record import SimulationRecord
+    from salver.trajectory import JointMotion
+
+STOP_ROOM = 3.0  # s that a stop may take beyond the motion
+SPIN = 2e-4  # s before a deadline from where on the clock is watched: the operating system wakes no more exactly
+
+
+class SimulatedRobot:
+    """The arm in the physics engine, which waits for its caller no more than a real one does.
+
+    Every period that the caller misses, the engine goes on with the last torque. realtime = False: as fast as it can,
+    no period is missed. The time that the engine itself takes is part of the caller's period, so a real arm leaves
+    the controller more of it.
+    """
+
+    takes: Takes = "torque"
+    lag, speed, source = 0.0, 1.0, "simulated arm"
+
+    @classmethod
+    def connect(cls, address: str, plan: Plan, arm: ArmModel, realtime: bool) -> SimulatedRobot:
+        return cls(plan, arm, STOP_ROOM, realtime)
+
+    @staticmethod
+    def check(plan: Plan, arm: ArmModel) -> list[Check]:
+        return []
+
+    def move(self, motion_from: Callable[[Array], JointMotion]) -> None:
+        """Put where the motion ends."""
+        self._run.scene.place(self._data, motion_from(self.look().q).q[-1])
+
+    def __init__(self, plan: Plan, arm: ArmModel, extra_time: float, realtime: bool = True) -> None:
+        """extra_time: s that the run may last beyond the planned one (a cool stop)."""
+        from salver.simulation.engine import mujoco
+        from salver.simulation.run import prepare
+        from salver.simulation.trace import Recorder
+
+        self._plan, self._arm, self._realtime, self._engine = plan, arm, realtime, mujoco
+        self._run = prepare(plan.scenario, None, None, plan.reference, arm)
+        period = plan.scenario.physics.command_period
+        self.period, self._steps = period, round(period / plan.scenario.physics.timestep)
+        self._t = np.append(self._run.t, self._run.t[-1] + period * np.arange(1, int(extra_time / period) + 1))
+        self._data = mujoco.MjData(self._run.scene.model)
+        assert plan.joint is not None
+        self._run.scene.place(self._data, plan.joint.sample(0.0)[0][0])
+        self._recorder = Recorder(self._run.scene, len(self._t))
+        self._torque = np.zeros(arm.n)
+        self._next = 0.0  # time.perf_counter() of the next period
+
+    @property
+    def start_time(self) -> float:
+        """Time of the motion at the first read, s: before 0, while everything settles."""
+        return float(self._t[0])
+
+    def look(self) -> ArmState:
+        n = self._arm.n
+        return ArmState(self._data.qpos[:n].copy(), self._data.qvel[:n].copy())
+
+    def start(self) -> None:
+        self._next = time.perf_counter()
+        self._first = True
+
+    def read(self) -> tuple[ArmState, float]:
+        periods = 0 if self._first else 1
+        self._first = False
+        if self._realtime:
+            wait_until(self._next)
+            for _ in range(int((time.perf_counter() - self._next) / self.period)):
+                self._advance()
+                self._next += self.period
+                periods += 1
+        return self.look(), periods * self.period
+
+    def write(self, torque: Array, sensed: Sensed, *, last: bool = False) -> None:
+        self._torque = torque
+        self._advance()
+        self._next += self.period
+
+    def stop(self) -> None:
+        pass
+
+    def _advance(self) -> None:
+        """One period of the engine under the last torque."""
+        recorder, data, n = self._recorder, self._data, self._arm.n
+        if recorder.count == len(self._t):
+            return
+        recorder.joints(self._t[recorder.count], data.qpos[:n], data.qvel[:n], self._torque)
+        data.qfrc_applied[:n] = self._torque
+        self._run.scene.shake(data, float(self._t[recorder.count]))
+        self._engine.mj_step(self._run.scene.model, data)
+        recorder.take(data)
+        self._engine.mj_step(self._run.scene.model, data, nstep=self._steps - 1)
+
+    def record(self, summary: dict[str, Any], began: float, plan: Plan | None = None) -> SimulationRecord:
+        """The record of arm and objects, as of any simulation.
+
+        plan: what was wanted, where that was not known beforehand.
+        """
+        from salver.simulation import creep
+        from salver.simulation.run import measure
+
+        trace = self._recorder.trace()
+        bias = creep.tray_bias(self._arm, trace.q, trace.dq, self._run.scene.world.R_tilt)
+        reference = (plan or self._plan).reference
+        run = replace(self._run, reference=reference, wanted=reference.sample(trace.t))
+        return measure(run, trace, bias, (trace.p_XE, trace.R_XE), summary, began)
+
+
+def wait_until(deadline: float) -> None:
+    """Sleep, then watch the clock, until time.perf_counter() reaches the deadline."""
+    remaining = deadline - time.perf_counter()
+    if remaining > SPIN:
+        time.sleep(remaining - SPIN)
+    while time.perf_counter() < deadline:
+        pass

@@ -1,0 +1,474 @@
+"""Waves of a liquid in its container along a motion of the tray.
+
+The modes of `salver.models.liquid` are filters with a memory (`salver.sensitivity.filter`), driven by the lateral
+specific force at each mode's height and stiffened by the vertical one. All is linear in the drive: what small changes
+of the motion make of the waves goes through the same filters. All fills and dampings of a liquid are computed side by
+side.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from salver.geometry import Array, Indices
+from salver.liquid.underway import Underway
+from salver.liquid.wave_cases import Cases, SloshingCase
+from salver.models.liquid import GRAVITY, LEAST_WEIGHT, LEFT_OVER, TILTING
+from salver.models.tray_motion import N_MOTION
+from salver.sensitivity.filter import LinearFilter
+
+TURNS, SETTLED = 24, 1e-3  # rounds at most in which waves along both sides of a box drive one another, and when to end
+TURNING = np.zeros(N_MOTION)
+TURNING[[6, 8]] = 1.0  # omega_x^2 + omega_y^2: the same in every frame whose z is the tray's
+
+
+def along(several: Sequence[SloshingCase], t: Array, w: Array, start: Underway | None = None) -> Waves:
+    """The waves of cases, all round or all boxes, along a motion: the tray's motion regressor, w (T, 12), at t (T,).
+    start: how they begin, at rest unless given."""
+    which = Cases.of(tuple(several))
+    felt = np.broadcast_to(w, (len(several), *w.shape))
+    upward = _upward(which, felt)
+    axes = 1 if which.round else 2
+    kp, kd = which.omega[..., :axes] ** 2, which.kd[..., :axes]
+    extra = kp[..., None] * (upward / GRAVITY - 1)[:, None, None]
+    filters = LinearFilter.stiffened(t, kp, kd, extra)
+    turning = LinearFilter.on_nodes(t, 0.0, 0.0, 3)
+    spin = _spin(which, turning, felt, start)
+    at_modes = _at_modes(which, felt, spin)
+    begun = Waves(which, t, filters, turning, felt, upward, spin, at_modes, at_modes, at_modes, at_modes, start)
+    force = at_modes[..., None]
+    first = (begun.level(force), None) if start is None else (start.r[..., None], start.rate[..., None])
+    return begun.moved(*(x[..., 0] for x in begun.respond(force, *first)))
+
+
+def _upward(which: Cases, w: Array) -> Array:
+    """(K, T) specific force that stiffens the waves."""
+    return np.maximum((w @ which.at_O[:, 2, :, None])[..., 0], LEAST_WEIGHT * GRAVITY)
+
+
+def _spin(which: Cases, turning: LinearFilter, w: Array, start: Underway | None) -> Array:
+    """(K, T) rad by which the container has turned about its axis."""
+    if not which.round:
+        return np.zeros(w.shape[:2])
+    return _turning(turning, w, start)[0]
+
+
+def _turning(turning: LinearFilter, w: Array, start: Underway | None) -> tuple[Array, Array]:
+    """(K, T) rad by which the container has turned about its axis, and rad/s."""
+    if w.strides[0] == 0 and start is None:  # the same for all
+        angle, rate = (np.broadcast_to(x, w.shape[:2]) for x in turning.respond(w[0, :, 5]))
+        return angle, rate
+    begun = None if start is None else np.stack([start.spin, start.turning])
+    angle, rate = turning.respond(w[:, :, 5].T, begun)
+    return angle.T, rate.T
+
+
+def _at_modes(which: Cases, w: Array, spin: Array) -> Array:
+    """(K, T, n_modes, 2) lateral specific force at each mode, along axes that stand still."""
+    K, n = which.at_mode.shape[:2]
+    felt = (w @ np.swapaxes(which.at_mode.reshape(K, 2 * n, N_MOTION), 1, 2)).reshape(K, -1, n, 2)
+    return turned(felt, spin[..., None])
+
+
+@dataclass(frozen=True, eq=False)
+class Waves:
+    """K cases of a liquid along a motion of T nodes.
+
+    Vectors across the container have two components. In a round one, whose wall cannot take the liquid along, they are
+    along axes that do not turn about the container's own: those that the container had at the beginning.
+    filters: (K, n_modes, axes), of a round container one for both axes. turning: from the angular acceleration about
+    the axis to the angle, `spin` (K, T), rad. w (K, T, 12): the tray's motion regressor. upward (K, T): specific force
+    that stiffens the waves. at_modes: lateral specific force at each mode; r, rate, second: place, m, speed and
+    acceleration of each moving mass; (K, T, n_modes, 2). start: how they begin, None for at rest.
+    """
+
+    cases: Cases
+    t: Array
+    filters: LinearFilter
+    turning: LinearFilter
+    w: Array
+    upward: Array
+    spin: Array
+    at_modes: Array
+    r: Array
+    rate: Array
+    second: Array
+    start: Underway | None = None
+
+    def moved(self, r: Array, rate: Array, second: Array) -> Waves:
+        """The waves with the masses elsewhere."""
+        return replace(self, r=r, rate=rate, second=second)
+
+    def part(self, some: slice) -> Waves:
+        """Some of the cases."""
+        which, filters = Cases.of(self.cases.each[some]), self.filters.only((some,))
+        names = ("w", "upward", "spin", "at_modes", "r", "rate", "second")
+        start = None if self.start is None else self.start.part(some)
+        felt = {name: getattr(self, name)[some] for name in names}
+        return replace(self, cases=which, filters=filters, start=start, **felt)
+
+    def shifted(self, dw: Array, start: Underway | None = None) -> Waves:
+        """The waves of w + dw (K, T, 12), to first order in dw, which begins with the motion; start: how they begin, if
+        that is not at rest."""
+        begun = None
+        if start is not None:
+            assert self.start is not None
+            begun = start.since(self.start)
+        w, change = self.w + dw, self.pushed(dw[..., None], before=False, start=begun)
+        spin = _spin(self.cases, self.turning, w, start)
+        at_modes = _at_modes(self.cases, w, spin)
+        other = replace(self, w=w, upward=_upward(self.cases, w), spin=spin, at_modes=at_modes, start=start)
+        return other.moved(*(x + dx[..., 0] for x, dx in zip((self.r, self.rate, self.second), change, strict=True)))
+
+    @cached_property
+    def turns(self) -> Array:
+        """(K, T) rad/s of the container about its axis."""
+        return _turning(self.turning, self.w, self.start)[1]
+
+    @cached_property
+    def walls(self) -> tuple[Array, Array, Array] | None:
+        """What the walls of a box that turns about its upright axis take along of the waves: as factors (K, T, n_modes,
+        2) of r' and r along the other side, and of r along the same one, what pushes each mass like a force; None where
+        nothing turns.
+
+        Seen from the box a liquid without friction flows backwards along the walls, and carries its waves, at C times
+        the turning rate Omega for the first mode, C = 16 x y / (pi^2 (x^2 + y^2)) with sides x and y: 0.81 in a square
+        one, 1 in a cylinder, for flow and waves then stand still together. The waves along either side so drive those
+        along the other, eta_x'' = ... + C Omega (1 + k_x / k_y) eta_y' + C Omega' eta_y + C^2 Omega^2 k_x / k_y eta_x,
+        k the square of each frequency, and with the other sign along y.
+        """
+        if self.cases.round or not self.turns.any():
+            return None
+        by_rate, by_place, own = self._carried
+        turns, faster = self.turns[:, :, None, None], self.w[:, :, 5, None, None]
+        return turns * by_rate, faster * by_place, turns**2 * own
+
+    @cached_property
+    def _carried(self) -> tuple[Array, Array, Array]:
+        """`walls`, (K, 1, n_modes, 2), for each rad/s, rad/s^2, and (rad/s)^2."""
+        which, n = self.cases, self.r.shape[2]
+        sides = 2 * np.prod(which.half, axis=1) / (which.half**2).sum(axis=1)
+        share = (8 / np.pi**2 * sides[:, None] / (2 * np.arange(n) + 1) ** 2)[:, None, :, None]  # C
+        ratio = (which.omega**2 / which.omega[..., ::-1] ** 2)[:, None]
+        by_other = share * (which.gain[..., ::-1] / which.gain)[:, None] * [1.0, -1.0]
+        return by_other * (1 + ratio), by_other, share**2 * ratio
+
+    @cached_property
+    def pushed_by_turning(self) -> tuple[Array, Array]:
+        """(K, T, n_modes, 2) what `walls` push more for each rad/s of `turns`, and for each rad/s^2."""
+        by_rate, by_place, own = self._carried
+        turned = by_rate * self.rate[..., ::-1] + 2 * self.turns[..., None, None] * own * self.r
+        return turned, by_place * self.r[..., ::-1]
+
+    def _taken_along(self, drive: Array, begin: Array | None) -> Array:
+        """Drives, from first states, of the filters, with what the walls take along of the waves that they make: by
+        iteration."""
+        if self.walls is None or not drive.size:
+            return drive
+        found, before = drive, np.zeros(1)
+        by_rate, by_place, own = (x[..., None] for x in self.walls)
+        for _ in range(TURNS):
+            r, rate, _ = self._answer(found, begin)
+            if np.abs(r - before).max() < SETTLED * np.abs(r).max():
+                break
+            pushed = by_rate * rate[:, :, :, ::-1] + by_place * r[:, :, :, ::-1] + own * r
+            found, before = drive + self._by_filter(pushed), r
+        return found
+
+    @cached_property
+    def force(self) -> Array:
+        """(K, T, 3) specific force at the centre of the surface, in the container's axes."""
+        return self.w @ np.swapaxes(self.cases.at_O, 1, 2)
+
+    def respond(
+        self, force: Array, start: Array | None = None, rate: Array | None = None
+    ) -> tuple[Array, Array, Array]:
+        """r, r' and r'' (K, T, n_modes, 2, c) to lateral specific forces (K, T, n_modes, 2, c) at the modes. start,
+        rate: (K, n_modes, 2, c) r and r' at the first node, 0 unless given."""
+        begin = None
+        if start is not None:
+            begin = self._by_filter(np.stack([start, np.zeros_like(start) if rate is None else rate], axis=1))
+        return self._answer(self._taken_along(self._by_filter(-force), begin), begin)
+
+    def _answer(self, drive: Array, begin: Array | None) -> tuple[Array, Array, Array]:
+        """r, r' and r'' (K, T, n_modes, 2, c) to drives, and first states, of the filters."""
+        x, rate = self.filters.respond(drive, begin)
+        second = self.filters.acceleration(drive, x, rate)
+        return self._by_mode(x), self._by_mode(rate), self._by_mode(second)
+
+    def _by_filter(self, x: Array) -> Array:
+        """(K, T, n_modes, 2, c) to (K, n_modes, axes, T, 2 c / axes)."""
+        K, T, n = x.shape[:3]
+        return np.ascontiguousarray(x.reshape(K, T, n, self.filters.gain.shape[2], -1).transpose(0, 2, 3, 1, 4))
+
+    def _by_mode(self, x: Array) -> Array:
+        """Back from `_by_filter`."""
+        K, n, _, T = x.shape[:4]
+        return x.transpose(0, 3, 1, 2, 4).reshape(K, T, n, 2, -1)
+
+    def level(self, force: Array) -> Array:
+        """(K, n_modes, 2, c) r where a motion begins: the surface is level, whatever the tray is."""
+        softer = (GRAVITY / self.upward[:, 0])[:, None, None, None]
+        return np.asarray(-force[:, 0] / self.cases.omega[..., None] ** 2 * softer)
+
+    def _level(self, drive: Array) -> Array:
+        """First states of drives of the filters: (K, n_modes, axes, 2, 2 c / axes)."""
+        stiffness = np.asarray(self.filters.kp)[..., :1]
+        return np.stack([drive[:, :, :, 0] / stiffness, np.zeros_like(drive[:, :, :, 0])], axis=3)
+
+    def pushed(
+        self, dw: Array, before: bool, start: Underway | None = None, spun: Array | None = None
+    ) -> tuple[Array, Array, Array]:
+        """r, r' and r'' (K, T, n_modes, 2, c), to first order, by changes dw (K or 1, T, 12, c) of the tray's motion
+        regressor: pushed aside, stiffened, and turned under the waves. before: whether what changes was so before the
+        motion too. start: what it has made of them till then, where they do not begin at rest. spun: as `spun` has it,
+        if it is known."""
+        drive = self._driven(dw, self.spun(dw, start) if spun is None else spun)
+        begin = self._level(drive) if before else None
+        if start is not None:
+            places, speeds = (x.reshape(*x.shape[:3], -1) for x in (start.r, start.rate))
+            begin = self._by_filter(np.stack([places, speeds], axis=1))
+        return self._answer(self._taken_along(drive, begin), begin)
+
+    def swung(self, dw: Array, spun: Array) -> Array:
+        """(K, n_modes, axes, 2 + T, 2 c / axes) what moves each mass, as `LinearFilter.answers` has it, to first order:
+        where it begins, and how it is driven, by changes dw (K or 1, T, 12, c) of the tray's motion regressor that were
+        so before the motion too. spun: as `spun` has it."""
+        drive = self._driven(dw, spun)
+        begin = self._level(drive)
+        return np.concatenate([begin, self._taken_along(drive, begin)], axis=3)
+
+    def swinging(self, order: int, node: Indices, moving: Array) -> Array:
+        """(K, m, n_modes, 2, c) of r (order 0) or r' (1) at nodes (m,) in order, by what moves the masses (see
+        `swung`)."""
+        known = self.filters.known(int(node[-1]))
+        return self._by_mode(self.filters.answers[order][:, :, :, node, :known] @ moving[:, :, :, :known])
+
+    def _driven(self, dw: Array, spun: Array) -> Array:
+        """(K, n_modes, axes, T, 2 c / axes) by which changes dw (K or 1, T, 12, c) change the drives of the filters;
+        spun: as `spun` has it."""
+        moved = np.concatenate([dw, spun[:, :, None]], axis=2)
+        drive = self._drive_map @ moved[:, None, None]
+        return np.asarray(drive.reshape(*drive.shape[:4], -1))
+
+    @cached_property
+    def _drive_map(self) -> Array:
+        """(K, n_modes, axes, T, 2 / axes, 13) from the tray's motion regressor, and `spun`, to the drives of the
+        filters."""
+        which, (K, T, n, _) = self.cases, self.r.shape
+        c, s = (f(self.spin)[:, :, None, None] for f in (np.cos, np.sin))
+        x, y = which.at_mode[:, None, :, 0], which.at_mode[:, None, :, 1]
+        found = np.empty((K, T, n, 2, N_MOTION + 1))
+        found[..., 0, :N_MOTION], found[..., 1, :N_MOTION] = c * x - s * y, s * x + c * y
+        stiffer = which.omega[:, None] ** 2 / GRAVITY * self.r
+        found[..., :N_MOTION] += stiffer[..., None] * which.at_O[:, None, None, None, 2]
+        if which.round:
+            found[..., N_MOTION] = across(self.at_modes)
+        else:
+            found[..., N_MOTION], by_faster = (-x for x in self.pushed_by_turning)
+            found[..., 5] += by_faster
+        axes = self.filters.gain.shape[2]
+        by_filter = found.reshape(K, T, n, axes, 2 // axes, -1).transpose(0, 2, 3, 1, 4, 5)
+        return np.negative(by_filter, order="C")
+
+    def spun(self, dw: Array, start: Underway | None = None) -> Array:
+        """(K or 1, T, c) change of `spin` by changes dw (K or 1, T, 12, c), of a box of `turns`: the same of all
+        that are alike. start: what they have made of it till then, nothing unless given."""
+        drive, begun = dw[:, :, 5].swapaxes(0, 1), None
+        if start is not None:
+            drive = np.broadcast_to(drive, (len(drive), len(start.spin), drive.shape[2]))
+            begun = np.stack([x.reshape(len(x), -1) for x in (start.spin, start.turning)])
+        return self.turning.respond(drive, begun)[0 if self.cases.round else 1].swapaxes(0, 1)
+
+    @cached_property
+    def slope(self) -> Array:
+        """(K, T, 2) of a surface at rest under the force: f / f_z."""
+        return turned(self.force[..., :2] / self.upward[..., None], self.spin)
+
+    @cached_property
+    def eta(self) -> Array:
+        """(K, T, 2) m by which the surface stands at the wall, by linear theory."""
+        which = self.cases
+        return np.asarray((which.gain[:, None] * self.r).sum(axis=2) - which.rest_rise[:, None] * self.slope)
+
+    @property
+    def eta_B(self) -> Array:
+        """(K, T, 2) the same along the container's own axes."""
+        return turned(self.eta, -self.spin)
+
+    @cached_property
+    def free(self) -> Array:
+        """(K, T, 2) m, the part of it that is a wave, not the incline of a surface at rest."""
+        return self.eta + self.cases.half[:, None] * self.slope
+
+    @cached_property
+    def crest(self) -> Array:
+        """(K, T) height of the highest point over the surface at rest, m, what is not linear included."""
+        which, turning = self.cases, self.w @ TURNING
+        steep = (which.peaking[:, None] / which.half[:, None] * self.free**2).sum(axis=-1)
+        return which.highest(self.eta) + steep + TILTING / GRAVITY * which.wide[:, None] ** 2 * turning
+
+    def raised(self, by: Array | float, freer: Array | float) -> Array:
+        """(K, T) the crest, m, of waves that are higher by so much, (K, T), of which the free wave by (K, T, 2) at
+        most."""
+        which = self.cases
+        curve = (which.peaking / which.half)[:, None]
+        return self.crest + by + (curve * freer * (2 * np.abs(self.free) + freer)).sum(axis=-1)
+
+    @property
+    def height(self) -> Array:
+        """(K, T) m of the whole surface at the wall, by linear theory."""
+        return self.cases.highest(self.eta)
+
+    @property
+    def free_height(self) -> Array:
+        """(K, T) height of the free wave, by linear theory."""
+        return self.cases.highest(self.free)
+
+    @cached_property
+    def tail(self) -> Array:
+        """(K, n_modes, 2) amplitude at the wall of the waves that are left at the end, when all is at rest, m."""
+        return np.asarray(self.cases.gain * np.hypot(*self.ending))
+
+    def amplitude(self, seconds: float = 0.0, more: Array | float = 0.0) -> Array:
+        """(K, 2) m, what no free wave exceeds along either axis from so many seconds after the end on, both modes at
+        their best. more: (K,) m by which they may be higher."""
+        higher = np.broadcast_to(more, len(self.r))[:, None]
+        return np.asarray((self.tail * self.fading(seconds)).sum(axis=1) + higher)
+
+    @cached_property
+    def ending(self) -> tuple[Array, Array]:
+        """(K, n_modes, 2) how far each mass is from its rest at the end, and its speed over the frequency there, m."""
+        omega, softer = self.cases.omega, (GRAVITY / self.upward[:, -1])[:, None, None]
+        rest = self.at_modes[:, -1] / omega**2 * softer
+        return self.r[:, -1] + rest, self.rate[:, -1] / omega * np.sqrt(softer)
+
+    @cached_property
+    def standing(self) -> Array:
+        """(K, 2) m by which the surface stands higher at the wall after the motion, on a tray that leans."""
+        return np.asarray(self.cases.half * np.abs(self.slope[:, -1]))
+
+    def left(self, seconds: float | None = None, more: Array | float = 0.0) -> Array:
+        """(K,) m, no crest is higher after the end, the tray at rest: both modes at their best. seconds: no wave is
+        higher from then on, beside how the surface stands. more: (K,) m by which the linear waves may be higher."""
+        which, more = self.cases, np.broadcast_to(more, len(self.r))
+        amplitude = self.amplitude(seconds or 0.0, more)
+        highest = which.highest(amplitude + self.standing * (seconds is None))
+        over = LEFT_OVER * (self.peak[1] + more) ** 3 / which.half.min(axis=1) ** 2
+        return np.asarray(highest + (which.peaking / which.half * amplitude**2).sum(axis=1) + over)
+
+    @cached_property
+    def peak(self) -> tuple[Indices, Array]:
+        """(K,) when the linear wave is highest during the motion, and how high, m, or was before: how far its phase can
+        have drifted."""
+        heights = self.cases.highest(self.eta)
+        k = np.argmax(heights, axis=1)
+        highest = heights[np.arange(len(k)), k]
+        return k, highest if self.start is None else np.maximum(highest, self.start.peak)
+
+    @property
+    def peaks_now(self) -> Array:
+        """(K,) 1 where `peak` is of this motion, 0 where it was before."""
+        return np.ones(len(self.r)) if self.start is None else (self.peak[1] > self.start.peak).astype(float)
+
+    def fading(self, seconds: float) -> Array:
+        """(K, n_modes, 2) share of the waves that is left after so many seconds of rest."""
+        return np.asarray(np.exp(-0.5 * self.cases.kd * seconds))
+
+    @cached_property
+    def wrench(self) -> Array:
+        """(K, T, 6) what the container must give at E beyond what the liquid would need if a lid lay on it, N and
+        N m: to first order in the waves, and the upward force, which is of second, as its centre of mass rises and
+        falls."""
+        which, force = self.cases, self.force
+        back = -self.spin[..., None]
+        r, second = turned(self.r, back), turned(self.second, back)
+        mass = which.mass[:, None]
+        pushed, hung = (mass * second).sum(axis=2), (mass * r).sum(axis=2)
+        tilted = (mass * which.height[:, None] * second).sum(axis=2)
+        out = np.zeros((*force.shape[:2], 6))
+        out[..., :2] = pushed
+        out[..., 2] = (which.rising[:, None] * (self.rate**2 + self.r * self.second)).sum(axis=(2, 3))
+        out[..., 3] = hung[..., 1] * force[..., 2] - tilted[..., 1]
+        out[..., 4] = tilted[..., 0] - hung[..., 0] * force[..., 2]
+        out[..., 5] = hung[..., 0] * force[..., 1] - hung[..., 1] * force[..., 0]
+        return out @ np.swapaxes(which.to_E, 1, 2)
+
+    @cached_property
+    def slower(self) -> tuple[Array, Array]:
+        """(K, T, n_modes, 2) derivative of r and r' by log T, where the tray's motion regressor is the same in each
+        share of it.
+
+        In shares of T the equation reads x'' / T^2 + kd x' / T + kp x = d.
+        """
+        more = 2 * self.second + self.cases.kd[:, None] * self.rate
+        slower = self.spun_slower[..., None, None]
+        if self.cases.round:
+            more = more - slower * across(self.at_modes)
+        else:
+            by_rate, _, own = self._carried
+            turns = self.turns[..., None, None]
+            more = more + 2 * turns * slower * own * self.r - (turns - slower) * by_rate * self.rate[..., ::-1]
+        begun = self.rate[:, 0, ..., None]  # the same r', which is T times as much per share
+        r, rate, _ = self.respond(-more[..., None], np.zeros_like(begun), begun)
+        return r[..., 0], rate[..., 0] - self.rate
+
+    @cached_property
+    def spun_slower(self) -> Array:
+        """(K, T) the same of the spin, of a box of `turns`."""
+        if not self.cases.round:
+            return self.turns - self.turns[:, :1]
+        if self.start is None:
+            return 2 * self.spin
+        return 2 * (self.spin - self.start.spin[:, None]) - np.outer(self.start.turning, self.t - self.t[0])
+
+    def underway(self, dw: Array | None = None, start: Underway | None = None) -> Underway:
+        """How these waves are at each node, (T, K, ...); or, to first order, what changes dw (K, T, 12, c) of the
+        tray's motion regressor, before the motion too, have made of them. start: as of `pushed`."""
+        if dw is None:
+            moved, drive, start = (self.r, self.rate), self.w[:, :, 5], self.start
+            peak = np.maximum.accumulate(self.cases.highest(self.eta), axis=1)
+            if start is not None:
+                peak = np.maximum(peak, start.peak[:, None])
+        else:
+            moved, drive = self.pushed(dw, before=True, start=start)[:2], dw[:, :, 5]
+            peak = np.zeros(drive.shape)
+        begun = None if start is None else np.stack([start.spin, start.turning])
+        spins = self.turning.respond(drive.swapaxes(0, 1), begun)
+        r, rate = (x.swapaxes(0, 1) for x in moved)
+        return Underway(r, rate, *spins, peak.swapaxes(0, 1))
+
+    def rested(self, t: Array, dw: Array | None = None, start: Underway | None = None) -> Underway:
+        """The waves t (T,), s, after the end, with the tray at rest."""
+        last = Underway(*(x[-1] for x in vars(self.underway(dw, start)).values()))
+        which, upward = self.cases, self.upward[:, -1, None, None]
+        shape = (*which.omega.shape, *(1,) * (last.r.ndim - 3))
+        sigma, kp = (x.reshape(shape) for x in (0.5 * which.kd, which.omega**2 / GRAVITY * upward))
+        if dw is None:
+            rest = -self.at_modes[:, -1] / kp
+        else:
+            drive, stiffness = self._driven(dw, self.spun(dw, start)), np.asarray(self.filters.kp)[..., None]
+            rest = self._by_mode(drive[:, :, :, -1:] / stiffness[:, :, :, -1:])[:, 0]
+        return last.later(t, sigma, kp, rest)
+
+
+def turned(x: Array, angle: Array) -> Array:
+    """Vectors (..., 2) turned by angles (...), rad."""
+    c, s, x, y = np.cos(angle), np.sin(angle), x[..., 0], x[..., 1]
+    return _pairs(c * x - s * y, s * x + c * y)
+
+
+def across(x: Array) -> Array:
+    """Derivative of `turned` by the angle: turned by a quarter."""
+    return _pairs(-x[..., 1], x[..., 0])
+
+
+def _pairs(x: Array, y: Array) -> Array:
+    """Vectors (..., 2): as `numpy.stack` in a third of the time, which counts here."""
+    found = np.empty((*x.shape, 2))
+    found[..., 0], found[..., 1] = x, y
+    return found

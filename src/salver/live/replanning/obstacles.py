@@ -1,0 +1,410 @@
+"""Moving obstacles: their prediction, and constraints that keep arm, tray and load clear of them in time.
+
+A prediction is believed for a while, with an uncertainty that grows. A motion is clear when, at each of its instants
+and then at rest for as long as the prediction lasts, no part of the arm that can move is nearer than is required.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any, Literal
+
+import coal
+import numpy as np
+import numpy.typing as npt
+import pinocchio as pin
+
+from salver.errors import Status
+from salver.geometry import Array, Indices
+from salver.live.replanning import wishes
+from salver.models.arm.arm_geometry import ArmGeometry
+from salver.planning.fastest import Block, Constraint, MotionEvaluation, padded
+from salver.planning.trajopt.constraints.constraints import PER_METRE, strayed
+from salver.planning.trajopt.constraints.obstacles import SAFETY
+
+FAR = 0.15  # m from which on distances are those of bounding spheres: no larger than the true ones
+AT_NODES = 5e-3  # m more that a programme keeps at its nodes
+REST_STEP = 5e-3  # s between looks at the arm at rest
+MOST_SPEED, MOST_SIZE = 50.0, 10.0  # m/s, m: what is beyond is in another unit
+LONGEST_PREDICTION = 10.0  # s
+AHEAD = 0.05  # s by which something may be said to be seen ahead of the loop's clock
+AGREES = 8  # instants at which two predictions are compared
+SAME = 1e-9  # m
+
+
+@dataclass(frozen=True, eq=False)
+class Moving:
+    """Something that moves, as it is seen now; S is the world.
+
+    type: "sphere" (radius, m), "capsule" (radius; length of its axis, m, along z) or "box" (size (3,), m). rotation:
+    (3, 3), kept while it moves. seen: when that was, on the clock of `Live.command`, s; when it is reported unless
+    given. position (3,), m, then; velocity, m/s, and acceleration, m/s^2 (of a thrown ball (0, 0, -9.81)), from then
+    on. samples: in place of these, times (K,), s from then, and positions (K, 3); linear between them, held after the
+    last. uncertainty: m by which it may be elsewhere then; growth: m/s by which that grows. lasts: s for which all this
+    is believed; what is not seen again by then counts as gone.
+    """
+
+    name: str
+    type: Literal["sphere", "capsule", "box"]
+    position: npt.ArrayLike = (0.0, 0.0, 0.0)
+    velocity: npt.ArrayLike = (0.0, 0.0, 0.0)
+    acceleration: npt.ArrayLike = (0.0, 0.0, 0.0)
+    radius: float = 0.0
+    length: float = 0.0
+    size: npt.ArrayLike = (0.0, 0.0, 0.0)
+    rotation: npt.ArrayLike = field(default_factory=lambda: np.eye(3))
+    samples: tuple[npt.ArrayLike, npt.ArrayLike] | None = None
+    uncertainty: float = 0.01
+    growth: float = 0.1
+    lasts: float = 1.5
+    seen: float | None = None
+
+
+def predicted(seen: Moving, now: float, clock: float | None = None) -> Predicted | Status:
+    """Predictions at live time `now`, s, when the loop's clock is at `clock`, or why there is none."""
+
+    def refused(what: str) -> Status:
+        return Status("refused", f"{what} of the obstacle {seen.name}", False)
+
+    def numbers(value: Any, shape: tuple[int, ...], most: float) -> Array | None:
+        array = wishes.numbers(value, shape, "")
+        return None if isinstance(array, Status) or np.abs(array).max(initial=0.0) > most else array
+
+    ends = {
+        "position": (seen.position, (3,), 1e3),
+        "velocity": (seen.velocity, (3,), MOST_SPEED),
+        "acceleration": (seen.acceleration, (3,), 1e3),
+        "radius": (seen.radius, (), MOST_SIZE),
+        "length": (seen.length, (), MOST_SIZE),
+        "size": (seen.size, (3,), MOST_SIZE),
+        "rotation": (seen.rotation, (3, 3), 2.0),
+        "uncertainty": (seen.uncertainty, (), MOST_SIZE),
+        "growth": (seen.growth, (), MOST_SPEED),
+        "lasts": (seen.lasts, (), LONGEST_PREDICTION),
+    }
+    found: dict[str, Array] = {}
+    for name, (value, shape, most) in ends.items():
+        array = numbers(value, shape, most)
+        if array is None:
+            of = f"{shape} finite numbers" if shape else "a finite number"
+            return refused(f"{name} must be {of}, at most {most:g}: the {name}")
+        found[name] = array
+    for name in ("radius", "length", "size", "uncertainty", "growth", "lasts"):
+        if np.any(found[name] < 0):
+            return refused(f"{name} must not be negative: the {name}")
+    solid: Any
+    if seen.type == "box" and np.all(found["size"] > 0):
+        solid = coal.Box(*found["size"])
+    elif seen.type == "sphere" and found["radius"] > 0:
+        solid = coal.Sphere(float(found["radius"]))
+    elif seen.type == "capsule" and found["radius"] > 0:
+        solid = coal.Capsule(float(found["radius"]), float(found["length"]))
+    else:
+        return refused("type must be sphere or capsule with a radius, or box with a size, above 0: the type")
+    R = found["rotation"]
+    if np.abs(R @ R.T - np.eye(3)).max() > 1e-6 or np.linalg.det(R) < 0:
+        return refused("rotation must be orthonormal and right-handed: the rotation")
+    powers = np.stack([found["position"], found["velocity"], 0.5 * found["acceleration"]])
+    samples = None
+    given: Any = seen.samples
+    if given is not None:
+        several = isinstance(given, tuple) and len(given) == 2 and isinstance(given[0], Sequence | np.ndarray)
+        if not several or not getattr(given[0], "ndim", 1):
+            return refused("samples must be times and positions: the samples")
+        count = len(given[0])
+        t, p = numbers(given[0], (count,), 1e3), numbers(given[1], (count, 3), 1e3)
+        if t is None or p is None or not count or np.any(np.diff(t) <= 0):
+            return refused("samples must be increasing times and as many positions, finite numbers: the samples")
+        fastest = float((np.linalg.norm(np.diff(p, axis=0), axis=1) / np.diff(t)).max(initial=0.0))
+        if fastest > MOST_SPEED:
+            return refused(
+                f"samples must not move at more than {MOST_SPEED:g} m/s (they do at {fastest:.3g}): the samples"
+            )
+        samples = (now + t, p)
+    if seen.seen is not None:
+        when = numbers(seen.seen, (), np.inf)
+        if when is None:
+            return refused("seen must be a time on the clock of the loop, s: the time")
+        ahead = float(when) - (now if clock is None else clock)
+        if ahead > AHEAD:
+            return refused(f"seen must not be later than the loop's clock (it is by {ahead:.3g} s): the time")
+        now += min(ahead, 0.0)
+        if samples is not None:
+            samples = (samples[0] + min(ahead, 0.0), samples[1])
+    solid.computeLocalAABB()
+    sure, grows, lasts = (float(found[name]) for name in ("uncertainty", "growth", "lasts"))
+    return Predicted(seen.name, solid, R, now, powers, samples, sure, grows, now + lasts)
+
+
+@dataclass(frozen=True, eq=False)
+class Predicted:
+    """Predicted position at live times: powers (3, 3) of the time since t0, or samples. Believed until `until`, s."""
+
+    name: str
+    shape: Any
+    R: Array
+    t0: float
+    powers: Array
+    samples: tuple[Array, Array] | None
+    uncertainty: float
+    growth: float
+    until: float
+
+    def __reduce__(self) -> Any:  # Coal's shapes do not travel as parts of others
+        rest = (self.R, self.t0, self.powers, self.samples, self.uncertainty, self.growth, self.until)
+        return _restored, (self.name, self._made, rest)
+
+    @cached_property
+    def _made(self) -> tuple[str, tuple[float, ...]]:
+        """Kind and sizes of a shape."""
+        shape = self.shape
+        kind = type(shape).__name__
+        size = {"Sphere": lambda: (shape.radius,), "Capsule": lambda: (shape.radius, 2 * shape.halfLength)}
+        return kind, size[kind]() if kind in size else tuple(2 * shape.halfSide)
+
+    def at(self, t: Array) -> tuple[Array, Array]:
+        """(N, 3) positions and velocities at live times (N,)."""
+        if self.samples is None:
+            u = (t - self.t0)[:, None]
+            p, v, a = self.powers
+            return p + u * v + u**2 * a, v + 2 * u * a
+        times, positions = self.samples
+        where = np.stack([np.interp(t, times, column) for column in positions.T], axis=1)
+        if len(times) == 1:
+            return where, np.zeros_like(where)
+        k = np.clip(np.searchsorted(times, t, side="right") - 1, 0, len(times) - 2)
+        slope = (np.diff(positions, axis=0) / np.diff(times)[:, None])[k]
+        slope[(t < times[0]) | (t > times[-1])] = 0.0
+        return where, slope
+
+    def moved(self, by: Array) -> Predicted:
+        """The prediction displaced by (3,), m."""
+        samples = None if self.samples is None else (self.samples[0], self.samples[1] + by)
+        return replace(self, powers=self.powers + np.outer([1.0, 0.0, 0.0], by), samples=samples)
+
+    def place(self, t: float) -> Array:
+        """(3,) where it is at one live time."""
+        if self.samples is not None:
+            return self.at(np.array([t]))[0][0]
+        u, (p, v, a) = t - self.t0, self.powers
+        return np.asarray(p + u * v + u * u * a)
+
+    def around(self, t: Array) -> Array:
+        """(N,) m by which it may be elsewhere at live times."""
+        return self.uncertainty + self.growth * np.maximum(t - self.t0, 0.0)
+
+    @cached_property
+    def radius(self) -> float:
+        """m, of a sphere around its position that holds it."""
+        return float(np.linalg.norm(self.shape.aabb_center)) + float(self.shape.aabb_radius)
+
+    def fastest(self, speeds: Array) -> Array:
+        """(N,) m/s, no less than its speed at instants at which it is known, and between two of them."""
+        if self.samples is None:
+            return speeds
+        times, positions = self.samples
+        most = np.linalg.norm(np.diff(positions, axis=0), axis=1) / np.diff(times)
+        return np.full_like(speeds, most.max(initial=0.0))
+
+    def foresaw(self, seen: Predicted, now: float) -> bool:
+        """Whether what is seen now, live time in s, is where this has said that it may be, for as long as it is
+        believed."""
+        if self._made != seen._made or not np.array_equal(self.R, seen.R) or self.until < now:
+            return False
+        t = np.linspace(now, self.until, AGREES)
+        away = np.linalg.norm(self.at(t)[0] - seen.at(t)[0], axis=1)
+        return bool(np.all(away <= self.around(t)) and seen.uncertainty <= self.around(t[:1])[0] + SAME)
+
+
+def _restored(name: str, made: tuple[str, tuple[float, ...]], rest: tuple[Any, ...]) -> Predicted:
+    shape = {"Sphere": coal.Sphere, "Capsule": coal.Capsule, "Box": coal.Box}[made[0]](*made[1])
+    shape.computeLocalAABB()
+    return Predicted(name, shape, *rest)
+
+
+class Movable:
+    """The parts of an arm that can move out of the way: all but its base. Not for use by several threads at once."""
+
+    def __init__(self, parts: ArmGeometry) -> None:
+        arm, model = parts.arm, parts.arm.pin_model
+        self.arm, self._parts = arm, parts
+        mine = len(parts.names) - parts.obstacles
+        self.index = [k for k in range(mine) if parts.model.geometryObjects[k].parentJoint > 1]
+        self.names = [parts.names[k] for k in self.index]
+        self._geometry = [parts.model.geometryObjects[k] for k in self.index]
+        shapes = [one.geometry for one in self._geometry]
+        self._centres = [np.array(x.aabb_center) for x in shapes]  # of bounding spheres, in each part's own frame
+        self.radii = np.array([float(x.aabb_radius) for x in shapes])
+        # (M, n) at most how far a part moves when a joint moves by 1.
+        self.levers = np.zeros((len(shapes), arm.n))
+        links = [np.linalg.norm(x.translation) for x in model.jointPlacements]
+        for row, part in enumerate(self._geometry):
+            length = float(np.linalg.norm(part.placement.act(self._centres[row]))) + self.radii[row]
+            for joint in reversed(list(model.supports[part.parentJoint])[1:]):
+                self.levers[row, joint - 1] = 1.0 if arm.linear[joint - 1] else length
+                length += float(links[joint])
+        self._request, self.result = coal.DistanceRequest(), coal.DistanceResult()
+
+    def _place(self, q: Array) -> Any:
+        parts = self._parts
+        pin.updateGeometryPlacements(self.arm.pin_model, self.arm.data, parts.model, parts.data, q)
+        return parts.data.oMg
+
+    def middles(self, q: Array) -> Array:
+        """(N, M, 3) centres of bounding spheres at postures (N, n)."""
+        out = np.empty((len(q), len(self.index), 3))
+        for k, posture in enumerate(q):
+            placed = self._place(posture)
+            out[k] = [placed[i].act(c) for i, c in zip(self.index, self._centres, strict=True)]
+        return out
+
+    def distance(self, q: Array, row: int, obstacle: Predicted, p: Array) -> float:
+        """Distance of one part at a posture (n,) from an obstacle at p (3,), m; exact."""
+        return self._between(self._place(q)[self.index[row]], row, obstacle, p)
+
+    def _between(self, placed: Any, row: int, obstacle: Predicted, p: Array) -> float:
+        self.result.clear()
+        here, there = coal.Transform3s(placed.rotation, placed.translation), coal.Transform3s(obstacle.R, p)
+        part = self._geometry[row].geometry
+        return float(coal.distance(part, here, obstacle.shape, there, self._request, self.result))
+
+    def distances(self, q: Array, obstacle: Predicted, p: Array, middles: Array | None = None) -> Array:
+        """(N, M) at postures (N, n) from an obstacle at p (N, 3), m; beyond `FAR` no larger than the true ones. q may
+        be one posture for all. middles: as of these postures, if they are known."""
+        middles = self.middles(q) if middles is None else middles
+        out = np.linalg.norm(middles - p[:, None], axis=2) - self.radii - obstacle.radius
+        last, placed = -1, None
+        known: dict[int, float] = {}
+        for k, row in np.argwhere(out < FAR).tolist():
+            at = min(k, len(q) - 1)
+            if placed is None or at != last or np.any(p[k] != p[k - 1]):
+                known = {}
+            if placed is None or at != last:
+                last, placed = at, self._place(q[at])
+            if row not in known:
+                known[row] = self._between(placed[self.index[row]], row, obstacle, p[k])
+            out[k, row] = known[row]
+        return out
+
+    def slopes(self, q: Array, p: Array, obstacle: Predicted, node: Indices, part: Indices) -> tuple[Array, Array]:
+        """(r, n) derivatives of distances by the joints, and the normals (r, 3) towards the obstacle."""
+        arm, model = self.arm, self.arm.pin_model
+        slopes, normals = np.zeros((len(node), arm.n)), np.zeros((len(node), 3))
+        for k in np.unique(node):
+            pin.computeJointJacobians(model, arm.data, q[k])
+            placed = self._place(q[k])
+            for r in np.flatnonzero(node == k):
+                row = int(part[r])
+                self._between(placed[self.index[row]], row, obstacle, p[k])
+                normal, at = self.result.normal, self.result.getNearestPoint1()
+                joint = self._geometry[row].parentJoint
+                moved = pin.getJointJacobian(model, arm.data, joint, pin.LOCAL_WORLD_ALIGNED)
+                lever = at - arm.data.oMi[joint].translation
+                slopes[r] = -(normal @ moved[:3] + np.cross(lever, normal) @ moved[3:])
+                normals[r] = normal
+        return slopes, normals
+
+
+@dataclass(frozen=True, eq=False)
+class MovingClearance(Constraint):
+    """Rows of a motion whose time 0 is live time `begins`, s: clear of what is predicted to pass."""
+
+    movable: Movable
+    obstacles: tuple[Predicted, ...]
+    begins: float
+
+    def blocks(self, motion: MotionEvaluation) -> Iterator[Block]:
+        nodes = motion.nodes
+        if not motion.imposed:  # until it rests: the rest is looked at by itself
+            moving = np.flatnonzero((motion.at_nodes[0] != motion.at_nodes[0, -1]).any(axis=1))
+            nodes = nodes[: moving.max(initial=-1) + 2]
+        q, dq = motion.z[:2, nodes]
+        t = motion.s[nodes] * motion.duration
+        stray, at_rest_stray = np.zeros(len(t)), 0.0
+        if motion.response is not None:
+            whole = strayed(*motion.tray_radius())
+            stray, at_rest_stray = whole[: len(t)], float(whole[len(t) - 1 :].max())
+        steps = np.pad(np.diff(t), 1)
+        longest = 0.5 * np.maximum(steps[:-1], steps[1:])  # half of the time to the next look
+        movable, middles = self.movable, self.movable.middles(q)
+        rest = np.arange(t[-1], max(t[-1], max(x.until for x in self.obstacles) - self.begins) + REST_STEP, REST_STEP)
+        for obstacle in self.obstacles:
+            p, v = obstacle.at(self.begins + t)
+            speed = np.linalg.norm(v, axis=1) + obstacle.growth
+            free = (
+                movable.distances(q, obstacle, p, middles)
+                - (SAFETY + obstacle.around(self.begins + t) + stray)[:, None]
+            )
+            if not motion.imposed:  # what both may go until the next look
+                free -= longest[:, None] * (speed[:, None] + np.abs(dq) @ movable.levers.T)
+            free[self.begins + t > obstacle.until] = FAR
+
+            def gradient(i: Indices, f: Indices, obstacle: Predicted = obstacle, p: Array = p) -> Array:
+                return padded(-PER_METRE * movable.slopes(q, p, obstacle, i, f)[0], motion.n)
+
+            def by_duration(obstacle: Predicted = obstacle, p: Array = p, v: Array = v, free: Array = free) -> Array:
+                out = np.zeros_like(free)
+                i, f = np.nonzero(free < 0.5 * FAR)
+                normal = movable.slopes(q, p, obstacle, i, f)[1]
+                out[i, f] = -PER_METRE * t[i] * (np.einsum("ri,ri->r", normal, v[i]) - obstacle.growth)
+                return out
+
+            name, margins = f"clearance of {obstacle.name}", (PER_METRE * AT_NODES, 0.0)
+            yield Block(
+                name,
+                -PER_METRE * free,
+                gradient,
+                nodes,
+                margins,
+                scales=False,
+                by_duration=by_duration() if motion.imposed else None,
+                reach=PER_METRE * 0.5 * FAR,
+                most=2,
+                kinked=True,
+                inherits=False,
+            )
+            # At rest, until nothing is known any more.
+            late, v_late = obstacle.at(self.begins + rest)
+            faster = np.linalg.norm(v_late, axis=1) + obstacle.growth
+            kept = SAFETY + obstacle.around(self.begins + rest) + at_rest_stray + 0.5 * REST_STEP * faster
+            there = movable.distances(q[-1:], obstacle, late, middles[-1:]) - kept[:, None]
+            there[self.begins + rest > obstacle.until] = FAR
+            worst = np.argmin(there, axis=0)
+
+            def at_rest(
+                i: Indices, f: Indices, obstacle: Predicted = obstacle, late: Array = late, k: Indices = worst
+            ) -> Array:
+                postures = np.repeat(q[-1:], len(late), axis=0)
+                return padded(-PER_METRE * movable.slopes(postures, late, obstacle, k[f], f)[0], motion.n)
+
+            yield Block(
+                f"clearance of {obstacle.name} at rest",
+                -PER_METRE * there[worst, np.arange(there.shape[1])][None],
+                at_rest,
+                nodes[-1:],
+                margins,
+                scales=False,
+                reach=PER_METRE * 0.5 * FAR,
+                most=2,
+                kinked=True,
+                inherits=False,
+            )
+
+
+def nearest(movable: Movable, obstacles: Sequence[Predicted], q: Array, t: Array) -> tuple[float, float, str]:
+    """Least distance of a motion through postures (N, n) at live times (N,) from the predicted obstacles, beyond
+    their uncertainty: m, time, obstacle. q may be one posture for all."""
+    found = (np.inf, 0.0, "")
+    middles = movable.middles(q)
+    for obstacle in obstacles:
+        believed = t <= obstacle.until
+        if not believed.any():
+            continue
+        some = believed if len(q) > 1 else slice(None)
+        free = movable.distances(q[some], obstacle, obstacle.at(t[believed])[0], middles[some]).min(axis=1)
+        free = free - obstacle.around(t[believed])
+        k = int(np.argmin(free))
+        found = min(found, (float(free[k]), float(t[believed][k]), obstacle.name))
+    return found

@@ -1,0 +1,202 @@
+"""One step of planning: what is asked and what was found. It knows no clock and no thread, so it may be made anywhere.
+
+What it gives was verified (`salver.live.verdict.verify`); whoever asked decides whether it still comes in time.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from salver.errors import Status
+from salver.geometry import Array
+from salver.live.replanning.lookout import Near
+from salver.live.replanning.obstacles import Movable, MovingClearance, Predicted, nearest
+from salver.live.replanning.replan import Replanner, Sought
+from salver.live.replanning.steer import MOST_CAUTION, Caution, Steering, TwistWanted
+from salver.live.replanning.wishes import Evade, Follow, Goal, Halt, Retime, Wish, why_not
+from salver.live.verdict.motion import Committed, resting
+from salver.live.verdict.profile import STANDARD, SpeedOptions
+from salver.live.verdict.verify import STANDARD as EXACT
+from salver.live.verdict.verify import verified
+from salver.planning.fastest import Anywhere, AtPosture, TransportProblem
+
+ANOTHER = 0.5  # s by which what is seen again and is too near at another time is another threat
+THERE = 1e-5  # rad or m by which joints may miss a goal that they are at
+SOON = 0.1  # s: whoever is at rest by then need not look for a shorter way to it, which takes as long
+
+
+@dataclass(frozen=True)
+class EvasionOptions:
+    """How what comes is evaded.
+
+    Attributes:
+        speed: m/s at which the tray is to leave the way of what comes, as far as load and limits allow.
+        window: s from each hand-over for which it is.
+        passes: s from when it is first too near in which it is taken to pass.
+        asides: m, how far aside each direction is tried before one is chosen.
+    """
+
+    speed: float = 1.0
+    window: float = 0.3
+    passes: float = 0.3
+    asides: tuple[float, ...] = (0.05, 0.1, 0.15, 0.2, 0.3, 0.4)
+
+
+@dataclass(frozen=True, eq=False)
+class Aside:
+    """Where to an obstacle is evaded that is first too near at live time t, s: in a direction (3,)."""
+
+    obstacle: str
+    t: float
+    way: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Job:
+    """wish: what for. base: what is committed; begins: live time, s, at which it may be left. budget: s. obstacles:
+    what is predicted to pass; threats: where what is committed does not keep clear of it. now: live time, s, when it
+    was asked. factor: of full speed, at which goals are gone to."""
+
+    wish: Wish
+    base: Committed
+    begins: float
+    budget: float
+    obstacles: tuple[Predicted, ...] = ()
+    threats: tuple[Near, ...] = ()
+    now: float = 0.0
+    factor: float = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """found: a verified motion that goes on from the base, or None. done: nothing is to be added to the base for the
+    wish."""
+
+    found: Committed | None
+    status: Status
+    done: bool = False
+
+
+class Planner:
+    """Answers jobs about one problem."""
+
+    def __init__(
+        self,
+        problem: TransportProblem,
+        evasion: EvasionOptions | None = None,
+        speed: SpeedOptions = STANDARD,
+    ) -> None:
+        self.problem, self.evasion = problem, evasion or EvasionOptions()
+        self.speed = speed
+        self._replanner = Replanner.of(problem)
+        self._steering = Steering.of(problem, Sought.of(problem))
+        self._evasive = self._steering
+        self._aside: Aside | None = None
+        self._movable = None if problem.keep_out is None else Movable(problem.keep_out.parts)
+
+    def answer(self, job: Job) -> Answer:
+        wish, base, begins = job.wish, job.base, job.begins
+        if isinstance(wish, Evade):
+            return self._evading(job)
+        problem = self._among(job)
+        if isinstance(wish, Retime):
+            return Answer(*self._retimed(job, wish.factor, problem, self.speed.latest))
+        replanner = self._replanner if problem is self.problem else Replanner.of(problem)
+        if isinstance(wish, Follow):
+            wanted = wish.wanted if job.now <= wish.until else wish.then
+            steering = self._steering
+            if problem is not self.problem:
+                steering = replace(steering, problem=problem, sought=Sought.of(problem))
+            return Answer(*steering.tick(wanted, base, begins))
+        if isinstance(wish, Halt):
+            if base.ends - begins < SOON:
+                return Answer(None, Status("optimal", "", True), True)
+            if base.profile is not None:  # it is run slowly
+                found, status = self._retimed(job, 0.0, problem, self.speed.braking)
+                if found is not None and found.ends < base.ends:
+                    return Answer(found, status)
+            found, status = replanner.to(Anywhere(), base, begins, job.budget)
+            late = found is not None and found.ends >= base.ends  # it is at rest no later as it is
+            return Answer(None if late else found, status, late)
+        if begins >= base.ends and self._there(wish, base):
+            return Answer(None, Status("optimal", "", True), True)
+        blocked = why_not(self.problem, wish) or self._unsafe(wish)
+        if blocked:
+            return Answer(None, Status("unreachable", blocked, False))
+        return Answer(*replace(replanner, factor=job.factor).to(wish.end, base, begins, job.budget))
+
+    def _retimed(
+        self, job: Job, factor: float, problem: TransportProblem, latest: float
+    ) -> tuple[Committed | None, Status]:
+        """What is committed, along its own path at another speed factor, reached in so many s at the latest."""
+        options, within, began = self.speed, self.speed.soonest, time.perf_counter()
+        glance = replace(EXACT, step=options.glance, step_with_liquids=options.glance)
+        while within <= latest and time.perf_counter() - began < job.budget:
+            profile = job.base.run.then(job.begins, factor, within)
+            if profile.possible and not (profile.over and factor == 0.0):
+                motion = profile.motion(job.base.state(job.begins))
+                finding = verified(problem, motion, job.begins, job.base, glance)
+                if finding.committed is not None:
+                    finding = verified(problem, motion, job.begins, job.base, profile=profile)
+                if finding.committed is not None:
+                    return finding.committed, Status("optimal", "", True)
+                if profile.over:  # so are those that change it in more time
+                    break
+            within *= options.longer
+        return None, Status("refused", "the load allows no other speed now", False)
+
+    def _there(self, goal: Goal, base: Committed) -> bool:
+        """Whether what is committed ends at the goal."""
+        q = base.motion.q[-1]
+        posture = goal.end.nearest(self.problem.arm, self.problem.limits, q)
+        return posture is not None and float(np.abs(posture - q).max()) < THERE
+
+    def _unsafe(self, goal: Goal) -> str:
+        """Why the load would not stay in a posture that is asked for, or nothing."""
+        if not isinstance(goal.end, AtPosture):
+            return ""
+        finding = verified(self.problem, resting(goal.end.q), 0.0, None)
+        return f"the load would not be safe at rest there: {finding.sentence}" if finding.committed is None else ""
+
+    def _among(self, job: Job) -> TransportProblem:
+        """The problem with what is predicted to pass, in the time of a motion from the hand-over on."""
+        problem = self.problem
+        obstacles = tuple(one for one in job.obstacles if one.until > job.begins)
+        if not obstacles or self._movable is None:
+            return problem
+        passing = MovingClearance(self._movable, obstacles, job.begins)
+        return replace(problem, extra=(*problem.extra, passing))
+
+    def _evading(self, job: Job) -> Answer:
+        """What is committed, bent by one tick out of the way of what comes first: many small bends that begin soon do
+        more than one good motion that begins late."""
+        near = next((one for one in job.threats if one.until > job.begins), None)
+        if near is None:
+            return Answer(None, Status("optimal", "", True), True)
+        if self._aside is None or self._aside.obstacle != near.obstacle or abs(self._aside.t - near.t) > ANOTHER:
+            self._aside = Aside(near.obstacle, near.t, self._shortest_aside(job, near))
+            self._evasive = replace(self._steering, caution=Caution())
+        twist = np.append(self.evasion.speed * self._aside.way, np.zeros(3))
+        wanted = TwistWanted(twist, np.zeros(6), job.begins, window=self.evasion.window)
+        found, status = self._evasive.tick(wanted, job.base, job.begins)
+        return Answer(found, status, found is None and self._evasive.caution.weight >= MOST_CAUTION)
+
+    def _shortest_aside(self, job: Job, near: Near) -> Array:
+        """The direction (3,), across the way of what comes, up or down, in which the committed motion would be clear of
+        it soonest if all of it were put aside: the same as with what comes put the other way."""
+        assert self._movable is not None
+        obstacle = next(one for one in job.obstacles if one.name == near.obstacle)
+        t = near.t + self.evasion.passes * np.linspace(0.0, 1.0, 7)
+        q = job.base.motion.sample(np.clip(t - job.base.begins, 0.0, job.base.motion.duration))[0]
+        along = obstacle.at(t[:1])[1][0] * [1.0, 1.0, 0.0]
+        along = along / np.linalg.norm(along) if along.any() else np.array([1.0, 0.0, 0.0])
+        up = np.array([0.0, 0.0, 1.0])
+        ways = [np.cross(along, up), np.cross(up, along), up, -up]
+        for far in self.evasion.asides:
+            free = [nearest(self._movable, [obstacle.moved(-far * way)], q, t)[0] for way in ways]
+            if max(free) > 0.0:
+                break
+        return ways[int(np.argmax(free))]

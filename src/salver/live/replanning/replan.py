@@ -1,0 +1,277 @@
+"""A new motion while the old one runs: the shortest from the state at the hand-over to a goal, or to rest anywhere.
+
+It is sought under slightly stricter conditions than those it is then judged by, so that what is found passes, and what
+goes on from it can. What is sought is a good motion soon, not the best one late: iterations end when they gain little.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+from typing import ClassVar, Self
+
+import numpy as np
+
+from salver.errors import Status
+from salver.geometry import GRAVITY_S, Array, Indices
+from salver.live.verdict.motion import Committed
+from salver.live.verdict.profile import SpeedProfile
+from salver.live.verdict.verify import STANDARD, Finding, verified
+from salver.models.arm.arm_limits import JointLimits
+from salver.models.tray_motion import Speed
+from salver.planning.fastest import (
+    Anywhere,
+    AtPose,
+    AtPosture,
+    Block,
+    Constraint,
+    End,
+    FastestMotion,
+    FastestOptions,
+    MotionEvaluation,
+    TransportProblem,
+    fastest,
+)
+from salver.planning.postures import candidate_postures
+from salver.planning.seeds.starts import braking_time
+from salver.planning.trajopt.bound import least_time
+from salver.planning.trajopt.constraints.constraints import ContactConstraint
+from salver.planning.trajopt.curves import FreeCurve, Grid, launched
+from salver.planning.trajopt.exchange import Checked, ExchangeOptions, optimise, programme_of
+from salver.planning.trajopt.spline import RestSpline, SplineMotion, min_jerk_blend
+from salver.planning.trajopt.sqp import SqpOptions, SqpSolution, minimise
+from salver.planning.trajopt.watch import Watch
+from salver.trajectory import JointMotion
+
+SPLINE = RestSpline(degree=5, spans=8)
+
+
+@dataclass(frozen=True)
+class ReplanOptions:
+    """How a whole motion is sought, and what is done when it misses a constraint by little.
+
+    Attributes:
+        nodes_per_span: nodes of a motion that is judged at once.
+        few_nodes: nodes a span to which nodes are added where that led nowhere.
+        gain: relative shortening below which an iteration counts as idle.
+        stretches: times that a motion is made longer at most, while what it is short of becomes less than half.
+        stretched: relative, by which each at most.
+        amply: times what would do from rest, by which a motion is made longer: one that begins moving does not become
+            slower as a whole.
+        a_little: relative, by which it is made longer beyond that: another look takes more time than this costs.
+        least_duration: s of a first guess at least.
+        likely: times what every joint, and friction, take at least, that a first guess lasts.
+        slowly: times as long a guess is where that led nowhere.
+        others: guesses from which a goal's postures are sought when none is near.
+    """
+
+    nodes_per_span: int = 6
+    few_nodes: int = 2
+    gain: float = 1e-2
+    stretches: int = 4
+    stretched: float = 0.02
+    amply: float = 2.0
+    a_little: float = 6e-4
+    least_duration: float = 0.1
+    likely: float = 1.1
+    slowly: float = 1.4
+    others: int = 16
+
+
+STANDARD_REPLANNING = ReplanOptions()
+
+
+@dataclass(frozen=True, eq=False)
+class Firm(Constraint):
+    """A constraint under which motions are sought: what the verdict keeps of its rows is kept from the beginning on,
+    also where the margins of a motion that begins moving are eased, and beyond that so many `times` the planner's
+    margin; of distances, of which every millimetre counts, twice."""
+
+    judged: Constraint
+    times: float = 2.0
+    distances: ClassVar[float] = 2.0
+
+    def near(self, q: Array) -> Constraint:
+        judged = self.judged
+        coarse = replace(judged, coarsely=True) if isinstance(judged, ContactConstraint) else judged
+        return Firm(coarse.near(q), self.times)
+
+    def blocks(self, motion: MotionEvaluation) -> Iterator[Block]:
+        for block in self.judged.blocks(motion):
+            nodes, check = block.margins[0], STANDARD.margin(block, self.judged)
+            if isinstance(self.judged, ContactConstraint):
+                nodes -= check - STANDARD.contact  # what the scenario asks for is kept once
+            times = self.distances if block.kinked else self.times
+            yield block.having(values=block.values + check, margins=(times * nodes, 0.5 * nodes))
+
+
+class Sought(TransportProblem):
+    """The problem that bends are sought under. The state that a motion begins in is given, at rest too: what it lacks
+    of a planner's margins is made up for on the way."""
+
+    times: ClassVar[float] = 2.0  # as of `Firm`
+
+    @cached_property
+    def constraints(self) -> tuple[Firm, ...]:
+        return tuple(Firm(constraint, self.times) for constraint in super().constraints)
+
+    def at(
+        self, s: Array, z: Array, duration: float, nodes: Indices | None = None, imposed: bool = True
+    ) -> MotionEvaluation:
+        return replace(super().at(s, z, duration, nodes, imposed), moving=True)
+
+    @classmethod
+    def of(cls, problem: TransportProblem) -> Self:
+        return cls(**{field.name: getattr(problem, field.name) for field in fields(problem)})
+
+
+class Firmer(Sought):
+    """The problem that whole motions are sought under: between nodes that are further apart, rows rise by more."""
+
+    times: ClassVar[float] = 5.0
+
+
+@dataclass(frozen=True, eq=False)
+class Replanner:
+    """problem: by which motions are judged; sought: the same, under conditions a little stricter."""
+
+    problem: TransportProblem
+    sought: TransportProblem
+    options: ReplanOptions = STANDARD_REPLANNING
+    factor: float = 1.0  # of full speed, at which what is found is run, and judged
+
+    @classmethod
+    def of(cls, problem: TransportProblem) -> Replanner:
+        return cls(problem, Firmer.of(problem))
+
+    def to(
+        self, end: End, before: Committed, begins: float, time_limit: float, *, around: bool = True
+    ) -> tuple[Committed | None, Status]:
+        """The shortest motion found from the committed one at live time `begins` to an end. around: whether, from rest,
+        there is time to look for ways around what is in the way."""
+        began, slow = time.perf_counter(), self.factor
+        q, dq, ddq = before.state(begins)
+        start = AtPosture(q, dq / slow, ddq / slow**2)  # as a motion at full speed has to begin, to go on from it
+        # A solid load that stays at full speed and at rest stays at every speed between; a liquid has its own time.
+        sought = replace(self.sought, speeds=(Speed(slow),)) if self.sought.liquids and slow < 1.0 else self.sought
+        at = before.left(begins, replace(sought, start=start, goal=end))
+        options = self.options
+        guess = going_on(at, before, begins, options) if isinstance(end, Anywhere) else straight(at, options)
+        if guess is None:
+            return None, Status("unreachable", "no posture of the arm within its limits reaches it", False)
+        found, finding = self._shortest(at, guess, before, begins, Watch(time_limit))
+        left = time_limit - (time.perf_counter() - began)
+        if around and finding.committed is None and not start.moving and left > 0:
+            searched = fastest(at, FastestOptions(time_limit=left))
+            if searched.status.ok:
+                motion = SplineMotion(searched.spline, searched.coefficients, searched.duration)
+                found, finding = searched, self._stretched(at, motion, before, begins)
+        if finding.committed is None:
+            return None, Status("refused", finding.sentence if found.status.ok else found.status.sentence, False)
+        return finding.committed, Status("optimal", f"A motion of {finding.committed.motion.duration:.3f} s.", True)
+
+    def _shortest(
+        self, at: TransportProblem, guess: SplineMotion, before: Committed, begins: float, watch: Watch
+    ) -> tuple[Checked | FastestMotion | SqpSolution, Finding]:
+        """The shortest motion from a guess, and the verdict on it.
+
+        What is broken between the nodes is mostly little, and kept by a motion that takes as much longer; only where
+        that does not help are nodes added. Among what moves, it seldom does.
+        """
+        damping, how = 1.0, ExchangeOptions()
+        if not at.liquids and not at.extra:
+            programme = programme_of(at, FreeCurve, guess, guess.spline.nodes(self.options.nodes_per_span))
+            begun = programme.begin(guess.coefficients, guess.duration)
+            solution = minimise(programme, begun, SqpOptions(watch=watch, gain=self.options.gain))
+            best = solution.iterate
+            motion = SplineMotion(guess.spline, best.coefficients, best.duration)
+            finding = self._stretched(at, motion, before, begins)
+            if finding.committed is not None:
+                return solution, finding
+            if best.violation > how.hopeless_at_nodes:  # from another beginning, perhaps
+                guess = replace(guess, duration=self.options.slowly * guess.duration)
+            else:
+                guess, damping = SplineMotion(guess.spline, best.coefficients, best.duration), how.repair
+        found = optimise(at, FreeCurve, guess, self.options.few_nodes, watch, damping=damping, gain=self.options.gain)
+        motion = SplineMotion(guess.spline, found.coefficients, found.duration)
+        return found, self._stretched(at, motion, before, begins)
+
+    def _stretched(self, at: TransportProblem, motion: SplineMotion, before: Committed, begins: float) -> Finding:
+        """The verdict on a motion, or on one that takes a little longer, if that is what it lacks."""
+        finding = self._judged(at, motion, before, begins)
+        for _ in range(self.options.stretches):
+            if finding.committed is not None or finding.slower > self.options.stretched:
+                break
+            motion = replace(
+                motion, duration=motion.duration * (1.0 + self.options.amply * finding.slower + self.options.a_little)
+            )
+            excess, finding = finding.excess, self._judged(at, motion, before, begins)
+            if finding.excess > 0.5 * excess:
+                break
+        return finding
+
+    def _judged(self, at: TransportProblem, found: SplineMotion, before: Committed, begins: float) -> Finding:
+        """The verdict on what was found."""
+        breaks = found.spline.breaks()
+        q, dq, ddq, _ = FreeCurve(at, Grid.of(found.spline, breaks)).motion(found.coefficients, found.duration)
+        for rate in (dq, ddq):
+            rate[-1] = 0.0  # but for the last digits, it is
+        motion, profile = JointMotion(breaks * found.duration, q, dq, ddq), None
+        if self.factor < 1.0:
+            profile = SpeedProfile(motion, begins, 0.0, self.factor, 0.0, self.factor)
+            motion = profile.motion()
+        return verified(self.problem, motion, begins, before, thoroughly=True, profile=profile)
+
+
+def going_on(
+    at: TransportProblem, before: Committed, begins: float, options: ReplanOptions = STANDARD_REPLANNING
+) -> SplineMotion:
+    """A first guess of a stop: what is committed."""
+    start = at.start
+    assert isinstance(start, AtPosture)
+    left = max(before.ends - begins, options.least_duration)
+    s = np.linspace(0.0, 1.0, 121)
+    q = before.motion.sample(begins - before.begins + s * left)[0]
+    return SplineMotion(SPLINE, SPLINE.fit(s, q - launched(start, s, left)), left)
+
+
+def straight(at: TransportProblem, options: ReplanOptions = STANDARD_REPLANNING) -> SplineMotion | None:
+    """A first guess of the way to a goal: straight on to the nearest of its postures; None when there is none."""
+    start = at.start
+    assert isinstance(start, AtPosture)
+    braking = braking_time(at)
+    ahead = np.clip(start.q + 0.5 * braking * start.rates[0], at.limits.q_min, at.limits.q_max)
+    goal = next((q for near in (ahead, start.q) if (q := at.goal.nearest(at.arm, at.limits, near)) is not None), None)
+    if goal is None and isinstance(at.goal, AtPose):
+        others = candidate_postures(at.arm, at.goal.target, seeds=options.others)
+        goal = min(others, key=lambda q: float(np.abs(q - start.q).max()), default=None)
+    if goal is None:
+        return None
+    duration = max(
+        options.least_duration, options.likely * max(_by_joints(at.limits, start, goal), _by_friction(at, start, goal))
+    )
+    s = np.linspace(0, 1, 121)
+    return SplineMotion(SPLINE, SPLINE.fit(s, start.q + min_jerk_blend(s)[:, None] * (goal - start.q)), duration)
+
+
+def _by_joints(limits: JointLimits, start: AtPosture, goal: Array) -> float:
+    """About the least time, s, in which every joint can be at rest at the goal (n,): braked, and then from rest to rest
+    by its limits."""
+    velocity, acceleration = start.rates[0], limits.acceleration
+    braked = start.q + 0.5 * velocity * np.abs(velocity) / acceleration
+    joints = zip(np.abs(goal - braked), limits.velocity, acceleration, limits.jerk, strict=True)
+    moving = np.array([least_time(*map(float, joint)) for joint in joints])
+    return float(np.max(np.abs(velocity) / acceleration + moving))
+
+
+def _by_friction(at: TransportProblem, start: AtPosture, goal: Array) -> float:
+    """About the least time, s, in which friction brings what stands on a level tray to rest at the goal (n,): braked,
+    and then from rest to rest."""
+    most = min(body.friction for body in at.items) * -GRAVITY_S[2]
+    p_SE, R_SE = at.arm.tray_pose(start.q)
+    v_S = R_SE @ (at.arm.body_jacobian(start.q) @ start.rates[0])[:3]
+    speed = float(np.linalg.norm(v_S))
+    left = at.arm.tray_pose(goal)[0] - p_SE - 0.5 * speed / most * v_S
+    return speed / most + 2.0 * float(np.sqrt(np.linalg.norm(left) / most))

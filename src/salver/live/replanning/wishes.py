@@ -1,0 +1,264 @@
+"""What may be asked of a live motion: a goal, a stop, a twist, a chunk. What cannot be is refused in a sentence."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from numbers import Real
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from salver.errors import Status
+from salver.geometry import Array
+from salver.live.replanning.steer import ChunkWanted, TwistWanted, Wanted
+from salver.live.verdict.profile import STANDARD
+from salver.planning.fastest import AtPose, AtPosture, End, TransportProblem
+from salver.planning.postures import PoseTarget
+from salver.planning.trajopt.constraints.constraints import LEVEL_TOLERANCE
+
+ORTHONORMAL = 1e-6  # by which a rotation may fail to be one
+Pose = npt.ArrayLike | tuple[npt.ArrayLike, npt.ArrayLike]
+Source = Literal["policy", "operator", "monitor"]
+OPERATOR: Source = "operator"
+# Priority of who requests: what a higher one requested is carried out first, and a stop of it only it may lift; the
+# operator lifts those of the monitor, which is this package itself and whoever watches the arm.
+PRIORITY: dict[str, int] = {"policy": 0, "operator": 1, "monitor": 1}
+ACCEPTED = Status("accepted", "Accepted.", True)
+
+
+@dataclass(frozen=True, eq=False)
+class Goal:
+    """To an end, at rest there. what: it is, in words."""
+
+    end: End
+    what: str
+    source: Source = OPERATOR
+
+
+@dataclass(frozen=True, eq=False)
+class Halt:
+    """To rest, as soon as may be."""
+
+    source: Source = OPERATOR
+
+
+@dataclass(frozen=True, eq=False)
+class Follow:
+    """To do what is wanted as nearly as may be, and to stop when nothing is heard after live time `until`, s.
+
+    Of a chunk that ends in a posture or pose, it is held then. ends: this, as a goal for what was not done of it by
+    then; or why it can be none.
+    """
+
+    wanted: Wanted
+    until: float
+    then: Wanted
+    ends: Goal | Status | None = None
+    source: Source = OPERATOR
+
+    def later(self, by: float) -> Follow:
+        """The same chunk, so many s later; a twist counts from when it was said."""
+        if not isinstance(self.wanted, ChunkWanted):
+            return self
+        wanted = replace(self.wanted, t=self.wanted.t + by)
+        return replace(self, wanted=wanted, then=wanted, until=self.until + by)
+
+
+@dataclass(frozen=True, eq=False)
+class Evade:
+    """To keep clear of what is predicted to pass: nothing, where what is committed does; else rest elsewhere."""
+
+    source: Source = "monitor"
+
+
+@dataclass(frozen=True, eq=False)
+class Retime:
+    """To go on along the same path at another factor of full speed."""
+
+    factor: float
+    source: Source = "monitor"
+
+
+Wish = Goal | Halt | Follow | Evade | Retime
+
+MOST_SPEED, MOST_TURN, FARTHEST = 5.0, 20.0, 100.0  # m/s, rad/s, m; what is beyond is in another unit
+SILENCE = 0.1  # s after a twist at which it counts no more
+HEADINGS = 16  # of a goal with any, at which it is looked whether something is in the way
+HEARD, LAST_HEARD = 0.025, 0.06  # s of twists from which it is told how they change; of the last one, if no other is
+LEAST_HEARD = 4e-3  # s
+
+
+def refused(sentence: str) -> Status:
+    return Status("refused", sentence, False)
+
+
+def is_flag(value: object) -> bool:
+    """Whether it is True or False, and nothing that only counts as such."""
+    return isinstance(value, bool | np.bool_)
+
+
+def _plain(value: Any, depth: int) -> bool:
+    """Whether it is real numbers, nested at most so deep: no truth values, texts, complex or masked numbers."""
+    if isinstance(value, list | tuple):
+        return depth > 0 and all(_plain(one, depth - 1) for one in value)
+    if isinstance(value, np.ma.MaskedArray):
+        return False
+    if isinstance(value, Real):
+        return not isinstance(value, bool)
+    return getattr(np.asarray(value), "dtype", np.dtype(object)).kind in "iuf"
+
+
+def numbers(value: Any, shape: tuple[int, ...], what: str) -> Array | Status:
+    """An array of finite numbers of a shape, or why it is none."""
+    try:
+        array = np.array(value, dtype=float) if _plain(value, len(shape)) else None
+    except Exception:  # whatever is in what was given
+        array = None
+    if array is None:
+        return refused(f"{what} is no array of numbers; it must be {shape} finite numbers")
+    if array.shape != shape:
+        return refused(f"{what} has shape {array.shape}; it must be {shape}")
+    if not np.all(np.isfinite(array)):
+        return refused(f"{what} has values that are not finite")
+    return array
+
+
+def factor_of(value: Any) -> float | Status:
+    """A factor of full speed."""
+    factor, least = numbers([value], (1,), "the factor"), STANDARD.least
+    if isinstance(factor, Status) or not least <= factor[0] <= 1.0:
+        return refused(f"factor is {str(value)[:40]!r}; it must be a number from {least:g} to 1, and hold() stops")
+    return float(factor[0])
+
+
+def posture_goal(problem: TransportProblem, q: npt.ArrayLike) -> Goal | Status:
+    """A posture (n,), rad, at rest."""
+    posture = numbers(q, (problem.n,), "the posture")
+    if isinstance(posture, Status):
+        return posture
+    limits, names = problem.limits, problem.arm.joint_names
+    for value, low, high, name in zip(posture, limits.q_min, limits.q_max, names, strict=True):
+        if not low <= value <= high:
+            return refused(f"{name} would be at {value:.4g}; it must be within [{low:.4g}, {high:.4g}]")
+    return Goal(AtPosture(posture), "a posture")
+
+
+def pose_goal(problem: TransportProblem, pose: Pose) -> Goal | Status:
+    """The first object's frame B at p_SB (3,), m, upright with any heading; or at (p_SB, R_SB) with R_SB (3, 3)."""
+    whole = isinstance(pose, tuple) and len(pose) == 2 and not np.isscalar(pose[0])
+    p = numbers(pose[0] if whole else pose, (3,), "the position")  # type: ignore[index]
+    rotation = numbers(pose[1], (3, 3), "the rotation") if whole else np.eye(3)  # type: ignore[index]
+    for found in (p, rotation):
+        if isinstance(found, Status):
+            return found
+    assert not isinstance(p, Status)
+    assert not isinstance(rotation, Status)
+    if np.abs(p).max() > FARTHEST:
+        return refused(f"the position is {np.abs(p).max():.3g} m away in S; it must be at most {FARTHEST:g} m, in S")
+    if np.abs(rotation @ rotation.T - np.eye(3)).max() > ORTHONORMAL or np.linalg.det(rotation) < 0:
+        return refused("the rotation is none: its rows must be orthonormal and right-handed")
+    first = problem.items[0]
+    if not whole:
+        rotation = first.R_EB  # the tray level
+    leans = float(np.arccos(np.clip((rotation @ first.R_EB.T)[2, 2], -1.0, 1.0)))
+    most = max(problem.max_tilt, LEVEL_TOLERANCE)
+    if leans > most:
+        return refused(
+            f"the goal leans the tray by {np.rad2deg(leans):.3g} deg; it may lean by {np.rad2deg(most):.3g} deg"
+        )
+    target = PoseTarget(p, rotation, first.p_EB, first.R_EB, yaw_free=not whole)
+    return Goal(AtPose(target), f"({p[0]:.3f}, {p[1]:.3f}, {p[2]:.3f}) m")
+
+
+def twist_wish(
+    heard: Sequence[tuple[float, Array]], v: npt.ArrayLike, omega: npt.ArrayLike, now: float, factor: float = 1.0
+) -> Follow | Status:
+    """v_S (3,), m/s, and omega_S (3,), rad/s, of the tray in S, times a factor. heard: live times and what was followed
+    before."""
+    twist = []
+    for value, most, what, unit in ((v, MOST_SPEED, "v", "m/s"), (omega, MOST_TURN, "omega", "rad/s")):
+        found = numbers(value, (3,), what)
+        if isinstance(found, Status):
+            return found
+        if np.linalg.norm(found) > most:
+            return refused(f"{what} is {np.linalg.norm(found):.3g}; it must be at most {most:g} {unit}, in S")
+        twist.append(found)
+    latest = factor * np.concatenate(twist)
+    before = [(t, old) for t, old in heard if now - LAST_HEARD <= t < now]
+    recent = [*([x for x in before if now - x[0] <= HEARD + 1e-9] or before[-1:]), (now, latest)]
+    t = np.array([t for t, _ in recent]) - now
+    slope = np.zeros(6)
+    if -t[0] >= LEAST_HEARD:
+        away = t - t.mean()
+        slope = away @ np.array([old for _, old in recent]) / (away @ away)
+    return Follow(TwistWanted(latest, slope, now), now + SILENCE, TwistWanted(np.zeros(6), np.zeros(6), now))
+
+
+def chunk_wish(
+    problem: TransportProblem, times: npt.ArrayLike, poses: Any, joints: npt.ArrayLike | None, now: float,
+    factor: float = 1.0,
+) -> Follow | Status:  # fmt: skip
+    """Poses or postures at times (C,) from now on, s; at a factor of that speed."""
+    if (poses is None) == (joints is None):
+        return refused("a chunk is of poses or of joints, one of them")
+    try:
+        count = len(times)  # type: ignore[arg-type]
+    except TypeError:
+        count = 0
+    t = numbers(times, (count,), "times")
+    if isinstance(t, Status):
+        return t
+    if not count or t[0] < 0 or np.any(np.diff(t) <= 0):
+        return refused("times must be one or more, at least 0, and each later than the one before")
+    t = now + t / factor
+    if joints is not None:
+        q = numbers(joints, (count, problem.n), "joints")
+        if isinstance(q, Status):
+            return q
+        outside = (q < problem.limits.q_min) | (q > problem.limits.q_max)
+        if outside.any():
+            row, j = (int(x) for x in np.argwhere(outside)[0])
+            return refused(
+                f"{problem.arm.joint_names[j]} would be at {q[row, j]:.4g} in posture {row}, beyond its limits"
+            )
+        wanted, ends = ChunkWanted(t, None, None, q), posture_goal(problem, q[-1])
+    else:
+        whole = isinstance(poses, tuple) and len(poses) == 2
+        p = numbers(poses[0] if whole else poses, (count, 3), "positions")
+        first = problem.items[0]
+        rotations = np.tile(first.R_EB, (count, 1, 1))
+        R = numbers(poses[1], (count, 3, 3), "rotations") if whole else rotations
+        if isinstance(p, Status) or isinstance(R, Status):
+            return p if isinstance(p, Status) else R  # type: ignore[return-value]
+        far = float(np.abs(p).max())
+        if far > FARTHEST:
+            return refused(f"a position is {far:.3g} m away in S; it must be at most {FARTHEST:g} m, in S")
+        square = R @ np.swapaxes(R, 1, 2) - np.eye(3)
+        if np.abs(square).max() > ORTHONORMAL or (np.linalg.det(R) < 0).any():
+            return refused("a rotation is none: its rows must be orthonormal and right-handed")
+        R_SE = R @ first.R_EB.T
+        wanted, ends = ChunkWanted(t, p - R_SE @ first.p_EB, R_SE, None), pose_goal(problem, (p[-1], R[-1]))
+    return Follow(wanted, float(t[-1]), wanted, ends)
+
+
+def why_not(problem: TransportProblem, goal: Goal) -> str:
+    """Why nothing can come to rest there, or nothing: what stands in the way of it."""
+    if problem.keep_out is None:
+        return ""
+    parts = problem.keep_out.parts
+    if isinstance(goal.end, AtPose):
+        headings = goal.end.target.headings(HEADINGS)
+        met = None
+        for target in headings:
+            met = parts.in_the_way(*target.tray_pose)
+            if met is None:
+                break
+        if met is not None:
+            return f"there the {met[0]} would be inside {met[1]}{', whichever way it faces' * (len(headings) > 1)}"
+    if isinstance(goal.end, AtPosture):
+        touch = parts.first_touch(goal.end.q[None])
+        if touch is not None:
+            return f"there {touch.first} and {touch.second} would touch"
+    return ""

@@ -1,0 +1,1 @@
+"""The verdict on a live motion: what is committed, and what it must pass before."""

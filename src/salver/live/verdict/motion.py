@@ -1,0 +1,166 @@
+"""What is committed: a verified motion that ends at rest, in the clock of the live motion.
+
+A motion is quintic from knot to knot (`JointMotion`), so one that leaves another at an instant is exact again. What a
+wrong load and held commands have brought the arm into goes on from one motion to the next, and so do waves.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from salver.geometry import Array
+from salver.liquid.before import Past
+from salver.live.verdict.margins import ConstraintMargins
+from salver.live.verdict.profile import SpeedProfile
+from salver.planning.fastest import MotionEvaluation, TransportProblem
+from salver.trajectory import JointMotion
+
+SHORTEST = 1e-3  # s that the motion of an arm at rest is written to last
+HOLD_STEP = 1e-2  # s between nodes at which the deviation at rest is known
+SAME = 1e-9  # s; instants nearer than this are one
+SETTLED = 1.0  # s at rest after which what the load makes the arm sag by changes no more
+CALMED = 5.0  # s at rest after which waves are so low that the arm hardly gives way to them;
+AT_ONCE = 0.5  # s of that in which waves and arm are soon known together
+
+
+@dataclass(frozen=True, eq=False)
+class Committed:
+    """A motion that ends at rest and whose rows were all looked at.
+
+    begins: live time of the motion's own time 0, s. motion: knots from 0 on; at rest after the last one, and before the
+    first only when nothing moved before. nodes: (N,) live times at which the deviation is known. deviation:
+    (N, 2, n, k) e and e' of each term, see `JointLoop.start`; None where nothing is uncertain. waves: of all liquids
+    along it, None without. off: (N,) m by which what stands on the tray may be elsewhere. seal: that of the process
+    which found that it passes (`salver.live.verdict.seal`); empty while nothing did. profile: which motion it is at
+    full speed; None where it is that itself.
+    """
+
+    begins: float
+    motion: JointMotion
+    nodes: Array
+    deviation: Array | None
+    margins: ConstraintMargins
+    waves: Past | None = None
+    off: Array = field(default_factory=lambda: np.zeros(1))
+    seal: bytes = b""
+    profile: SpeedProfile | None = None
+
+    @property
+    def run(self) -> SpeedProfile:
+        """Its path, and how fast it is run."""
+        return self.profile or SpeedProfile(self.motion, self.begins)
+
+    @property
+    def ends(self) -> float:
+        """Live time at which the arm is at rest, s."""
+        return self.begins + self.motion.duration
+
+    def state(self, t: float) -> tuple[Array, Array, Array]:
+        """q, dq, ddq (n,) at live time t."""
+        q, dq, ddq = self.motion.sample(t - self.begins)
+        return q[0], dq[0], ddq[0]
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether it does not move at all."""
+        return bool(np.all(self.motion.q == self.motion.q[0]))
+
+    def stray(self, problem: TransportProblem) -> Array:
+        """(n,) rad, the most by which each joint may be off the motion under the uncertain set."""
+        if self.deviation is None or problem.tracking is None:
+            return np.zeros(problem.n)
+        e = self.deviation[:, 0]
+        off = problem.tracking.load.radius(e[:, :, :-1]) + np.abs(e[:, :, -1])
+        if self.waves is not None:
+            off = off + self.waves.stray
+        return np.asarray(off.max(axis=0))
+
+    def left(self, t: float, problem: TransportProblem) -> TransportProblem:
+        """The problem of going on from it at live time t: with the deviation, and the waves, that there are then."""
+        if problem.liquids:
+            problem = replace(problem, past=self._waves_at(t, problem))
+        return _astray(problem, self.deviation_at(t, problem))
+
+    def deviation_at(self, t: float, problem: TransportProblem) -> Array | None:
+        """(2, n, k) the deviation at live time t; None where nothing is uncertain."""
+        if self.deviation is None or problem.tracking is None:
+            return None
+        if t <= self.nodes[-1]:
+            k = int(np.clip(np.searchsorted(self.nodes, t) - 1, 0, len(self.nodes) - 2))
+            u = (t - self.nodes[k]) / (self.nodes[k + 1] - self.nodes[k])
+            return np.asarray((1 - u) * self.deviation[k] + u * self.deviation[k + 1])
+        held = min(t - self.nodes[-1], SETTLED)
+        response = self._held(_astray(problem, self.deviation[-1]), held).response
+        assert response is not None
+        return response.state_at(np.linspace(0.0, held, _nodes(held)), held)
+
+    def _waves_at(self, t: float, problem: TransportProblem) -> Past:
+        """The waves at live time t, of which there are some."""
+        if self.waves is None:
+            problem.check_dry("a motion that goes on from another")
+        assert self.waves is not None
+        own, ends = t - self.begins, self.waves.t[-1]
+        left = own - ends
+        if left <= SAME:
+            return replace(self.waves, now=min(own, ends))
+        rest = replace(problem, liquids=problem.every_case, past=replace(self.waves, now=ends))
+        rest = _astray(rest, None if self.deviation is None else self.deviation[-1])
+        swung = max(left - CALMED, 0.0)  # freely, after the arm that gives way to them has braked them
+        left = min(left, CALMED)
+        while True:
+            step = min(left, AT_ONCE)
+            held, left = self._held(rest, step), left - step
+            if left <= 0.0:
+                return held.rested(swung) if swung else replace(held.left, now=step)
+            rest = replace(rest, past=replace(held.left, now=step))
+            if rest.tracking is not None and held.response is not None:
+                sagging = held.response.state_at(np.multiply(step, held.shares), step)
+                rest = replace(rest, tracking=rest.tracking.begun(sagging))
+
+    def settling(self, problem: TransportProblem) -> MotionEvaluation:
+        """The arm at rest after it, until what a wrong load made it stray has settled."""
+        assert problem.tracking is not None
+        astray = _astray(problem, None if self.deviation is None else self.deviation[-1])
+        return self._held(astray, problem.tracking.settling)
+
+    def _held(self, problem: TransportProblem, seconds: float) -> MotionEvaluation:
+        """The arm at rest after it, for so long, s; the problem is that of going on from its end."""
+        z = np.zeros((4, _nodes(seconds), problem.n))
+        z[0] = self.motion.q[-1]
+        return problem.at(np.linspace(0.0, 1.0, z.shape[1]), z, seconds)
+
+
+def _astray(problem: TransportProblem, deviation: Array | None) -> TransportProblem:
+    """The problem of an arm that is off by a deviation (2, n, k) where it begins; by nothing that is known for None."""
+    if problem.tracking is None or deviation is None:
+        return problem
+    return replace(problem, tracking=problem.tracking.begun(deviation))
+
+
+def _nodes(seconds: float) -> int:
+    """How many nodes a rest of so long has."""
+    return max(5, int(np.ceil(seconds / HOLD_STEP)) + 1)
+
+
+def between(motion: JointMotion, first: float, last: float) -> JointMotion:
+    """A motion from one instant to a later one, from time 0; at rest where it has ended before."""
+    inside = motion.t[(motion.t > first + SAME) & (motion.t < last - SAME)]
+    t = np.concatenate([[first], inside, [last]])
+    return JointMotion(t - first, *motion.sample(t))
+
+
+def joined(first: JointMotion, second: JointMotion) -> JointMotion:
+    """A motion and then another that begins, at its own time 0, where the first one ends."""
+    if first.duration <= SAME:
+        return second
+    t = np.concatenate([first.t, first.duration + second.t[1:]])
+    states = zip((first.q, first.dq, first.ddq), (second.q, second.dq, second.ddq), strict=True)
+    return JointMotion(t, *(np.vstack([a, b[1:]]) for a, b in states))
+
+
+def resting(q: Array) -> JointMotion:
+    """The motion of an arm that does not move."""
+    still = np.zeros((2, len(q)))
+    return JointMotion(np.array([0.0, SHORTEST]), np.tile(q, (2, 1)), still, still.copy())

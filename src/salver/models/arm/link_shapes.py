@@ -1,0 +1,232 @@
+"""Convex shapes of an arm's links for collision checks: from the URDF's geometry, or estimated.
+
+A mesh becomes its convex hull, which is larger than the link, or the hulls of a few slabs of it
+(`salver.models.shapes.convex_shapes`). Of a link without collision geometry the visual one is taken. Of a link whose
+geometry cannot be read, capsules can be fitted: they are an estimate.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import coal
+import numpy as np
+import pinocchio as pin
+
+from salver.geometry import Array, matrix_from_rpy
+from salver.models.shapes.convex_shapes import Triangles, convex, convex_pieces
+
+DENSITIES = (2700.0, 700.0)  # kg/m^3: solid aluminium; light shells with little inside
+LARGEST_LINK = 10.0  # m
+FRAME_MASS = 0.02  # kg: a lighter link without geometry is a frame that somebody gave a mass, not a body
+FULL = 0.9  # share of its hull from which a mesh counts as convex
+SIZES = {"box": ("size",), "sphere": ("radius",), "cylinder": ("radius", "length"), "capsule": ("radius", "length")}
+_NOUGHT = re.compile(r"0*\.?0*")
+_SAME_DIRECTION = 1e-9
+
+
+@dataclass(frozen=True)
+class LinkShape:
+    """A convex shape (Coal's) of a link and its placement in the link's frame (pin.SE3).
+
+    mesh: the file and the scale of the mesh that it is the hull of.
+    """
+
+    link: str
+    shape: Any
+    placement: Any
+    mesh: tuple[str, tuple[float, ...]] | None = None
+
+    @property
+    def hollow(self) -> bool:
+        """Whether it is the hull of a mesh that fills clearly less; of little worth where its surface is not closed."""
+        return self.mesh is not None and _filled(*self.mesh) < FULL
+
+    @property
+    def itself(self) -> Any:
+        """Coal's shape of the link's mesh, not of its hull; for telling whether it touches, not how far away it is."""
+        return self.shape if self.mesh is None else _mesh(*self.mesh)
+
+    @property
+    def pieces(self) -> tuple[Any, ...]:
+        """Convex shapes, at the same placement, that hold the link as well, and less beside it where that pays."""
+        return (self.shape,) if self.mesh is None else _pieces(*self.mesh)
+
+
+@dataclass(frozen=True, eq=False)
+class LinkShapes:
+    """Shapes of all links of a URDF.
+
+    shapes: those that are known. missing: link -> why its geometry, or a part of it, is not known.
+    fitted: links that stand as capsules fitted to their inertia.
+    """
+
+    shapes: tuple[LinkShape, ...]
+    missing: dict[str, str]
+    fitted: tuple[str, ...]
+
+
+@lru_cache(maxsize=16)
+def link_shapes(urdf: str, capsules: bool = False) -> LinkShapes:
+    """Shapes of the links of a URDF whose mesh files have absolute paths (`salver.models.arm.urdf.read_chain`).
+
+    capsules: fit capsules to links whose geometry cannot be read. They run from the link's own joint, and from each of
+    the next ones, to its centre of mass. Their radius is that of the solid cylinder of the same mass and least moment
+    of inertia, kept to where the link is as dense as `DENSITIES`: URDFs are full of moments that nobody computed.
+    """
+    root = ElementTree.fromstring(urdf)
+    shapes: list[LinkShape] = []
+    missing: dict[str, str] = {}
+    fitted: list[str] = []
+    for link in root.iter("link"):
+        name = link.get("name", "")
+        collision, visual = ([x for x in link.findall(tag) if not _empty(x)] for tag in ("collision", "visual"))
+        elements = collision or visual
+        reasons = []
+        for element in elements:
+            try:
+                shape, mesh = _shape(element.find("geometry"))
+            except (ValueError, RuntimeError) as error:
+                reasons.append(str(error))
+            else:
+                shapes.append(LinkShape(name, shape, _origin(element), mesh))
+        if not elements and _mass(link) > FRAME_MASS:
+            reasons.append("the URDF gives it no geometry")
+        if not reasons:
+            continue
+        guesses = _capsules(link, root) if capsules else []
+        if guesses:
+            fitted.append(name)
+            shapes += guesses
+        else:
+            missing[name] = "; ".join(dict.fromkeys(reasons))
+    return LinkShapes(tuple(shapes), missing, tuple(fitted))
+
+
+@lru_cache(maxsize=1)
+def _loader() -> Any:
+    """Meshes stay in memory: every plan of a session asks for the same ones."""
+    return coal.CachedMeshLoader()
+
+
+def _empty(element: ElementTree.Element) -> bool:
+    """Whether all sizes of an element's geometry are 0, by which some URDFs say that a link has none."""
+    kinds = element.findall("geometry/*")
+    sizes = [size for kind in kinds for key in SIZES.get(kind.tag, ()) for size in kind.get(key, "").split()]
+    return bool(sizes) and all(_NOUGHT.fullmatch(size) for size in sizes)
+
+
+def _shape(geometry: ElementTree.Element | None) -> tuple[Any, tuple[str, tuple[float, ...]] | None]:
+    """Coal's shape of a URDF's geometry, and the mesh's file and scale if it is one's hull. Raises ValueError with the
+    reason when it is not to be had."""
+    kind = geometry[0] if geometry is not None and len(geometry) else None
+    if kind is None:
+        raise ValueError("its geometry is empty")
+    if kind.tag == "mesh":
+        file = kind.get("filename", "")
+        if not Path(file).is_file():
+            raise ValueError(f"there is no file {file}")
+        scale = _numbers(kind, "scale", "1 1 1")
+        if len(scale) != 3 or not all(np.isfinite(x) and x != 0 for x in scale):
+            raise ValueError(f'the scale "{kind.get("scale")}" of its mesh is not three numbers other than 0')
+        return _hull(file, tuple(scale)), (file, tuple(scale))
+    if kind.tag not in SIZES:
+        raise ValueError(f"its geometry is a <{kind.tag}>")
+    numbers = [x for key in SIZES[kind.tag] for x in _numbers(kind, key)]
+    count = 3 if kind.tag == "box" else len(SIZES[kind.tag])
+    if len(numbers) != count:
+        raise ValueError(f"its {kind.tag} has {len(numbers)} sizes, not {count}")
+    if not all(np.isfinite(x) and x > 0 for x in numbers):
+        raise ValueError(f"the size of its {kind.tag} is not positive")
+    return getattr(coal, kind.tag.capitalize())(*numbers), None
+
+
+@lru_cache(maxsize=256)
+def _hull(file: str, scale: tuple[float, ...]) -> Any:
+    points = np.asarray(_mesh(file, scale).vertices(), dtype=float)
+    size = float(np.ptp(points, axis=0).max()) if len(points) else 0.0
+    if not 0 < size < LARGEST_LINK:
+        raise ValueError(f'the mesh {file} is {size:.4g} m large; one in millimetres needs scale="0.001 0.001 0.001"')
+    return convex(points)
+
+
+@lru_cache(maxsize=256)
+def _pieces(file: str, scale: tuple[float, ...]) -> tuple[Any, ...]:
+    mesh = _mesh(file, scale)
+    triangles = [mesh.tri_indices(k) for k in range(mesh.num_tris)]
+    corners: Triangles = np.array([[triangle[k] for k in range(3)] for triangle in triangles])
+    return tuple(convex_pieces(np.asarray(mesh.vertices(), dtype=float), corners))
+
+
+@lru_cache(maxsize=256)
+def _filled(file: str, scale: tuple[float, ...]) -> float:
+    """Share of its hull that a mesh fills."""
+    return abs(float(_mesh(file, scale).computeVolume())) / float(_hull(file, scale).computeVolume())
+
+
+def _mesh(file: str, scale: tuple[float, ...]) -> Any:
+    try:
+        return _loader().load(file, np.array(scale))
+    except (ValueError, RuntimeError):
+        raise ValueError(f"the mesh {file} cannot be read") from None
+
+
+def _numbers(element: ElementTree.Element, key: str, otherwise: str = "") -> list[float]:
+    return [float(x) for x in element.get(key, otherwise).split()]
+
+
+def _origin(element: ElementTree.Element) -> Any:
+    origin = element.find("origin")
+    if origin is None:
+        return pin.SE3.Identity()
+    return pin.SE3(
+        matrix_from_rpy(_numbers(origin, "rpy", "0 0 0")), np.array(_numbers(origin, "xyz", "0 0 0"), dtype=float)
+    )
+
+
+def _mass(link: ElementTree.Element) -> float:
+    mass = link.find("inertial/mass")
+    return 0.0 if mass is None else float(mass.get("value", "0"))
+
+
+def _capsules(link: ElementTree.Element, root: ElementTree.Element) -> list[LinkShape]:
+    """Capsules of a link by its mass, inertia and joints; none when the URDF gives it no mass."""
+    name, mass, inertial = link.get("name", ""), _mass(link), link.find("inertial")
+    if mass <= 0 or inertial is None:
+        return []
+    placement, entries = _origin(inertial), inertial.find("inertia")
+    joints = [joint for joint in root.findall("joint") if _parent(joint) == name]
+    ends = [np.zeros(3), *(_origin(joint).translation for joint in joints)]
+    segments = [(end, placement.translation) for end in ends]
+    length = float(sum(np.linalg.norm(b - a) for a, b in segments))
+    least, most = (_capsule_radius(mass / density, length) for density in DENSITIES)
+    radius = most
+    if entries is not None:
+        xx, xy, xz, yy, yz, zz = (float(entries.get(f"i{k}", "0")) for k in ("xx", "xy", "xz", "yy", "yz", "zz"))
+        moment = np.linalg.eigvalsh(np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]))[0]
+        radius = float(np.clip(np.sqrt(2 * max(moment, 0.0) / mass), least, most))
+    return [_capsule(name, a, b, radius) for a, b in segments]
+
+
+def _capsule_radius(volume: float, length: float) -> float:
+    """Radius (m) of a capsule about a segment of a length (m) that holds a volume (m^3)."""
+    roots = np.roots([4 / 3 * np.pi, np.pi * length, 0.0, -volume])
+    return float(roots.real.max())  # one root is positive; the real parts of the others are not
+
+
+def _parent(joint: ElementTree.Element) -> str:
+    parent = joint.find("parent")
+    return "" if parent is None else parent.get("link", "")
+
+
+def _capsule(link: str, start: Array, end: Array, radius: float) -> LinkShape:
+    """The capsule about the segment from start to end (link's frame, m)."""
+    length = float(np.linalg.norm(end - start))
+    z = np.array([0.0, 0.0, 1.0]) if length < _SAME_DIRECTION else (end - start) / length
+    rotation = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), z).toRotationMatrix()
+    return LinkShape(link, coal.Capsule(radius, length), pin.SE3(rotation, 0.5 * (start + end)))

@@ -1,0 +1,241 @@
+"""The contact wrench cone: exactly the wrenches that unilateral frictional contacts can transmit.
+
+The cone is {G F-hat Lambda : Lambda >= 0} (paper, eqs 2 to 5; Balkcom and Trinkle 2002). The paper asks for
+pinv(G F-hat) F >= 0, which singles out one distribution of the internal forces: sufficient, not necessary.
+Here the condition is a list of half spaces, A F <= 0, found once for each contact geometry.
+
+For a support polygon with one friction coefficient the tangential part of the cone, (f_x, f_y, tau_z) taken
+in the contact plane, is proportional to the coefficient: which normal forces are possible does not depend on
+it. So the facets are computed once with coefficient 1, and the least friction for a wrench is a ratio.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from salver.geometry import Array, Mask, hat
+from salver.models.contact.contact import ContactSet, cone_edges
+from salver.models.shapes import hulls
+from salver.models.shapes.polygons import convex_hull, half_planes
+
+_TANGENTIAL = np.array([True, True, False, False, False, True])
+
+
+@dataclass(frozen=True)
+class Facets:
+    """Facets of a contact wrench cone.
+
+    rows: (n_f, 6), A F <= 0 exactly for the F (force, moment at the origin of B) in the cone. Rows have unit
+    length once moments are divided by `length`: -max(A F) is then the smallest disturbance (force in N,
+    or moment over `length`) that takes F out of the cone.
+    friction_limited: (n_f,) True where the facet depends on friction (leaving it means sliding), False where
+    only the support polygon matters (leaving it means tipping or lifting).
+    length: m, radius of the support about its centre.
+    """
+
+    rows: Array
+    friction_limited: Mask
+    length: float
+
+
+def facets(contacts: ContactSet) -> Array:
+    """A (n_f, 6) with A F <= 0 if and only if the contacts can transmit the wrench F_B (see `Facets.rows`)."""
+    return cone_facets(contacts).rows
+
+
+def cone_facets(contacts: ContactSet) -> Facets:
+    """Facets of the k-edged contact wrench cone, cached by geometry."""
+    length = support_length(contacts)
+    if _is_planar_support(contacts):
+        unit = _unit_facets(_polygon_key(contacts, length), contacts.edges, contacts.phase)
+        rows = unit * np.where(_TANGENTIAL, 1 / contacts.friction[0], 1.0)
+        limited = np.any(np.abs(unit[:, _TANGENTIAL]) > 1e-9, axis=1)
+    else:
+        rays = contacts.grasp_map.T @ _shift_to_centre(contacts).T / np.array([1, 1, 1, length, length, length])
+        try:
+            rows = hulls.cone_facets(rays)
+        except ValueError as error:
+            raise ValueError(f"the contacts press against each other: {error}") from None
+        limited = np.ones(len(rows), dtype=bool)
+    rows = rows / np.array([1, 1, 1, length, length, length]) @ _shift_to_centre(contacts)
+    size = np.linalg.norm(rows * np.array([1, 1, 1, length, length, length]), axis=1)
+    return Facets(rows / size[:, None], limited, length)
+
+
+def margin(rows: Array, wrench_B: Array) -> Array:
+    """Distance (T,) in N of wrenches (T, 6) from the boundary of A F <= 0; negative outside."""
+    return -(wrench_B @ rows.T).max(axis=-1)
+
+
+def support_length(contacts: ContactSet) -> float:
+    """Largest distance of a contact point from the mean of all, m; 1 for a single point."""
+    radius = float(np.linalg.norm(contacts.p_BC - contacts.p_BC.mean(axis=0), axis=1).max())
+    return radius if radius > 0 else 1.0
+
+
+def friction_needed(contacts: ContactSet, wrench_B: Array) -> Array:
+    """Least uniform friction coefficient (T,) at which the k-edged cone contains wrenches (T, 6).
+
+    Infinite where no friction would do: the wrench pulls, or its centre of pressure is off the support.
+    """
+    wrench_B = np.atleast_2d(wrench_B)
+    if not _is_planar_support(contacts):
+        raise ValueError("friction_needed is defined for contacts in one plane with one friction coefficient")
+    length = support_length(contacts)
+    unit = _unit_facets(_polygon_key(contacts, length), contacts.edges, contacts.phase)
+    scaled = wrench_B @ _shift_to_centre(contacts).T / np.array([1, 1, 1, length, length, length])
+    tangential = scaled[:, _TANGENTIAL] @ unit[:, _TANGENTIAL].T
+    normal = -scaled[:, ~_TANGENTIAL] @ unit[:, ~_TANGENTIAL].T
+    tiny = 1e-12 * np.abs(scaled).max(axis=1, keepdims=True)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = np.where(tangential > tiny, np.where(normal > tiny, tangential / normal, np.inf), 0.0)
+    possible = np.all((normal >= -tiny) | (np.abs(tangential) > tiny), axis=1)
+    return np.where(possible & (scaled[:, 2] > 0), ratio.max(axis=1), np.inf)
+
+
+def zero_moment_point(contacts: ContactSet, wrench_B: Array) -> Array:
+    """(T, 2) centre of pressure in the contact plane, about the mean contact point, axes of the contacts, m."""
+    centred = np.atleast_2d(wrench_B) @ _shift_to_centre(contacts).T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.stack([-centred[:, 4] / centred[:, 2], centred[:, 3] / centred[:, 2]], axis=1)
+
+
+def tip_over_margin(contacts: ContactSet, wrench_B: Array) -> Array:
+    """Distance (T,) of the zero-moment point to the nearest edge of the support polygon, m.
+
+    Negative outside; minus infinity where the normal force is not pressing.
+    """
+    wrench_B = np.atleast_2d(wrench_B)
+    normal, offset = half_planes(support_polygon(contacts))
+    with np.errstate(invalid="ignore"):
+        distance = (offset - zero_moment_point(contacts, wrench_B) @ normal.T).min(axis=1)
+    pressing = wrench_B[:, :3] @ contacts.R_BC[0][:, 2] > 0
+    return np.where(pressing, distance, -np.inf)
+
+
+def unit_friction_rows(contacts: ContactSet) -> tuple[Array, Array]:
+    """Rows (t, n), each (n_f, 6), of the facets that friction limits: (t / mu + n) F_B <= 0 for a coefficient mu."""
+    length = support_length(contacts)
+    unit = _unit_facets(_polygon_key(contacts, length), contacts.edges, contacts.phase)
+    unit = unit[np.any(np.abs(unit[:, _TANGENTIAL]) > 1e-9, axis=1)]
+    back = _shift_to_centre(contacts) / np.array([1, 1, 1, length, length, length])[:, None]
+    return np.where(_TANGENTIAL, unit, 0.0) @ back, np.where(_TANGENTIAL, 0.0, unit) @ back
+
+
+def support_rows(contacts: ContactSet) -> tuple[Array, Array]:
+    """Rows (n, 6), in m: (row F_B) / f_z is how far the zero-moment point is beyond each edge; and the row of f_z."""
+    normal, offset = half_planes(support_polygon(contacts))
+    shift = _shift_to_centre(contacts)
+    rows = normal[:, 1, None] * shift[3] - normal[:, 0, None] * shift[4] - offset[:, None] * shift[2]
+    return rows, shift[2]
+
+
+def coulomb_friction_needed(contacts: ContactSet, wrench_B: Array) -> Array:
+    """Least uniform coefficient (T,) for wrenches (T, 6) under true (round) Coulomb cones, to 1e-9 relative.
+
+    With normal forces n_i and tangential forces f_i at the support points, the set of (f_x, f_y, tau_z) with
+    |f_i| <= n_i is scaled by the coefficient, so the answer is 1/s for the largest s with s (f_x, f_y, tau_z) in the
+    set of coefficient 1. The round constraint is cut by tangents, each at the last solution, until the bracket
+    (tangents from outside, the solution shrunk into the cone from inside) closes. Between 1 and cos(pi/k) times
+    `friction_needed` of k edges.
+    """
+    length = support_length(contacts)
+    scaled = np.atleast_2d(wrench_B) @ _shift_to_centre(contacts).T / np.array([1, 1, 1, length, length, length])
+    inside = tip_over_margin(contacts, wrench_B) >= -1e-12 * length
+    xy = support_polygon(contacts) / length
+    needed = np.full(len(scaled), np.inf)
+    for t in np.flatnonzero(inside):
+        unit = scaled[t] / scaled[t, 2]
+        size = float(np.linalg.norm(unit[_TANGENTIAL]))
+        needed[t] = 0.0 if size < 1e-12 else size / _largest_scale(xy, unit, unit[_TANGENTIAL] / size)
+    return needed
+
+
+def _largest_scale(xy: Array, unit: Array, direction: Array) -> float:
+    """Largest s with s direction = (f_x, f_y, tau_z) of forces |f_i| <= n_i at xy (n, 2), n_i fixed by `unit`."""
+    from scipy.optimize import linprog
+
+    n = len(xy)
+    # Unknowns: s, n_i, f_ix, f_iy.
+    balance = np.zeros((6, 1 + 3 * n))
+    balance[2, 1 : n + 1], balance[3, 1 : n + 1], balance[4, 1 : n + 1] = 1, xy[:, 1], -xy[:, 0]
+    balance[0, n + 1 : 2 * n + 1] = balance[1, 2 * n + 1 :] = 1
+    balance[5, n + 1 : 2 * n + 1], balance[5, 2 * n + 1 :] = -xy[:, 1], xy[:, 0]
+    balance[_TANGENTIAL, 0] = -direction
+    target = np.where(_TANGENTIAL, 0.0, unit)
+    cost = np.zeros(1 + 3 * n)
+    cost[0] = -1.0
+    bounds = [(0, None)] * (1 + n) + [(None, None)] * (2 * n)
+    angle = 2 * np.pi * np.arange(16) / 16
+    tangents = [np.kron(np.stack([np.cos(angle), np.sin(angle)], axis=1)[:, None], np.ones((1, n, 1)))]
+    best = 0.0
+    for _ in range(30):
+        rows = []
+        for d in np.concatenate(tangents):
+            block = np.zeros((n, 1 + 3 * n))
+            block[:, 1 : n + 1] = -np.eye(n)
+            block[:, n + 1 : 2 * n + 1], block[:, 2 * n + 1 :] = np.diag(d[:, 0]), np.diag(d[:, 1])
+            rows.append(block)
+        cuts = np.concatenate(rows)
+        x = linprog(
+            cost,
+            A_ub=cuts,
+            b_ub=np.zeros(len(cuts)),
+            A_eq=balance,
+            b_eq=target,
+            bounds=bounds,
+            method="highs",
+            options={"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10},
+        ).x
+        forces = np.stack([x[n + 1 : 2 * n + 1], x[2 * n + 1 :]], axis=1)
+        size, normal = np.linalg.norm(forces, axis=1), x[1 : n + 1]
+        pressing = size > 1e-12
+        excess = float((size[pressing] / np.maximum(normal[pressing], 1e-300)).max(initial=1.0))
+        best = max(best, float(x[0]) / excess)
+        if x[0] - best <= 1e-9 * x[0]:
+            break
+        unit_forces = np.where(pressing[:, None], forces / np.where(pressing, size, 1.0)[:, None], [1.0, 0.0])
+        tangents.append(unit_forces[None])
+    return best
+
+
+def support_polygon(contacts: ContactSet) -> Array:
+    """Convex hull (n, 2) of the contact points, counter-clockwise, in the contacts' axes about their mean, m."""
+    centred = (contacts.p_BC - contacts.p_BC.mean(axis=0)) @ contacts.R_BC[0]
+    return convex_hull(centred[:, :2])
+
+
+def _is_planar_support(contacts: ContactSet) -> bool:
+    """At least three contact points, not in a line, in one plane across a common normal, with one friction."""
+    if contacts.count < 3 or np.ptp(contacts.friction) > 0 or np.ptp(contacts.R_BC, axis=0).max() > 1e-12:
+        return False
+    centred = (contacts.p_BC - contacts.p_BC.mean(axis=0)) @ contacts.R_BC[0]
+    extent = np.linalg.svd(centred[:, :2], compute_uv=False)
+    return bool(np.ptp(centred[:, 2]) <= 1e-9 * extent[0] and extent[1] > 1e-6 * extent[0])
+
+
+def _shift_to_centre(contacts: ContactSet) -> Array:
+    """(6, 6) wrench at the origin of B to the wrench at the mean contact point, in the axes of contact 0."""
+    rotation = contacts.R_BC[0].T
+    shift = np.zeros((6, 6))
+    shift[:3, :3] = shift[3:, 3:] = rotation
+    shift[3:, :3] = -rotation @ hat(contacts.p_BC.mean(axis=0))
+    return shift
+
+
+def _polygon_key(contacts: ContactSet, length: float) -> tuple[tuple[float, float], ...]:
+    return tuple((float(x), float(y)) for x, y in support_polygon(contacts) / length)
+
+
+@lru_cache(maxsize=256)
+def _unit_facets(polygon: tuple[tuple[float, float], ...], edges: int, phase: float) -> Array:
+    """Facets (n_f, 6) for a polygon about the origin, with friction 1 and moments about the origin."""
+    tangents = cone_edges(1.0, edges, phase) * np.sqrt(2)
+    rays = [(e[0], e[1], 1, y, -x, x * e[1] - y * e[0]) for x, y in polygon for e in tangents.T]
+    rows = hulls.cone_facets(np.array(rays))
+    rows[np.abs(rows) < 1e-13] = 0.0
+    rows.setflags(write=False)
+    return rows

@@ -1,0 +1,1 @@
+"""Shapes of objects, links and obstacles; convex hulls, polygons and meshes."""

@@ -1,0 +1,88 @@
+"""Convex shapes (Coal's) of points, and a mesh as a few of them: the hulls of slabs across its longest direction.
+
+The hull of a link that is not convex, as the upper arm of a UR with a housing at either end, fills what is free between
+them, and then touches where the link does not. Hulls of slabs hold the whole mesh as well, and less beside it: all that
+lies between two planes lies in the hull of its surface there, of the corners and of where edges cross the planes.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import coal
+import numpy as np
+
+from salver.geometry import Array, Indices
+from salver.models.shapes.hulls import triangles
+
+THINNEST = 1e-3  # m: Coal wants shapes with a volume
+SLABS = 8  # equal ones, that are put together to ...
+PIECES = 3  # ... at most so many pieces
+WORTH = 0.85  # share of the hull's volume that the pieces may have together, to stand for it
+
+Triangles = Indices
+
+
+def convex(points: Array) -> Any:
+    """Coal's convex hull of points (n, 3), m; what is thinner than `THINNEST` becomes that thick."""
+    axes = np.linalg.eigh(np.cov(points.T))[1]
+    for axis in axes.T:
+        if np.ptp(points @ axis) < THINNEST:
+            points = np.vstack([points - 0.5 * THINNEST * axis, points + 0.5 * THINNEST * axis])
+    mesh = coal.BVHModelOBBRSS()
+    mesh.beginModel(0, len(points))
+    mesh.addVertices(points)
+    mesh.endModel()
+    try:
+        mesh.buildConvexHull(True, "Qt")
+    except RuntimeError:  # a corner with more than 255 neighbours: flat faces are cut into fans, as that of a fine drum
+        return _joggled(points)
+    return mesh.convex
+
+
+def _joggled(points: Array) -> Any:
+    """The same hull, of a triangulation without fans: what is flat is taken as if its points were off by rounding."""
+    used, corners = np.unique(triangles(points, joggled=True), return_inverse=True)
+    vertices, faces = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
+    vertices.extend(list(points[used]))
+    faces.extend([coal.Triangle(*corner) for corner in corners.reshape(-1, 3).tolist()])
+    return coal.Convex(vertices, faces)
+
+
+def convex_pieces(points: Array, corners: Triangles) -> list[Any]:
+    """The convex shapes that stand for a mesh of points (n, 3), m, and triangles (k, 3): its hull where more do not
+    pay."""
+    whole = convex(points)
+    axis = np.linalg.eigh(np.cov(points.T))[1][:, -1]
+    ends = points @ axis
+    slabs = _slabs(points, corners, axis, np.linspace(ends.min(), ends.max(), SLABS + 1)[1:-1])
+    if any(len(slab) < 4 for slab in slabs):  # several bodies, far from one another
+        return [whole]
+    slabs = [np.asarray(convex(slab).points()) for slab in slabs]
+    united = {(i, j): convex(np.vstack(slabs[i:j])) for i in range(SLABS) for j in range(i + 1, SLABS + 1)}
+    size = {span: float(shape.computeVolume()) for span, shape in united.items()}
+    # The least volume of the first j slabs in so many pieces, and where these begin.
+    best = {j: (size[0, j], [0]) for j in range(1, SLABS + 1)}
+    for _ in range(PIECES - 1):
+        best = {j: min([best[j]] + [(best[i][0] + size[i, j], [*best[i][1], i]) for i in range(1, j)]) for j in best}
+    least, begins = best[SLABS]
+    if least > WORTH * float(whole.computeVolume()):
+        return [whole]
+    return [united[span] for span in zip(begins, [*begins[1:], SLABS], strict=True)]
+
+
+def _slabs(points: Array, corners: Triangles, axis: Array, cuts: Array) -> list[Array]:
+    """Points between planes axis . x = cut in whose hull lies all of the surface that is between them."""
+    along = points @ axis
+    edges = np.unique(np.sort(np.vstack([corners[:, k] for k in ([0, 1], [1, 2], [2, 0])]), axis=1), axis=0)
+    crossed = []
+    for cut in cuts:
+        first, second = along[edges].T
+        through = (first - cut) * (second - cut) < 0
+        share = ((cut - first[through]) / (second - first)[through])[:, None]
+        ends = points[edges[through]]
+        crossed.append(ends[:, 0] * (1 - share) + ends[:, 1] * share)
+    none = np.zeros((0, 3))
+    planes, at = [-np.inf, *cuts, np.inf], [none, *crossed, none]
+    between = [(planes[k] <= along) & (along <= planes[k + 1]) for k in range(len(cuts) + 1)]
+    return [np.vstack([points[of], at[k], at[k + 1]]) for k, of in enumerate(between)]

@@ -1,0 +1,65 @@
+"""Convex shapes of the obstacles in the world."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any
+
+import coal
+import numpy as np
+import pinocchio as pin
+
+from salver.errors import ScenarioError
+from salver.geometry import Array, matrix_from_rpy
+from salver.models.described import ObstacleDescription
+from salver.models.shapes.convex_shapes import convex
+from salver.models.shapes.mesh_files import read_mesh_file
+
+MOST_PIECES = 64  # of one mesh
+
+
+def obstacle_shapes(obstacle: ObstacleDescription) -> list[tuple[Any, Any]]:
+    """Coal's shapes of an obstacle with their placements in S (pin.SE3); several when it is a mesh of several pieces.
+
+    Raises ScenarioError when its mesh cannot be used.
+    """
+    placement = pin.SE3(matrix_from_rpy(np.deg2rad(obstacle.rpy_deg)), np.array(obstacle.position))
+    if obstacle.type == "mesh":
+        return [(convex(points), placement) for points in mesh_pieces(obstacle)]
+    if obstacle.type == "floor":
+        return [(coal.Halfspace(np.array([0.0, 0.0, 1.0]), 0.0), placement)]
+    if obstacle.type == "box":
+        return [(coal.Box(*(obstacle.size or ())), placement)]
+    if obstacle.type == "sphere":
+        return [(coal.Sphere(obstacle.radius or 0.0), placement)]
+    kind = coal.Capsule if obstacle.type == "capsule" else coal.Cylinder
+    return [(kind(obstacle.radius or 0.0, obstacle.length or 0.0), placement)]
+
+
+def mesh_pieces(obstacle: ObstacleDescription) -> list[Array]:
+    """Corners (n, 3), m, in the obstacle's frame, of the convex hull of each separate piece of its mesh."""
+    try:
+        return [obstacle.scale * points for points in _pieces(obstacle.file or "")]
+    except ValueError as error:
+        raise ScenarioError(f"The obstacle {obstacle.name}: its file {obstacle.file} {error}.") from None
+
+
+@lru_cache(maxsize=64)
+def _pieces(file: str) -> tuple[Array, ...]:
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    mesh = read_mesh_file(file)
+    mesh.merge_vertices(merge_tex=True, merge_norm=True)
+    points = np.asarray(mesh.vertices, dtype=float)
+    if len(points) < 4:
+        raise ValueError(f"has {len(points)} corners; at least 4 are needed")
+    edges = np.asarray(mesh.edges)
+    graph = coo_matrix((np.ones(len(edges)), edges.T), shape=(len(points), len(points)))
+    labels = connected_components(graph, directed=False)[1]
+    pieces = [points[labels == label] for label in np.unique(labels[edges])]
+    if len(pieces) > MOST_PIECES:
+        raise ValueError(
+            f"has {len(pieces)} separate pieces; at most {MOST_PIECES} are taken: give it in several files"
+        )
+    return tuple(pieces)

@@ -1,0 +1,172 @@
+"""Shapes of carried objects: size, where they touch what they stand on, inertia when they are uniform.
+
+A shape has its own frame G: origin at the centre of its bounding height, z up, base at z = -height/2.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from salver.geometry import Array
+from salver.models.rigid_body import parallel_axis
+from salver.models.shapes.hulls import polytope
+from salver.models.shapes.mesh_files import read_mesh_file
+from salver.models.shapes.polygons import convex_hull, simplified
+
+MOST_VERTICES = 16  # of the base of a composite or mesh: the number of facets grows with their square
+
+
+@dataclass(frozen=True)
+class Solid:
+    """A shape as the other modules use it: hull, support points, mass properties.
+
+    height: m along z. base_polygon: (n, 2) vertices, counter-clockwise, of the convex support polygon
+    in G, m. centroid_G: (3,) centre of volume. unit_inertia: (3, 3) about it, kg m^2 per kg.
+    bounding_points_G: (k, 3) points whose convex hull contains the solid (for "is the centre of mass inside").
+    top_polygon: (m, 2) the flat top that another object can stand on. outline_polygon: seen from above.
+    surface: vertices (v, 3) in G and triangles (k, 3) of a mesh, for pictures; None for what the above draws.
+    """
+
+    height: float
+    base_polygon: Array
+    centroid_G: Array
+    unit_inertia: Array
+    bounding_points_G: Array
+    top_polygon: Array
+    outline_polygon: Array
+    surface: tuple[Array, Array] | None = None
+
+    @property
+    def base_z(self) -> float:
+        return -0.5 * self.height
+
+
+def box(size: tuple[float, float, float]) -> Solid:
+    """Cuboid with edges `size` along x, y, z."""
+    x, y, z = size
+    polygon = 0.5 * np.array([[x, y], [-x, y], [-x, -y], [x, -y]])
+    inertia = np.diag([y * y + z * z, x * x + z * z, x * x + y * y]) / 12
+    return Solid(z, polygon, np.zeros(3), inertia, _extrude(polygon, z), polygon, polygon)
+
+
+def cylinder(radius: float, height: float, support_points: int = 8) -> Solid:
+    """Upright cylinder; its round base is inscribed by a regular polygon of `support_points` vertices."""
+    angle = 2 * np.pi * np.arange(support_points) / support_points
+    polygon = radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    across = (3 * radius**2 + height**2) / 12
+    inertia = np.diag([across, across, 0.5 * radius**2])
+    outer = polygon / np.cos(np.pi / support_points)  # circumscribed: contains the disc
+    return Solid(height, polygon, np.zeros(3), inertia, _extrude(outer, height), polygon, polygon)
+
+
+def prism(polygon: Array, height: float) -> Solid:
+    """Upright prism over a convex polygon (n, 2), counter-clockwise, in G's xy plane.
+
+    Area moments by Green's theorem over the edges.
+    """
+    p = np.asarray(polygon, dtype=float)
+    q = np.roll(p, -1, axis=0)
+    cross = p[:, 0] * q[:, 1] - q[:, 0] * p[:, 1]
+    area = 0.5 * cross.sum()
+    centre = ((p + q) * cross[:, None]).sum(axis=0) / (6 * area)
+    second = np.einsum("e,eij->ij", cross, _edge_second_moment(p, q)) / area
+    second -= np.outer(centre, centre)
+    sxx, syy, sxy = second[0, 0], second[1, 1], second[0, 1]
+    szz = height**2 / 12
+    inertia = np.array([[syy + szz, -sxy, 0], [-sxy, sxx + szz, 0], [0, 0, sxx + syy]])
+    return Solid(height, p, np.array([*centre, 0.0]), inertia, _extrude(p, height), p, p)
+
+
+def composite(parts: list[tuple[Solid, Array, float]]) -> Solid:
+    """Parts (solid, position of its G, mass) rigidly joined; they may touch or overlap, masses add up.
+
+    The support polygon is the hull of the bases of the lowest parts, the top that of the tops of the highest.
+    Position is then relative to the middle of the whole's bounding height, which is the composite's G.
+    """
+    low = min(position[2] - 0.5 * solid.height for solid, position, _ in parts)
+    high = max(position[2] + 0.5 * solid.height for solid, position, _ in parts)
+    middle = np.array([0.0, 0.0, 0.5 * (low + high)])
+    tolerance = 1e-9 + 1e-6 * (high - low)
+    base = [s.base_polygon + p[:2] for s, p, _ in parts if p[2] - 0.5 * s.height <= low + tolerance]
+    top = [s.top_polygon + p[:2] for s, p, _ in parts if p[2] + 0.5 * s.height >= high - tolerance]
+    masses = np.array([mass for *_, mass in parts])
+    centres = np.array([s.centroid_G + p - middle for s, p, _ in parts])
+    share = masses / masses.sum()
+    centroid = share @ centres
+    inertia = sum(
+        w * (s.unit_inertia + parallel_axis(1.0, c - centroid))
+        for w, c, (s, _, _) in zip(share, centres, parts, strict=True)
+    )
+    points = np.vstack([s.bounding_points_G + p - middle for s, p, _ in parts])
+    return Solid(
+        high - low,
+        simplified(convex_hull(np.vstack(base)), MOST_VERTICES),
+        centroid,
+        np.asarray(inertia),
+        points,
+        simplified(convex_hull(np.vstack(top)), MOST_VERTICES),
+        convex_hull(points[:, :2]),
+    )
+
+
+def mesh(file: str, scale: float = 1.0) -> Solid:
+    """A closed surface mesh (STL, OBJ, PLY, ...), z up, as read from `file` and scaled to metres.
+
+    It stands on the hull of its lowest vertices (within 0.1 % of its height; at most 16 of them); inertia is that
+    of a uniform solid. G is at the middle of the bounding box. Raises ValueError, one sentence, for a file that is
+    missing or unreadable, a surface that is not closed, or a base that is not an area.
+    """
+    path = Path(file).expanduser()
+    if not path.is_file():
+        raise ValueError(f'the mesh file "{file}" does not exist; give the path of an STL, OBJ or PLY file')
+    return _mesh(path.resolve(), path.stat().st_mtime_ns, file, scale)
+
+
+@lru_cache(maxsize=32)
+def _mesh(path: Path, modified: int, file: str, scale: float) -> Solid:
+    """`mesh`, read once until the file changes: a scenario asks for its shapes several times."""
+    try:
+        surface = read_mesh_file(path)
+    except ValueError as error:
+        raise ValueError(f'the mesh file "{file}" {error}; give an STL, OBJ or PLY file of a closed surface') from None
+    if not surface.is_watertight or surface.volume <= 0:
+        raise ValueError(
+            f'the mesh in "{file}" is not a closed surface with outward normals, so it has no volume and no inertia; '
+            "close its holes"
+        )
+    bounds = scale * np.asarray(surface.bounds)
+    vertices = scale * np.asarray(surface.vertices) - bounds.mean(axis=0)
+    height = float(np.ptp(bounds[:, 2]))
+    if height > 5:
+        raise ValueError(f'the mesh in "{file}" is {height:g} m high; set scale (0.001 for a file in millimetres)')
+    near = 1e-3 * height
+    base = convex_hull(vertices[vertices[:, 2] <= -0.5 * height + near, :2])
+    if len(base) < 3:
+        raise ValueError(f'the mesh in "{file}" stands on a point or an edge; turn it so that a flat side is below')
+    top = convex_hull(vertices[vertices[:, 2] >= 0.5 * height - near, :2])
+    unit_inertia = scale**2 * np.asarray(surface.moment_inertia) / surface.volume
+    return Solid(
+        height,
+        simplified(base, MOST_VERTICES),
+        scale * np.asarray(surface.center_mass) - bounds.mean(axis=0),
+        unit_inertia,
+        vertices[polytope(vertices).corners],
+        simplified(top, MOST_VERTICES),
+        convex_hull(vertices[:, :2]),
+        (vertices, np.asarray(surface.faces)),
+    )
+
+
+def _edge_second_moment(p: Array, q: Array) -> Array:
+    """(n, 2, 2): integral of x x^T over the triangle (0, p, q), divided by its cross product p x q."""
+    pp, qq, pq = (np.einsum("ni,nj->nij", a, b) for a, b in ((p, p), (q, q), (p, q)))
+    return (2 * pp + 2 * qq + pq + np.swapaxes(pq, 1, 2)) / 24
+
+
+def _extrude(polygon: Array, height: float) -> Array:
+    z = np.full((len(polygon), 1), 0.5 * height)
+    return np.vstack([np.hstack([polygon, z]), np.hstack([polygon, -z])])

@@ -1,0 +1,191 @@
+"""A way around what stands in the way: postures from one end to another along which nothing touches.
+
+Two trees, one from the start postures and one from the goal postures, grow in steps towards random postures and then
+towards one another (RRT-Connect: Kuffner and LaValle, ICRA 2000). Every posture is put back to where the tray leans no
+further than it may (Berenson, Srinivasa, Ferguson, Kuffner, ICRA 2009). What is found is then cut short. Work is
+counted in postures that are checked, never in seconds, so the same generator gives the same way on any machine.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import pinocchio as pin
+
+from salver.geometry import Array
+from salver.models.arm.arm_geometry import ArmGeometry
+from salver.planning.trajopt.problem import TransportProblem
+
+STEP = 0.1  # rad, or m of a sliding joint: from one posture to the next
+LEAN = 5e-4  # rad; a tray that leans no further counts as level
+
+
+@dataclass(eq=False)
+class FreeSpace:
+    """Postures in which nothing touches, joints are within limits and the tray leans no further than `lean`, rad.
+
+    parts: geometry with distances to keep set, for this space alone. looks: postures that may still be looked at.
+    corrections: steps of Newton's by which a posture is put upright, before it counts as one in which it cannot be.
+    """
+
+    problem: TransportProblem
+    parts: ArmGeometry | None
+    lean: float
+    looks: int
+    corrections: int = 6
+
+    @classmethod
+    def between(cls, problem: TransportProblem, ends: Array, looks: int) -> FreeSpace:
+        """The space in which ways between end postures (N, n) lie."""
+        up = [problem.arm.tray_pose(q)[1][2, 2] for q in ends]
+        lean = max(LEAN, *(float(np.arccos(np.clip(x, -1.0, 1.0))) + LEAN for x in up))
+        if problem.keep_out is None:
+            return cls(problem, None, lean, looks)
+        parts, required = problem.keep_out.parts, problem.keep_out.required
+        least = parts.clearance(ends).min(axis=0)
+        room = 0.01  # m that a way keeps beyond what is required, where its ends have it
+        apart = np.minimum(required + room, np.maximum(0.9 * least, np.minimum(required, least)))
+        parts = parts.only(range(len(parts.pairs)))
+        for request, distance in zip(parts.data.collisionRequests, apart, strict=True):
+            request.security_margin = float(distance)
+        return cls(problem, parts, lean, looks)
+
+    def nearest(self, q: Array) -> Array | None:
+        """A free posture at q (n,), or near it where the tray leans too far there; None when that one is not free."""
+        self.looks -= 1
+        limits = self.problem.limits
+        upright = self._upright(q)
+        if upright is None or np.any(upright < limits.q_min) or np.any(upright > limits.q_max):
+            return None
+        parts = self.parts
+        if parts is not None and pin.computeCollisions(
+            parts.arm.pin_model, parts.arm.data, parts.model, parts.data, upright, True
+        ):
+            return None
+        return upright
+
+    def _upright(self, q: Array) -> Array | None:
+        arm = self.problem.arm
+        model, data = arm.pin_model, arm.data
+        for _ in range(self.corrections):
+            pin.computeJointJacobians(model, data, q)
+            rotation = pin.updateFramePlacement(model, data, arm.tray_id).rotation
+            if rotation[2, 2] >= np.cos(self.lean):
+                return q
+            turning = pin.getFrameJacobian(model, data, arm.tray_id, pin.LOCAL)[3:]
+            up = rotation[2]  # the vertical, in E; a turn w of the tray changes it by up x w
+            slope = np.array([[0.0, -up[2], up[1]], [up[2], 0.0, -up[0]]]) @ turning
+            (a, b), (_, d) = slope @ slope.T
+            a, d = a + 1e-6, d + 1e-6  # damped where the arm is singular
+            q = q - np.array([d * up[0] - b * up[1], a * up[1] - b * up[0]]) / (a * d - b * b) @ slope
+        return None
+
+    def towards(self, q: Array, target: Array) -> list[Array]:
+        """Free postures from q, which is left out, in steps towards a target; the last one is it if it was reached."""
+        found: list[Array] = []
+        away = float(np.linalg.norm(target - q))
+        while away > 1e-9 and self.looks > 0:
+            new = self.nearest(q + (target - q) * min(1.0, STEP / away))
+            if new is None or np.linalg.norm(new - q) > 3 * STEP:
+                break
+            left = float(np.linalg.norm(target - new))
+            if left > away - 0.2 * min(STEP, away):
+                break
+            found.append(new)
+            q, away = new, left
+        return found
+
+
+@dataclass(eq=False)
+class _Tree:
+    """nodes (N, n), in an array that has room for more; parents: of each, -1 of a root."""
+
+    nodes: Array
+    parents: list[int] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.parents = [-1] * len(self.nodes)
+
+    def nearest(self, q: Array) -> int:
+        return int(np.argmin(np.square(self.nodes[: len(self.parents)] - q).sum(axis=1)))
+
+    def grow(self, space: FreeSpace, target: Array) -> int:
+        """Grow from the nearest node towards a target; the node that came nearest."""
+        at = self.nearest(target)
+        for q in space.towards(self.nodes[at], target):
+            count = len(self.parents)
+            if count == len(self.nodes):
+                self.nodes = np.concatenate([self.nodes, np.empty_like(self.nodes)])
+            self.nodes[count] = q
+            self.parents.append(at)
+            at = count
+        return at
+
+    def way(self, node: int) -> list[Array]:
+        """From a root to a node."""
+        found = []
+        while node >= 0:
+            found.append(self.nodes[node])
+            node = self.parents[node]
+        return found[::-1]
+
+
+def way_around(
+    problem: TransportProblem, starts: Sequence[Array], goals: Sequence[Array], rng: np.random.Generator, looks: int
+) -> Array | None:
+    """Postures (N, n) of a way from one of the starts to one of the goals, (n,) each; None when none was found.
+
+    looks: postures that are checked, at most.
+    """
+    ends = np.array([*starts, *goals])
+    space = FreeSpace.between(problem, ends, looks)
+    starts = [q for q in starts if space.nearest(q) is not None]
+    goals = [q for q in goals if space.nearest(q) is not None]
+    if not starts or not goals:
+        return None
+    limits = problem.limits
+    wide_low, wide_high = np.maximum(limits.q_min, ends.min(0) - np.pi), np.minimum(limits.q_max, ends.max(0) + np.pi)
+    # Mostly no joint goes 1 rad beyond the range between the ends; three times in ten it may go half a turn.
+    near_low, near_high = np.maximum(wide_low, ends.min(0) - 1.0), np.minimum(wide_high, ends.max(0) + 1.0)
+    trees = [_Tree(np.array(starts)), _Tree(np.array(goals))]
+    meeting: tuple[int, int] | None = None
+    turn = 0
+    target = goals[int(rng.integers(len(goals)))]  # first straight ahead
+    while space.looks > 0 and meeting is None:
+        one, other = trees[turn], trees[1 - turn]
+        at = one.grow(space, target)
+        met = other.grow(space, one.nodes[at])
+        if np.linalg.norm(other.nodes[met] - one.nodes[at]) < 1e-9:
+            meeting = (at, met) if turn == 0 else (met, at)
+        turn = 1 - turn
+        wide = rng.random() < 0.3
+        low, high = (wide_low, wide_high) if wide else (near_low, near_high)
+        target = rng.uniform(low, high)
+    if meeting is None:
+        return None
+    way = np.array(trees[0].way(meeting[0]) + trees[1].way(meeting[1])[-2::-1])
+    return _cut_short(space, way, rng)
+
+
+def _cut_short(space: FreeSpace, way: Array, rng: np.random.Generator) -> Array:
+    """The way with straight pieces in place of detours."""
+    space.looks = 12_000
+    for _ in range(60):  # random pieces
+        if len(way) < 3:
+            break
+        i, j = np.sort(rng.choice(len(way), 2, replace=False))
+        if j - i < 2:
+            continue
+        piece = space.towards(way[i], way[j])
+        if not piece or np.linalg.norm(piece[-1] - way[j]) > 1e-9:
+            continue
+        straight = np.array([way[i], *piece])
+        if _length(straight) < _length(way[i : j + 1]) - 1e-9:
+            way = np.vstack([way[:i], straight, way[j + 1 :]])
+    return way
+
+
+def _length(way: Array) -> float:
+    return float(np.linalg.norm(np.diff(way, axis=0), axis=1).sum())

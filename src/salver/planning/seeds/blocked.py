@@ -1,0 +1,146 @@
+"""Why no motion can begin or end as it should: a load that does not stay there at rest, what is out of reach, what is
+inside an obstacle there, whatever the arm does, and what touches in every posture that was found."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from salver.errors import Status
+from salver.geometry import GRAVITY_S, Array, exp
+from salver.models.arm.arm_geometry import ArmGeometry
+from salver.models.described import Floor
+from salver.models.tray_motion import N_MOTION
+from salver.models.uncertain.worst_case import WorstCase
+from salver.planning.follow.limits import COLLISION, blocked_end
+from salver.planning.postures import REACHED, PoseTarget, posture_at
+from salver.planning.seeds.starts import Ends, guess
+from salver.planning.trajopt.ends import AtPose, AtPosture
+from salver.planning.trajopt.problem import TransportProblem
+
+HEADINGS = np.linspace(0, 2 * np.pi, 36, endpoint=False)  # rad; at which an end that leaves it open is looked at
+
+
+def why_blocked(problem: TransportProblem) -> Status | None:
+    """Why no motion can begin or end as it should, or None: what the load or an obstacle forbids whatever the arm does,
+    and what the start posture that was given does."""
+    falling = _falling(problem)
+    if falling is not None or problem.keep_out is None:
+        return falling
+    for name, end in (("start", problem.start), ("goal", problem.goal)):
+        if isinstance(end, AtPose):
+            stuck = _stuck(problem.keep_out.parts, name, end.target)
+            if stuck is not None:
+                return stuck
+    if problem.start_posture is None:
+        return None
+    touch = problem.keep_out.parts.first_touch(problem.start_posture[None])
+    if touch is None:
+        return None
+    where = " (surroundings.floor says where it is)" if touch.second == Floor.name else ""
+    return Status("collision", f"In the start posture {touch.first} and {touch.second} touch{where}.", False)
+
+
+def _falling(problem: TransportProblem) -> Status | None:
+    """Why the load does not stay on the tray at an end, even at rest, or None."""
+    for name, end in (("start", problem.start), ("goal", problem.goal)):
+        if isinstance(end, AtPose):
+            R_SE = end.target.tray_pose[1]
+        elif isinstance(end, AtPosture) and not end.moving:
+            R_SE = problem.arm.tray_pose(end.q)[1]
+        else:
+            continue
+        still = np.append(-GRAVITY_S @ R_SE, np.zeros(N_MOTION - 3))[None]
+        for rows in problem.contacts:
+            lacking = float(WorstCase.of(rows, still).values.max()) + problem.scenario.contact.margin
+            if lacking > 0:
+                carried = " and ".join(body.name for body in rows.network.bodies)
+                told = f"At the {name} {carried} cannot stay even at rest: in the worst case contact lacks "
+                return Status("falls", f"{told}{100 * lacking:.3g} % of the weight.", False)
+    return None
+
+
+def why_unreached(problem: TransportProblem) -> Status:
+    """The end that no posture reaches, by how much the nearest posture misses it, and whether another heading would
+    do."""
+    told = "No posture within the joint limits was found at the goal that goes with one at the start."
+    for name, end in (("start", problem.start), ("goal", problem.goal)):
+        if not isinstance(end, AtPose):
+            continue
+        q, missed = _nearest(problem, end.target)
+        if missed < REACHED:
+            continue
+        error = end.target.residual(problem.arm, q)[0]
+        by = f"{1e3 * np.linalg.norm(error[:3]):.3g} mm and {np.rad2deg(np.linalg.norm(error[3:])):.3g} deg"
+        told = f"No posture within the joint limits reaches the {name}: the nearest found misses it by {by}."
+        q, missed = _nearest(problem, replace(end.target, yaw_free=True))
+        if missed < REACHED and not end.target.yaw_free:
+            turn = np.rad2deg(end.target.residual(problem.arm, q)[0][5])
+            told += f" Turned by {-turn:.0f} deg about its vertical it is reached."
+        break
+    return Status("unreachable", told, False)
+
+
+def _nearest(problem: TransportProblem, target: PoseTarget) -> tuple[Array, float]:
+    """The posture that meets a target best that was found, and by how much it misses it (m, rad)."""
+    best = (np.zeros(problem.n), np.inf)
+    for found in _sought(problem, target):
+        best = min(best, found, key=lambda pair: pair[1])
+        if best[1] < REACHED:
+            break
+    return best
+
+
+def _sought(problem: TransportProblem, target: PoseTarget) -> Iterator[tuple[Array, float]]:
+    """Postures that meet a target as well as may be, and by how much each misses it; so many that it may be called out
+    of reach."""
+    rng = np.random.default_rng(0)
+    for attempt in range(48):
+        yield posture_at(problem.arm, target, guess(problem, rng, attempt), limits=problem.limits)
+
+
+def why_touching(problem: TransportProblem, pairs: list[Ends]) -> Status | None:
+    """The overlap that all pairs of end postures have, where it is least; None if one is free."""
+    if any(pair.free for pair in pairs):
+        return None
+    assert problem.keep_out is not None
+    parts = problem.keep_out.parts
+    depth = np.array([-parts.clearance(np.stack([pair.start, pair.goal])).min(axis=1) for pair in pairs])
+    least = int(depth.max(axis=1).argmin())
+    end = int(depth[least].argmax())
+    touch = parts.first_touch(np.stack([pairs[least].start, pairs[least].goal])[end : end + 1])
+    if touch is None:
+        return None
+    where = ("start", "goal")[end]
+    best = f"{touch.first} and {touch.second} do in the best"
+    told = f"No posture was found at the {where} in which nothing touches: {best}{_higher(problem, where)}."
+    return Status(COLLISION, told, False)
+
+
+def _higher(problem: TransportProblem, where: str) -> str:
+    """By how much the end must be raised for a posture to be found in which nothing touches, in words: in steps of 5 cm
+    up to half a metre."""
+    end = problem.start if where == "start" else problem.goal
+    if not isinstance(end, AtPose) or problem.keep_out is None:
+        return ""
+    for rise in np.linspace(0.05, 0.5, 10):
+        raised = replace(end.target, p_SB=end.target.p_SB + np.array([0.0, 0.0, rise]))
+        for q, missed in _sought(problem, raised):
+            if missed < REACHED and problem.keep_out.parts.first_touch(q[None]) is None:
+                return f"; {rise:.2g} m higher one was found"
+    return ""
+
+
+def _stuck(parts: ArmGeometry, name: str, target: PoseTarget) -> Status | None:
+    """Why the tray cannot be at an end, whatever the arm does, or None."""
+    headings = HEADINGS if target.yaw_free else HEADINGS[:1]
+    whatever = f" whichever way it points (at {len(headings)} headings)" if target.yaw_free else ""
+    stuck = None
+    for heading in headings:
+        turned = replace(target, R_SB=target.R_SB @ exp([0.0, 0.0, heading]))
+        stuck = blocked_end(parts, {name: turned.tray_pose}, whatever)
+        if stuck is None:
+            return None
+    return stuck

@@ -1,0 +1,69 @@
+"""What a motion must keep for the sake of a liquid: that it stays below the brim of its container."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from salver.geometry import Array, Indices
+from salver.liquid.slosh_rows import of_parts
+from salver.liquid.spills import STEEP, SloshingLimit, limits
+from salver.liquid.wave_gradients import Unknowns
+from salver.models.bodies import Body
+from salver.models.tray_motion import FULL_SPEED, Speed
+from salver.planning.trajopt.constraints.constraints import FINEST, Block, Constraint
+from salver.planning.trajopt.evaluation import MotionEvaluation
+
+
+@dataclass(frozen=True, eq=False)
+class Brim(Constraint):
+    """A body's liquid stays below its brim, during the motion and after it, in all its cases; no wave is steeper than
+    the model is valid for. In units of the room that it has, of which `margin` is kept. calm: share of the
+    steepest that may be left. speed: at which, above 0."""
+
+    body: Body
+    margin: float = 0.0
+    calm: float = 1.0
+    speed: Speed = FULL_SPEED
+
+    def blocks(self, motion: MotionEvaluation) -> Iterator[Block]:
+        parts = motion.at_factor(self.speed.factor).sloshing[self.body.name]
+        for each in zip(*(limits(part) for part in parts), strict=True):
+            yield self._block(motion, each)
+
+    def _block(self, motion: MotionEvaluation, each: Sequence[SloshingLimit]) -> Block:
+        """Rows of one kind of limit, the cases of its parts one after the other."""
+        name, counts = each[0].name, [len(part.most) for part in each]
+        most = np.concatenate([part.most for part in each]) * (self.calm if name == STEEP[1] else 1.0)
+
+        def history(i: Indices, f: Indices, unknowns: Unknowns) -> Array:
+            found = np.zeros((len(i), unknowns.felt.shape[2]))
+            for k, case, mine in of_parts(counts, f):
+                found[mine] = each[k].by(case, i[mine], unknowns)
+            return found / most[f, None]
+
+        def curvature(i: Indices, f: Indices, unknowns: Unknowns) -> Array:
+            found = [(mine, each[k].bends(case, i[mine], unknowns)) for k, case, mine in of_parts(counts, f)]
+            order = np.argsort(np.concatenate([mine for mine, _ in found]))
+            return np.concatenate([factors for _, factors in found])[order] / np.sqrt(most[f, None, None])
+
+        finest = max(self.margin, FINEST)
+        block = Block(
+            f"{name} in {self.body.name}{self.speed.words}",
+            (np.concatenate([part.values for part in each]) / most[:, None] - 1).T,
+            lambda i, f: np.zeros((len(i), 4 * motion.n)),
+            motion.nodes,
+            margins=(5e-3 + self.margin, finest),  # between nodes waves are driven by what was interpolated
+            history=history,
+            curvature=curvature,
+            kinked=True,
+            most=2 if len(motion.sloshing) < 2 else 1,  # those of a fill and a damping are alike
+            reach=0.1,
+            factor=self.speed.factor,
+        )
+        if len(block.values) > 1:
+            return block
+        # All of the motion adds up to what is left after it.
+        return block.having(points=motion.nodes[-1:], margins=(0.03 + self.margin, finest), most=None, reach=np.inf)

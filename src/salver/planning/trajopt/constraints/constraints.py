@@ -1,0 +1,444 @@
+"""Constraints on a joint motion: each gives blocks of rows g <= 0, sampled along the motion, with derivatives.
+
+A constraint is an object; the optimiser gets a list of them and knows none by name. One of your own is a subclass of
+`Constraint` (docs/extending.md). Rows are scaled so that 0 is the edge and 1 the size of the quantity: the limit
+itself, the weight of what stands there.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from salver.geometry import Array, Indices, hat
+from salver.liquid.slosh_rows import Sloshed, most_added
+from salver.liquid.sloshing import Slosh
+from salver.liquid.wave_gradients import Unknowns
+from salver.models.arm.arm_limits import LIMITS, JointLimits, LimitKind
+from salver.models.contact_rows import ContactRows
+from salver.models.tray_motion import FULL_SPEED, Speed
+from salver.models.uncertain.worst_case import ALL, Drift, Some, WorstCase, values_near
+from salver.models.uncertain.worst_contents import SURE
+from salver.planning.trajopt.constraints.obstacles import AT_NODES, REACH, KeepOut
+from salver.planning.trajopt.evaluation import MotionEvaluation
+
+Gradient = Callable[[Indices, Indices], Array]
+History = Callable[[Indices, Indices, Unknowns], Array]
+
+FINEST = 1e-4  # of a limit, for what may happen between the points of the check
+LEVEL_TOLERANCE = 1e-3  # rad; what "level" means to the planner; contact is judged on the true motion
+LEVEL_SCALE = 1e-3  # rows of "level" in rad, the size at which a tilt matters to contact
+REACH_BEYOND_TRAY = 0.2  # m; lever at which the tray's rotation error moves what stands on it
+UNSEEN = -0.02  # a row left out of a programme is put in when its step brings it nearer than this to its edge
+PER_METRE = 10.0  # rows of distances, in m
+
+
+def of_its_limit(excess: float) -> str:
+    """The violation of a constraint that is scaled by a limit, in words."""
+    return f"{100 * excess:.3g} % of its limit"
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """Constraints of one kind along a motion.
+
+    values (N, m), at most 0 where the row is kept; points: the points of the grid at which they are taken.
+    gradient(node, row): (r, 4 n) derivatives by z = (q, dq, ddq, dddq) at the node, for rows (r,) that are asked for.
+    margins: what the nodes keep from the edge, for what may happen between them, and what is kept in the check there;
+    in the unit of the rows.
+    scales: whether the rows depend on time, and so become nearly linear in T^2 when multiplied by it.
+    following: derivatives by z at the next node, for rows that couple two neighbours. by_duration: (N, m) derivative
+    by log T at fixed z, for rows in which the duration itself occurs.
+    history: of rows that depend on what the tray felt at other nodes too: derivatives (r, c) by c unknowns of the
+    motion, beside the gradient.
+    curvature: of rows whose values are convex in what is linear in the unknowns, as the size of a wave is: factors
+    (r, k, c), whose squares summed over k are the second derivative.
+    remembers: rows further than this from their edge are taken to have none: it is what costs most.
+    slows: by how much longer a motion, relatively, is put right for each unit of excess.
+    reach: rows further than this from their edge are never considered, because their derivatives are expensive.
+    most: rows of one node that are considered; None for all. always: rows are considered however far away.
+    kinked: whether derivatives jump, as those of distances do where the nearest edge becomes another one, or turn
+    quickly, as those of the height of a wave that may come from any side.
+    factor: the speed factor at which the rows are taken: what the unknowns make of the tray's motion regressor is that
+    there.
+    inherits: whether the first node's rows are of the state that the motion begins in, and so cannot be changed.
+    in_words: what a row above 0 exceeds its limit by, with a unit.
+    """
+
+    name: str
+    values: Array
+    gradient: Gradient
+    points: Indices
+    margins: tuple[float, float] = (1e-3, FINEST)
+    scales: bool = True
+    following: Gradient | None = None
+    by_duration: Array | None = None
+    history: History | None = None
+    curvature: History | None = None
+    remembers: float = np.inf
+    slows: float = 1.5
+    reach: float = np.inf
+    most: int | None = None
+    always: bool = False
+    kinked: bool = False
+    inherits: bool = True
+    in_words: Callable[[float], str] = of_its_limit
+    factor: float = 1.0
+    of: Constraint | None = None
+
+    def having(self, **other: Any) -> Block:
+        """A copy of the rows with some fields changed, in a tenth of the time of `replace`."""
+        made = object.__new__(Block)
+        vars(made).update(vars(self), **other)
+        return made
+
+    @property
+    def by_time(self) -> bool:
+        """Whether the same path in another time has other rows."""
+        return self.scales or self.by_duration is not None
+
+    @property
+    def peaks(self) -> np.ndarray:
+        """(N, m) True where a row is not smaller than at its neighbours in time."""
+        padded = np.pad(self.values, ((1, 1), (0, 0)), constant_values=-np.inf)
+        return np.asarray((self.values >= padded[:-2]) & (self.values >= padded[2:]))
+
+    def near(self, depth: float) -> np.ndarray:
+        """(N, m) True for rows no further from their edge than `depth` that are to be considered."""
+        return self._foremost(1) & (self.values > -min(np.inf if self.always else depth, self.reach))
+
+    def joining(self, known: np.ndarray) -> np.ndarray:
+        """(N, m) True for rows at or beyond their edge that a programme should have known of beside `known`."""
+        return self._foremost(3) & (self.values > UNSEEN) & ~known
+
+    def _foremost(self, times: int) -> np.ndarray:
+        """(N, m) or (1, 1), True for the `most` rows of each node, times some, that are furthest out."""
+        if self.most is None or self.values.shape[1] <= times * self.most:
+            return np.ones((1, 1), dtype=bool)
+        k = times * self.most
+        return np.asarray(self.values >= -np.partition(-self.values, k - 1, axis=1)[:, k - 1 : k])
+
+
+class Constraint(ABC):
+    """A condition on a motion."""
+
+    @abstractmethod
+    def blocks(self, motion: MotionEvaluation) -> Iterable[Block]:
+        """Its rows along a motion."""
+
+    def near(self, q: Array) -> Constraint:
+        """The same for motions near to postures (N, n), where it may have less to look at."""
+        return self
+
+
+def evaluate(constraints: Sequence[Constraint], motion: MotionEvaluation, margins: bool = True) -> tuple[Block, ...]:
+    """All constraints of a motion, by default with their margins. A row that is no number is not kept."""
+    blocks = []
+    for constraint in constraints:
+        for block in constraint.blocks(motion):
+            margin = block.margins[0 if motion.imposed else 1] if margins else 0.0
+            if not (motion.moving and block.inherits):
+                values = block.values + margin
+            else:
+                values = block.values + margin * motion.eased(block.points[: len(block.values)])[:, None]
+                values[0] = np.where(values[0] < 1e-4, np.minimum(values[0], 0.0), values[0])
+            values[np.isnan(values)] = np.inf
+            blocks.append(block.having(values=values, of=constraint))
+    return tuple(blocks)
+
+
+def worst_of(blocks: Sequence[Block]) -> tuple[float, str]:
+    """Largest row, and the name of the block it belongs to."""
+    return max((float(block.values.max()), block.name) for block in blocks)
+
+
+def violated(blocks: Sequence[Block]) -> str:
+    """The condition that a motion violates most, and by how much, in words."""
+    worst = max(blocks, key=lambda block: float(block.values.max()))
+    return f"{worst.name}, by {worst.in_words(float(worst.values.max()))}"
+
+
+def padded(rows: Array, n: int) -> Array:
+    """Derivatives by (q, dq, ddq) or fewer, padded with zeros to 4 n columns."""
+    out = np.zeros((len(rows), 4 * n))
+    out[:, : rows.shape[1]] = rows
+    return out
+
+
+def both_sides(scaled: Array, extra: Array | float = -1.0) -> Array:
+    """(N, 2 m) rows that keep shares of a limit (N, m) within -1 and 1; extra: that limit, negative, and with it what
+    is uncertain about the shares.
+
+    Column by column in memory: the largest of each row, and of each instant, is found in a sixth of the time."""
+    out = np.empty((2 * scaled.shape[1], len(scaled))).T
+    np.add(extra, scaled, out=out[:, : scaled.shape[1]])
+    np.subtract(extra, scaled, out=out[:, scaled.shape[1] :])
+    return out
+
+
+@dataclass(frozen=True, eq=False)
+class JointLimit(Constraint):
+    """Position, velocity, acceleration, jerk: two rows for each joint with a finite limit.
+
+    To position and velocity a parameter error, the zero-order hold and liquids add what the arm strays; acceleration
+    and jerk are those of the reference, as makers state their limits. orders: of the derivatives that are checked.
+    """
+
+    limits: JointLimits
+    orders: tuple[int, ...] = (0, 1, 2, 3)
+
+    @cached_property
+    def by_reference(self) -> tuple[JointLimit, JointLimit]:
+        """Those of the reference, and those to which something is added."""
+        return replace(self, orders=(2, 3)), replace(self, orders=(0, 1))
+
+    @cached_property
+    def _ranges(self) -> list[tuple[LimitKind, Array, Array, Indices, Indices | slice]]:
+        """Kind, middle and half-width of the joints that have one, and which these are; to take what is theirs."""
+        ranges = [
+            (kind, *self.limits.range(kind)) for kind in LIMITS if kind.of == "position" and kind.order in self.orders
+        ]
+        given = [(kind, middle, half, np.flatnonzero(np.isfinite(half))) for kind, middle, half in ranges]
+        return [
+            (kind, middle[finite], half[finite], finite, finite if len(finite) < len(half) else slice(None))
+            for kind, middle, half, finite in given
+        ]
+
+    def blocks(self, motion: MotionEvaluation) -> Iterator[Block]:
+        n, points = motion.n, np.arange(len(motion.s))
+        for kind, middle, half, finite, theirs in self._ranges:
+            if not len(finite):
+                continue
+            order = kind.order
+
+            def gradient(
+                i: Indices, f: Indices, order: int = order, half: Array = half, finite: Indices = finite
+            ) -> Array:
+                k, sign = f % len(finite), np.where(f < len(finite), 1.0, -1.0)
+                rows = np.zeros((len(i), 4 * n))
+                rows[np.arange(len(i)), order * n + finite[k]] = sign / half[k]
+                return rows
+
+            extra: Array | float = -1.0
+            if order < 2 and motion.response is not None:
+                extra = motion.between_nodes(motion.joint_radius(order)[:, theirs]) / half - 1.0
+            values = both_sides((motion.z[order][:, theirs] - middle) / half, extra)
+            # A derivative of order k goes with T^-k; a little more, for what else is nonlinear.
+            slows = 1.5 if order == 0 else 1.0 / order + 0.02
+            yield Block(kind.name, values, gradient, points, scales=order > 0, slows=slows, inherits=order < 3)
+
+
+@dataclass(frozen=True, eq=False)
+class TorqueLimit(Constraint):
+    """Torque, to which a parameter error and what liquids push add their worst case."""
+
+    limits: JointLimits
+
+    def blocks(self, motion: MotionEvaluation) -> Iterator[Block]:
+        finite = np.flatnonzero(np.isfinite(self.limits.torque))
+        if not len(finite):
+            return
+        bound = self.limits.torque[finite]
+        extra: Array | float = -1.0
+        if motion.response is not None:
+            extra = motion.torque_radius()[:, finite] / bound - 1.0
+
+        def gradient(i: Indices, f: Indices) -> Array:
+            column, sign = f % len(finite), np.where(f < len(finite), 1.0, -1.0)
+            return padded(motion.terms.torque_z[i, finite[column]] * (sign / bound[column])[:, None], motion.n)
+
+        yield Block("torque", both_sides(motion.terms.torque[:, finite] / bound, extra), gradient, motion.nodes)
+
+
+@dataclass(frozen=True, eq=False)
+class TorqueRateLimit(Constraint):
+    """Rate of torque between neighbouring nodes."""
+
+    limits: JointLimits
+
+    def blocks(self, motion: MotionEvaluation) -> Iterator[Block]:
+        finite = np.flatnonzero(np.isfinite(self.limits.torque_rate))
+        if not len(finite):
+            return
+        bound, step = self.limits.torque_rate[finite], motion.steps
+        rate = np.diff(motion.terms.torque[:, finite], axis=0) / step[:, None] / bound
+
+        def side(i: Indices, f: Indices, shift: int) -> Array:
+            column, sign = f % len(finite), np.where(f < len(finite), 1.0, -1.0)
+            weight = (2 * shift - 1) * sign / step[i] / bound[column]
+            return padded(motion.terms.torque_z[i + shift, finite[column]] * weight[:, None], motion.n)
+
+        yield Block(
+            "torque rate",
+            both_sides(rate),
+            lambda i, f: side(i, f, 0),
+            motion.nodes,
+            following=lambda i, f: side(i, f, 1),
+            by_duration=-np.hstack([rate, -rate]),  # the step between the nodes grows with T
+            slows=0.5,  # it goes with T^-3, but for what gravity makes of it
+            inherits=False,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class ContactConstraint(Constraint):
+    """Facets of the contact wrench cones of one network of touching objects, at the worst parameters.
+
+    margin: that the scenario asks for, as a share of the normal force at rest. speed: at which. exactly: of an arm that
+    follows exactly, without what the zero-order hold and wrong loads do to it; the verification of a plan asks for that
+    too.
+    coarsely: of rows that are far from their edge a bound is enough.
+    """
+
+    rows: ContactRows
+    margin: float = 0.0
+    speed: Speed = FULL_SPEED
+    exactly: bool = False
+    coarsely: bool = False
+
+    def blocks(self, motion: MotionEvaluation) -> Iterator[Block]:
+        speed = self.speed
+        tracking = None if self.exactly or not speed.factor else motion.tracking
+        w, drift = motion.felt(speed.factor, speed.rate, self.exactly)
+        sloshing = motion.at_factor(speed.factor).sloshing if speed.factor else {}
+        if motion.coarsely:
+            worst, history = self._near(sloshing, w, drift), None
+            values = worst.values
+        else:
+            worst = WorstCase.of(self.rows, w, drift, self.coarsely, self.margin)
+            values, history = worst.values, None
+            if sloshing:
+                sloshed = Sloshed.of(self.rows, sloshing)
+                values, history = values + sloshed.values, sloshed.history
+
+        def gradient(i: Indices, f: Indices) -> Array:
+            slope, side = worst.attained_swinging(i, f)
+            slopes = motion.terms.w_z if speed == FULL_SPEED else motion.terms.w_z_at(speed.factor**2, speed.rate)
+            rows, n = padded(np.einsum("rk,rkz->rz", slope, slopes[i]), motion.n), motion.n
+            if tracking is not None:
+                # A held command is right when it begins, and when it ends behind by what jerk makes of the acceleration
+                # in twice the delay. All else that the drift depends on is history.
+                rows[:, 3 * n :] = ((side - 1) * tracking.delay * speed.factor)[:, None] * rows[:, 2 * n : 3 * n]
+            return rows
+
+        most = 4 if len(sloshing) < 2 else 1  # of facets: a fine cone has hundreds, nearly parallel
+        carried = " and ".join(body.name for body in self.rows.network.bodies)
+        margins = (self.margin + 1e-3, max(self.margin, FINEST))
+        name = f"contact of {carried}{speed.words}{' when the arm follows exactly' * self.exactly}"
+        yield Block(
+            name,
+            values,
+            gradient,
+            motion.nodes,
+            margins,
+            scales=speed.factor > 0,
+            most=most,
+            history=history,
+            remembers=0.05,
+            factor=speed.factor,
+            in_words=_of_the_weight,
+        )
+
+    def _near(self, sloshing: dict[str, tuple[Slosh, ...]], w: Array, drift: Drift | None) -> WorstCase:
+        """Rows with what liquids add to them, exact where they come near their edge; the largest of all always, unless
+        a bound is enough."""
+        rows = self.rows
+
+        def added(at: Some, some: Some, coarsely: bool) -> Array:
+            return most_added(rows, sloshing, at, some, coarsely)
+
+        values = values_near(rows, w, drift, added if sloshing else None, self.margin)
+        if values.max() <= SURE - self.margin and not self.coarsely:
+            values = WorstCase.of(rows, w, drift).values + added(ALL, ALL, False)
+        return WorstCase(rows, w, drift, values)
+
+
+def _of_the_weight(excess: float) -> str:
+    return f"{100 * excess:.3g} % of the weight"
+
+
+@dataclass(frozen=True)
+class LevelConstraint(Constraint):
+    """Tray level within `LEVEL_TOLERANCE`."""
+
+    def blocks(self, motion: MotionEvaluation) -> Iterator[Block]:
+        up = motion.terms.R_SE[:, 2, :]  # the vertical, in E
+
+        def gradient(i: Indices, f: Indices) -> Array:
+            sign = np.where(f < 2, 1.0, -1.0) / LEVEL_TOLERANCE
+            return padded(_vertical_q(motion)[i, f % 2] * (sign * LEVEL_SCALE)[:, None], motion.n)
+
+        values = LEVEL_SCALE * both_sides(up[:, :2] / LEVEL_TOLERANCE)
+        margins = (50 * LEVEL_SCALE * 1e-3, 50 * LEVEL_SCALE * FINEST)
+        yield Block("tilt", values, gradient, motion.nodes, margins, scales=False, always=True, in_words=_deg)
+
+
+@dataclass(frozen=True)
+class TiltConstraint(Constraint):
+    """Tray tilted from level by no more than `largest`, rad."""
+
+    largest: float
+
+    def blocks(self, motion: MotionEvaluation) -> Iterator[Block]:
+        scale = 1.0 / max(1 - np.cos(self.largest), 1e-6)
+        values = scale * (np.cos(self.largest) - motion.terms.R_SE[:, 2, 2:])
+
+        def gradient(i: Indices, f: Indices) -> Array:
+            return padded(-scale * _vertical_q(motion)[i, 2], motion.n)
+
+        def in_words(excess: float) -> str:
+            return _deg(np.arccos(np.clip(np.cos(self.largest) - excess / scale, -1.0, 1.0)) - self.largest)
+
+        margins = (1e-2, 6e-3)  # between two points the tilt of a tray that turns rises by .3 % of its limit
+        yield Block("tilt", values, gradient, motion.nodes, margins, scales=False, in_words=in_words)
+
+
+def _deg(angle: float) -> str:
+    return f"{np.rad2deg(angle):.3g} deg"
+
+
+def _vertical_q(motion: MotionEvaluation) -> Array:
+    """(N, 3, n) derivative by q of the vertical in E."""
+    up = motion.terms.R_SE[:, 2, :]
+    return np.asarray(hat(up) @ motion.terms.jacobian[:, 3:])
+
+
+def strayed(position: Array, turn: Array) -> Array:
+    """(...) m by which what stands on the tray may be elsewhere, of errors of the tray: (..., 3) m and (..., 3) rad."""
+    return np.asarray(np.linalg.norm(position, axis=-1) + REACH_BEYOND_TRAY * np.linalg.norm(turn, axis=-1))
+
+
+@dataclass(frozen=True, eq=False)
+class Clearance(Constraint):
+    """Distances of all watched pairs, less what the arm may stray, in units of 0.1 m."""
+
+    keep_out: KeepOut
+
+    def near(self, q: Array) -> Constraint:
+        return Clearance(self.keep_out.near(q))
+
+    def blocks(self, motion: MotionEvaluation) -> Iterator[Block]:
+        if not len(self.keep_out.required):
+            return
+        q, stray = motion.at_nodes[0], np.zeros(1)
+        if motion.response is not None:
+            stray = strayed(*motion.tray_radius())
+        distance = self.keep_out.distances(q, float(stray.max()))
+        if not motion.imposed:
+            distance += self.keep_out.required - self.keep_out.least
+        yield Block(
+            "clearance",
+            -PER_METRE * (distance - stray[:, None]),
+            lambda i, f: padded(-PER_METRE * self.keep_out.gradient(q, i, f), motion.n),
+            motion.nodes,
+            margins=(PER_METRE * AT_NODES, 0.0),
+            scales=False,
+            reach=PER_METRE * REACH,
+            kinked=True,
+            in_words=lambda excess: f"{1e3 * excess / PER_METRE:.3g} mm",
+        )

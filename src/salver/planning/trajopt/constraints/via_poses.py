@@ -1,0 +1,116 @@
+"""Poses that are passed on the way without a stop, at a time that is free.
+
+Of a motion it counts where it comes nearest to the pose. There the error along the motion is nothing, and what is left
+of it, across the motion, does not change to first order when the time of passing does: rows need no unknown for it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from salver.geometry import Array, Indices
+from salver.models.arm.arm import ArmModel
+from salver.planning.passing import LEVER
+from salver.planning.postures import PoseTarget
+from salver.planning.trajopt.constraints.constraints import Block, Constraint
+from salver.planning.trajopt.evaluation import MotionEvaluation
+
+ALLOWED = 4e-4  # m, of each of six rows: all together are near enough for the plan's own check
+SCALE = 1e-2  # m, the size of the rows
+WEIGHTS = np.array([1.0, 1.0, 1.0, LEVER, LEVER, LEVER])
+
+
+@dataclass(frozen=True, eq=False)
+class Closest:
+    """The closest approach of a motion, cubic between two nodes, to a pose.
+
+    node: the first of the two. error (r,): weighted, m. across (r, r): takes away what is along the motion. by_q
+    (r, n): derivative of the error. by: of q there by (q, dq) at the first node, and at the second.
+    """
+
+    node: int
+    error: Array
+    across: Array
+    by_q: Array
+    by: tuple[tuple[float, float], tuple[float, float]]
+
+    @classmethod
+    def of(cls, arm: ArmModel, target: PoseTarget, t: Array, q: Array, dq: Array) -> Closest:
+        """t (N,), q, dq (N, n): times, s, and states of the nodes."""
+        sizes = [float(np.linalg.norm(_weighted(arm, target, x)[0])) for x in q]
+        best = int(np.argmin(sizes))
+        found: list[tuple[float, Closest]] = []
+        for node in (best - 1, best):
+            if not 0 <= node < len(t) - 1:
+                continue
+            step = float(t[node + 1] - t[node])
+            ends = np.stack([q[node], dq[node], q[node + 1], dq[node + 1]])
+            looks = np.linspace(0.0, 1.0, 9)
+            u = float(min(looks, key=lambda x: np.linalg.norm(_weighted(arm, target, _blend(x, step)[0] @ ends)[0])))
+            for _ in range(3):  # steps of Newton's, each of which squares what is left of an eighth of a step
+                value, slope = _blend(u, step)
+                error, jacobian = _weighted(arm, target, value @ ends)
+                along = jacobian @ (slope @ ends)
+                u = float(np.clip(u - along @ error / max(float(along @ along), 1e-12), 0.0, 1.0))
+            value, slope = _blend(u, step)
+            error, jacobian = _weighted(arm, target, value @ ends)
+            along = jacobian @ (slope @ ends)
+            square = float(along @ along)
+            across = np.eye(len(error)) - (np.outer(along, along) / square if square > 1e-12 else 0.0)
+            by = ((float(value[0]), float(value[1])), (float(value[2]), float(value[3])))
+            found.append((float(np.linalg.norm(error)), cls(node, error, across, jacobian, by)))
+        return min(found, key=lambda each: each[0])[1]
+
+
+def _weighted(arm: ArmModel, target: PoseTarget, q: Array) -> tuple[Array, Array]:
+    """Error at a posture, m, and its derivative by q."""
+    error, jacobian = target.residual(arm, q)
+    weights = WEIGHTS[: len(error)]
+    return weights * error, -weights[:, None] * jacobian
+
+
+def _blend(u: float, step: float) -> tuple[Array, Array]:
+    """(4,) of the cubic through two states: its value by q, dq of one, q, dq of the other; and its slope by u."""
+    value = [1 - 3 * u**2 + 2 * u**3, step * (u - 2 * u**2 + u**3), 3 * u**2 - 2 * u**3, step * (u**3 - u**2)]
+    slope = [6 * u**2 - 6 * u, step * (1 - 4 * u + 3 * u**2), 6 * u - 6 * u**2, step * (3 * u**2 - 2 * u)]
+    return np.array(value), np.array(slope)
+
+
+@dataclass(frozen=True, eq=False)
+class PassPose(Constraint):
+    """The motion passes a pose, to within `salver.planning.plan.NEAR_ENOUGH`. name: of the rows."""
+
+    arm: ArmModel
+    target: PoseTarget
+    name: str
+
+    def blocks(self, motion: MotionEvaluation) -> Iterator[Block]:
+        n, nodes = motion.n, motion.nodes
+        t = motion.s[nodes] * motion.duration
+        at = Closest.of(self.arm, self.target, t, *motion.at_nodes[:2])
+        left, by_q = at.across @ at.error, at.across @ at.by_q
+        signed = np.vstack([by_q, -by_q]) / SCALE
+        values = (np.concatenate([left, -left]) - ALLOWED) / SCALE
+
+        def by_state(which: int, row: Indices) -> Array:
+            out = np.zeros((len(row), 4 * n))
+            for order in range(2):
+                out[:, order * n : (order + 1) * n] = at.by[which][order] * signed[row]
+            return out
+
+        rates = sum(at.by[k][1] * motion.at_nodes[1, at.node + k] for k in range(2))
+        yield Block(
+            self.name,
+            values[None],
+            lambda node, row: by_state(0, row),
+            nodes[at.node : at.node + 2],
+            scales=False,
+            following=lambda node, row: by_state(1, row),
+            by_duration=(signed @ rates)[None],
+            always=True,
+            slows=0.0,
+            in_words=lambda excess: f"{1e3 * SCALE * excess:.3g} mm",
+        )

@@ -1,0 +1,304 @@
+"""Parametrisations of a joint motion: a free spline in joint space, or a time law along a given path."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache, cached_property, lru_cache
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from salver.geometry import Array, Indices
+from salver.models.arm.arm import ArmModel
+from salver.planning.trajopt.ends import AtPosture, End
+from salver.planning.trajopt.problem import TransportProblem
+from salver.planning.trajopt.spline import DERIVATIVES, RestSpline, min_jerk_blend
+
+ORDERS = np.arange(float(DERIVATIVES))[:, None, None]  # of the rows of z
+SAME = 1e-9  # of a duration: points nearer than this are one
+
+
+def united(points: npt.ArrayLike, more: npt.ArrayLike, same: float = SAME) -> Array:
+    """Points (P,) and more of them in order; of those no further apart than `same`, which differ by rounding, one."""
+    both = np.union1d(points, more)
+    return both[np.append(True, np.diff(both) > same)]
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Points s (P,) in [0, 1], the spline basis there, (4, P, size), and which of them are nodes, (N,) indices."""
+
+    s: Array
+    basis: Array
+    nodes: Indices
+
+    @classmethod
+    def of(cls, spline: RestSpline, nodes: Array, finer: int = 1) -> Grid:
+        """The nodes (N,), and finer - 1 points between each two of them."""
+        last = finer * (len(nodes) - 1)
+        s = np.interp(np.arange(last + 1) / finer, np.arange(len(nodes)), nodes)
+        return cls(s, spline.matrices(s), finer * np.arange(len(nodes)))
+
+    @property
+    def weights(self) -> Array:
+        """(P,) of a mean over time by the trapezoidal rule; their sum is 1."""
+        steps = np.diff(self.s)
+        return 0.5 * (np.append(steps, 0.0) + np.append(0.0, steps))
+
+    def motion(self, coefficients: Array, duration: float) -> Array:
+        """(4, P, m): the spline's value and its first three time derivatives."""
+        z = self.basis @ coefficients
+        return np.asarray(z / duration**ORDERS)
+
+    def chained(self, parts: Array, point: Indices, duration: float) -> Array:
+        """(r, size m) from derivatives by the value and its time derivatives, parts (r, 4, m), to the coefficients."""
+        basis = self.basis[:, point].transpose(1, 2, 0) * duration ** -np.arange(4.0)
+        return np.matmul(basis, parts).reshape(len(point), -1)
+
+
+class Curve(Protocol):
+    """A parametrisation as the optimiser uses it; coefficients are (size, m)."""
+
+    @property
+    def problem(self) -> TransportProblem: ...
+
+    @property
+    def grid(self) -> Grid: ...
+
+    @property
+    def width(self) -> int:
+        """m, the number of curves."""
+        ...
+
+    def motion(self, coefficients: Array, duration: float) -> Array:
+        """z (4, P, n): q and its time derivatives at the points of the grid."""
+        ...
+
+    def by_duration(self, coefficients: Array, duration: float, z: Array) -> Array:
+        """(4, P, n): derivative of z by log T, the coefficients unchanged."""
+        ...
+
+    def columns(self, coefficients: Array, duration: float, parts: Array, point: Indices) -> Array:
+        """(r, size m): derivatives by the coefficients from those by z at points, parts (r, 4, n)."""
+        ...
+
+    def fixed(self) -> tuple[int, int]:
+        """Number of the size m unknowns at the beginning and at the end that are given."""
+        ...
+
+    def equalities(self, coefficients: Array) -> tuple[Array, Array]:
+        """A (k, size m), b (k,): a step d must satisfy A d = b."""
+        ...
+
+    def inequalities(self, coefficients: Array) -> tuple[Array, Array]:
+        """A (k, size m), b (k,): a step d must satisfy A d <= b."""
+        ...
+
+    def repaired(self, coefficients: Array) -> Array | None:
+        """Coefficients after a step, made to satisfy the equalities exactly; None when they cannot."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class FreeCurve:
+    """Joint splines between the problem's ends: coefficients (size, n) are control postures, the ends included.
+
+    A start that is moving adds the quintic Hermite functions of its velocity and acceleration.
+    """
+
+    problem: TransportProblem
+    grid: Grid
+
+    @property
+    def width(self) -> int:
+        return self.problem.n
+
+    def motion(self, coefficients: Array, duration: float) -> Array:
+        z = self.grid.motion(coefficients, duration)
+        return z if self._launch is None else z + self._launched(duration).sum(axis=0)
+
+    def by_duration(self, coefficients: Array, duration: float, z: Array) -> Array:
+        if self._launch is None:
+            return np.asarray(-ORDERS * z)
+        # Of order k: T^-k for the spline, T^(1 - k) and T^(2 - k) for the two functions of the start.
+        launched = self._launched(duration)
+        return np.asarray(-ORDERS * z + launched[0] + 2 * launched[1])
+
+    def columns(self, coefficients: Array, duration: float, parts: Array, point: Indices) -> Array:
+        return self.grid.chained(parts, point, duration)
+
+    def fixed(self) -> tuple[int, int]:
+        n = self.problem.n
+        return n * self.problem.start.given, n * self.problem.goal.given
+
+    def equalities(self, coefficients: Array) -> tuple[Array, Array]:
+        return end_equalities(self.problem.arm, [(self.problem.start, 0), (self.problem.goal, -1)], coefficients)
+
+    def inequalities(self, coefficients: Array) -> tuple[Array, Array]:
+        return np.zeros((0, coefficients.size)), np.zeros(0)
+
+    def repaired(self, coefficients: Array) -> Array | None:
+        arm, limits = self.problem.arm, self.problem.limits
+        start = self.problem.start.nearest(arm, limits, coefficients[0], 20)
+        goal = self.problem.goal.nearest(arm, limits, coefficients[-1], 20)
+        if goal is None or start is None:
+            return None
+        return with_ends(coefficients, start, goal)
+
+    @cached_property
+    def _launch(self) -> Array | None:
+        """(2, 4, P, n): what velocity and acceleration of the start add to z for T = 1; None when it is at rest."""
+        start = self.problem.start
+        if not isinstance(start, AtPosture) or not start.moving:
+            return None
+        return launch_basis(self.grid.s)[:, :, :, None] * start.rates[:, None, None, :]
+
+    def _launched(self, duration: float) -> Array:
+        assert self._launch is not None
+        return np.asarray(self._launch * duration ** (np.arange(1.0, 3.0)[:, None, None, None] - ORDERS))
+
+
+def end_equalities(arm: ArmModel, ends: Sequence[tuple[End, int]], coefficients: Array) -> tuple[Array, Array]:
+    """`Curve.equalities` of ends, each with the row of the coefficients (size, n) that is its posture."""
+    size, n = coefficients.shape
+    blocks, targets = [], []
+    for end, row in ends:
+        error, jacobian = end.residual(arm, coefficients[row])
+        block = np.zeros((len(error), size, n))
+        block[:, row] = jacobian
+        blocks.append(block.reshape(len(error), size * n))
+        targets.append(error)
+    return np.vstack(blocks), np.concatenate(targets)
+
+
+def with_ends(coefficients: Array, start: Array, goal: Array) -> Array:
+    """Coefficients (size, n) with other ends (n,): to move an end alone would be a jolt, so the whole motion follows
+    it, the less the further away."""
+    share = _ramp(len(coefficients))
+    moved = coefficients + (1 - share) * (start - coefficients[0]) + share * (goal - coefficients[-1])
+    moved[0], moved[-1] = start, goal
+    return np.asarray(moved)
+
+
+@lru_cache(maxsize=16)
+def _ramp(count: int) -> Array:
+    """(count, 1) from 0 to 1, level at both ends."""
+    return min_jerk_blend(np.linspace(0, 1, count))[:, None]
+
+
+def launch_basis(s: Array) -> Array:
+    """(2, 4, P) the quintics in s with slope, and with curvature, 1 at s = 0 and all else 0 at both ends, and their
+    first three derivatives."""
+    return np.array([[p(s) for p in each] for each in _launches()])
+
+
+def launched(start: AtPosture, s: Array, duration: float) -> Array:
+    """(len(s), n) what velocity and acceleration of a start add to the posture."""
+    powers = np.array([duration, duration**2])[:, None, None]
+    return np.asarray((launch_basis(s)[:, 0, :, None] * start.rates[:, None, :] * powers).sum(axis=0))
+
+
+@cache
+def _launches() -> list[list[np.polynomial.Polynomial]]:
+    """The quintics of `launch_basis`, and their derivatives."""
+    velocity = np.polynomial.Polynomial([0, 1, 0, -6, 8, -3])
+    acceleration = np.polynomial.Polynomial([0, 0, 0.5, -1.5, 1.5, -0.5])
+    return [[p.deriv(k) if k else p for k in range(DERIVATIVES)] for p in (velocity, acceleration)]
+
+
+class JointPath(Protocol):
+    """A path q(u), u in [0, 1]."""
+
+    def derivatives(self, u: Array, order: int) -> Array:
+        """(order + 1, N, n): q and its derivatives by u."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class PathCurve:
+    """A time law u(t) along a given path: coefficients (size, 1), from 0 to 1, never backwards.
+
+    The control values are kept in order, and so is the spline: it does not turn oftener than they do.
+    """
+
+    problem: TransportProblem
+    grid: Grid
+    path: JointPath
+    width = 1
+
+    def motion(self, coefficients: Array, duration: float) -> Array:
+        u, u1, u2, u3 = self.law(coefficients, duration)
+        p0, p1, p2, p3 = self.path.derivatives(u[:, 0], 3)
+        return np.stack([p0, p1 * u1, p2 * u1**2 + p1 * u2, p3 * u1**3 + 3 * p2 * u1 * u2 + p1 * u3])
+
+    def by_duration(self, coefficients: Array, duration: float, z: Array) -> Array:
+        return np.asarray(-ORDERS * z)
+
+    def columns(self, coefficients: Array, duration: float, parts: Array, point: Indices) -> Array:
+        by_law = self._by_law(self.law(coefficients, duration)[:, point])
+        law = np.einsum("rkn,jkrn->rj", parts, by_law)
+        return self.grid.chained(law[:, :, None], point, duration)
+
+    def fixed(self) -> tuple[int, int]:
+        return 1, 1
+
+    def equalities(self, coefficients: Array) -> tuple[Array, Array]:
+        return np.zeros((0, coefficients.size)), np.zeros(0)
+
+    def inequalities(self, coefficients: Array) -> tuple[Array, Array]:
+        backwards = np.eye(coefficients.size)[:-1] - np.eye(coefficients.size)[1:]
+        return backwards, -backwards @ coefficients[:, 0]
+
+    def repaired(self, coefficients: Array) -> Array | None:
+        return np.maximum.accumulate(np.clip(coefficients, 0.0, 1.0), axis=0)
+
+    def law(self, coefficients: Array, duration: float) -> Array:
+        """(4, P, 1) u and its time derivatives."""
+        return self.grid.motion(coefficients, duration)
+
+    def _by_law(self, law: Array) -> Array:
+        """(4, 4, R, n): derivatives by u and its three time derivatives, first axis, of z."""
+        u, u1, u2, u3 = law
+        _, p1, p2, p3, p4 = self.path.derivatives(u[:, 0], 4)
+        zero = np.zeros_like(p1)
+        rows = (
+            (p1, p2 * u1, p3 * u1**2 + p2 * u2, p4 * u1**3 + 3 * p3 * u1 * u2 + p2 * u3),
+            (zero, p1, 2 * p2 * u1, 3 * p3 * u1**2 + 3 * p2 * u2),
+            (zero, zero, p1, 3 * p2 * u1),
+            (zero, zero, zero, p1),
+        )
+        return np.stack([np.stack(row) for row in rows])
+
+
+@dataclass(frozen=True, eq=False)
+class BrakingCurve(PathCurve):
+    """A time law along a path that begins as the motion goes which gave the path, and ends at rest where it will.
+
+    start: u where it begins. rate: of u there, 1/s; the path is in proportion to the motion's time, so u'' is 0.
+    """
+
+    start: float = 0.0
+    rate: float = 1.0
+
+    def by_duration(self, coefficients: Array, duration: float, z: Array) -> Array:
+        # Of order k: T^-k for the spline, T^(1 - k) for the function of the start.
+        by_duration = self._launched(duration) - ORDERS * self.law(coefficients, duration)
+        return np.einsum("jkrn,jr->krn", self._by_law(self.law(coefficients, duration)), by_duration[:, :, 0])
+
+    def fixed(self) -> tuple[int, int]:
+        return 1, 0
+
+    def inequalities(self, coefficients: Array) -> tuple[Array, Array]:
+        return np.eye(coefficients.size)[1:], 1.0 - coefficients[1:, 0]
+
+    def repaired(self, coefficients: Array) -> Array | None:
+        return np.clip(coefficients, 0.0, 1.0)
+
+    def law(self, coefficients: Array, duration: float) -> Array:
+        return self.grid.motion(coefficients, duration) + self._launched(duration)
+
+    def _launched(self, duration: float) -> Array:
+        """(4, P, 1) what the rate at the start adds."""
+        return launch_basis(self.grid.s)[0][:, :, None] * self.rate * duration ** (1 - ORDERS)

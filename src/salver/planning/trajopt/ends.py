@@ -1,0 +1,89 @@
+"""Boundary conditions of a motion: at rest in a pose, in a given posture (at rest or moving), or anywhere at rest.
+
+An end says which postures it allows, how far one is from them to first order, and which one of them is nearest.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+
+from salver.geometry import Array
+from salver.models.arm.arm import ArmModel
+from salver.models.arm.arm_limits import JointLimits
+from salver.planning.postures import INSIDE, REACHED, PoseTarget, posture_at
+
+
+class End(Protocol):
+    """A boundary condition as the optimiser uses it."""
+
+    @property
+    def given(self) -> bool:
+        """Whether the posture is known beforehand."""
+        ...
+
+    def residual(self, arm: ArmModel, q: Array) -> tuple[Array, Array]:
+        """Error (k,) at a posture, and the Jacobian (k, n) that a step dq must satisfy J dq = error."""
+        ...
+
+    def nearest(self, arm: ArmModel, limits: JointLimits, q: Array, iterations: int = 60) -> Array | None:
+        """Allowed posture within limits near to q; None when none was found."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class AtPose:
+    """At rest, with what stands on the tray at a pose."""
+
+    target: PoseTarget
+    given = False
+
+    def residual(self, arm: ArmModel, q: Array) -> tuple[Array, Array]:
+        return self.target.residual(arm, q)
+
+    def nearest(self, arm: ArmModel, limits: JointLimits, q: Array, iterations: int = 60) -> Array | None:
+        found, size = posture_at(arm, self.target, q, limits=limits, iterations=iterations)
+        return found if size < REACHED else None
+
+
+@dataclass(frozen=True, eq=False)
+class AtPosture:
+    """In a posture q (n,), rad, with velocity dq, rad/s, and acceleration ddq, rad/s^2: at rest unless given.
+
+    Only a start may be moving.
+    """
+
+    q: Array
+    dq: Array = field(default_factory=lambda: np.zeros(0))
+    ddq: Array = field(default_factory=lambda: np.zeros(0))
+    given = True
+
+    @property
+    def moving(self) -> bool:
+        return bool(np.any(self.dq) or np.any(self.ddq))
+
+    @property
+    def rates(self) -> Array:
+        """(2, n) velocity and acceleration."""
+        return np.stack([x if len(x) else np.zeros(len(self.q)) for x in (self.dq, self.ddq)])
+
+    def residual(self, arm: ArmModel, q: Array) -> tuple[Array, Array]:
+        return np.zeros(0), np.zeros((0, arm.n))
+
+    def nearest(self, arm: ArmModel, limits: JointLimits, q: Array, iterations: int = 60) -> Array | None:
+        return self.q
+
+
+@dataclass(frozen=True)
+class Anywhere:
+    """At rest in any posture: a stop."""
+
+    given = False
+
+    def residual(self, arm: ArmModel, q: Array) -> tuple[Array, Array]:
+        return np.zeros(0), np.zeros((0, arm.n))
+
+    def nearest(self, arm: ArmModel, limits: JointLimits, q: Array, iterations: int = 60) -> Array | None:
+        return np.clip(q, limits.q_min + INSIDE, limits.q_max - INSIDE)

@@ -1,0 +1,155 @@
+"""Objectives: the duration; at a given duration, the contact margin or the distance to a wanted motion.
+
+An objective sees a motion through its coefficients (size, m) and one number, the scalar, that goes with them: the
+duration where it is free, the margin where that is sought, or nothing. One of your own is a subclass of `Objective`.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from enum import Enum
+
+import numpy as np
+
+from salver.geometry import Array
+from salver.planning.trajopt.constraints.brim import Brim
+from salver.planning.trajopt.constraints.constraints import Block, ContactConstraint
+from salver.planning.trajopt.curves import Curve
+
+
+class Scalar(Enum):
+    """The scalar unknown of a programme: the relative change of T^2, the margin, or none."""
+
+    DURATION = "duration"
+    MARGIN = "margin"
+    NONE = "none"
+
+
+@dataclass(frozen=True)
+class Point:
+    """The iterate of a programme: coefficients (size, m), duration in s, and the margin of the counted constraints."""
+
+    coefficients: Array
+    duration: float
+    margin: float = 0.0
+
+
+@dataclass(frozen=True)
+class QuadraticModel:
+    """A quadratic model of an objective.
+
+    slope: gradient by the coefficients (size m,). by_scalar: by the scalar. The Hessian (size m, size m) is by the
+    coefficients.
+    """
+
+    slope: Array
+    by_scalar: float = 0.0
+    curvature: Array | None = None
+
+
+class Objective(ABC):
+    """scalar: what is free beside the coefficients. sought: what it is, in words. counts(block): whether the margin is
+    demanded of its rows."""
+
+    scalar: Scalar = Scalar.NONE
+    sought: str = "best"
+
+    @abstractmethod
+    def value(self, curve: Curve, at: Point) -> float:
+        """Value of the objective."""
+
+    @abstractmethod
+    def model(self, curve: Curve, at: Point) -> QuadraticModel:
+        """Its quadratic model there."""
+
+    def expected(self, curve: Curve, at: Point, value: float, step: Array) -> float:
+        """Its value after a step (size m + 1,) in the coefficients and the scalar, from `value`, by its model."""
+        model, move = self.model(curve, at), step[:-1]
+        bent = 0.0 if model.curvature is None else 0.5 * float(move @ model.curvature @ move)
+        return value + float(model.slope @ move) + model.by_scalar * float(step[-1]) + bent
+
+    def scale(self, at: Point, value: float) -> float:
+        """The size of what tolerances are shares of, in the unit of the objective."""
+        return abs(value)
+
+    def counts(self, block: Block) -> bool:
+        return False
+
+    def demanded(self, blocks: Sequence[Block], margin: float) -> tuple[Block, ...]:
+        """The blocks, with the margin demanded of those that count."""
+        if not margin:
+            return tuple(blocks)
+        return tuple(replace(b, values=b.values + margin) if self.counts(b) else b for b in blocks)
+
+
+@dataclass(frozen=True)
+class Duration(Objective):
+    """T, s."""
+
+    scalar = Scalar.DURATION
+    sought = "shortest"
+
+    def value(self, curve: Curve, at: Point) -> float:
+        return at.duration
+
+    def expected(self, curve: Curve, at: Point, value: float, step: Array) -> float:
+        return at.duration * float(np.sqrt(1 + step[-1]))
+
+    def model(self, curve: Curve, at: Point) -> QuadraticModel:
+        return QuadraticModel(np.zeros(at.coefficients.size), 0.5 * at.duration)
+
+
+@dataclass(frozen=True)
+class LeastMargin(Objective):
+    """The least distance of the contact rows from their edge, as a share of the weight, and of liquids from what they
+    may reach, as a share of their room, made large; T is given."""
+
+    scalar = Scalar.MARGIN
+
+    def value(self, curve: Curve, at: Point) -> float:
+        return -at.margin
+
+    def scale(self, at: Point, value: float) -> float:
+        return 0.1  # of the weight
+
+    def model(self, curve: Curve, at: Point) -> QuadraticModel:
+        return QuadraticModel(np.zeros(at.coefficients.size), -1.0)
+
+    def counts(self, block: Block) -> bool:
+        return isinstance(block.of, ContactConstraint | Brim)
+
+
+@dataclass(frozen=True, eq=False)
+class Distance(Objective):
+    """Mean square over time of the distance to a wanted motion, half of it; T is given.
+
+    wanted: (4, P, n) q and its time derivatives at the points of the grid. weights: (4,) of the squares of their
+    differences.
+    """
+
+    wanted: Array
+    weights: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
+
+    def value(self, curve: Curve, at: Point) -> float:
+        away = self._away(curve, at)
+        return 0.5 * float(self.weights @ np.square(away).sum(axis=2) @ curve.grid.weights)
+
+    def model(self, curve: Curve, at: Point) -> QuadraticModel:
+        away, (_, count, n) = self._away(curve, at), self.wanted.shape
+        size = at.coefficients.size
+        slope, curvature = np.zeros(size), np.zeros((size, size))
+        point = np.arange(count)
+        for order, weight in enumerate(self.weights):
+            for joint in range(n) if weight else ():
+                parts = np.zeros((count, 4, n))
+                parts[:, order, joint] = 1.0
+                rows = curve.columns(at.coefficients, at.duration, parts, point)
+                weighted = weight * rows * curve.grid.weights[:, None]
+                slope += weighted.T @ away[order, :, joint]
+                curvature += weighted.T @ rows
+        return QuadraticModel(slope, 0.0, curvature)
+
+    def _away(self, curve: Curve, at: Point) -> Array:
+        return np.asarray(curve.motion(at.coefficients, at.duration) - self.wanted)

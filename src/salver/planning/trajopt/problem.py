@@ -1,0 +1,256 @@
+"""The problem of the fastest safe transport: what moves, between which ends, under which constraints."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from salver.errors import ScenarioError
+from salver.geometry import Array, Indices
+from salver.liquid.before import Past
+from salver.liquid.given_way import Sloshing
+from salver.liquid.spills import slacks
+from salver.liquid.wave_cases import VERDICT_APART, SloshingCase, cases
+from salver.models.arm.arm import ArmModel, load_arm, with_load
+from salver.models.arm.arm_geometry import arm_geometry
+from salver.models.arm.arm_limits import JointLimits
+from salver.models.bodies import Body
+from salver.models.contact_rows import ContactRows, contact_rows
+from salver.models.payload import Payload
+from salver.models.tray_motion import FULL_SPEED, Speed, corners
+from salver.models.uncertain.parameters import UncertainSet
+from salver.planning.postures import PoseTarget
+from salver.planning.postures import start_posture as corrected_posture
+from salver.planning.trajopt.constraints.brim import Brim
+from salver.planning.trajopt.constraints.constraints import (
+    FINEST,
+    LEVEL_TOLERANCE,
+    Clearance,
+    Constraint,
+    ContactConstraint,
+    JointLimit,
+    LevelConstraint,
+    TiltConstraint,
+    TorqueLimit,
+    TorqueRateLimit,
+)
+from salver.planning.trajopt.constraints.obstacles import KeepOut
+from salver.planning.trajopt.constraints.via_poses import PassPose
+from salver.planning.trajopt.ends import AtPose, AtPosture, End
+from salver.planning.trajopt.evaluation import MotionEvaluation
+from salver.scenario import Motion, Scenario
+from salver.sensitivity.arm.tracking import JointLoop, joint_loop
+
+
+@dataclass(frozen=True, eq=False)
+class TransportProblem:
+    """A transport problem as the optimiser needs it.
+
+    arm: the arm with its tray. model: its Pinocchio model with all objects bolted on at nominal parameters.
+    payload: what is carried, with what is uncertain about it. start, goal: how the motion begins and ends
+    (`salver.planning.trajopt.ends`).
+    limits: the share of the arm's limits that may be used. max_tilt: rad from vertical; 0 means level.
+    contacts: rows for each network of touching objects. uncertain: what is not known (empty for a nominal plan).
+    tracking: what a parameter error and the zero-order hold do to the arm; None for a nominal plan, and for an arm
+    without masses.
+    keep_out: what must not touch: parts of the arm, tray, load, obstacles; None for nothing.
+    speeds: at which contact must hold. extra: constraints beside those that follow from all this.
+    liquids: for each, the cases that stand for all there are; every_case: those that a verdict looks at; past: what
+    they come from where the motion begins moving. through: poses that are passed on the way.
+    spare: share of their room that liquids keep. calm: share of the steepest wave that they are known in, that may be
+    left at the end.
+    """
+
+    scenario: Scenario
+    arm: ArmModel
+    model: Any
+    payload: Payload
+    start: End
+    goal: End
+    limits: JointLimits
+    max_tilt: float
+    contacts: tuple[ContactRows, ...]
+    uncertain: UncertainSet
+    tracking: JointLoop | None
+    keep_out: KeepOut | None
+    speeds: tuple[Speed, ...] = (FULL_SPEED,)
+    extra: tuple[Constraint, ...] = ()
+    liquids: tuple[tuple[SloshingCase, ...], ...] = ()
+    every_case: tuple[tuple[SloshingCase, ...], ...] = ()
+    past: Past | None = None
+    through: tuple[AtPose, ...] = ()
+    spare: float = 0.0
+    calm: float = 1.0
+
+    @property
+    def items(self) -> tuple[Body, ...]:
+        return self.payload.bodies
+
+    @property
+    def n(self) -> int:
+        return self.arm.n
+
+    @property
+    def level(self) -> bool:
+        return self.max_tilt == 0.0
+
+    @cached_property
+    def roughly(self) -> TransportProblem:
+        """For a first guess: without what liquids do, which costs most and changes least of the way; nor what a
+        parameter error does to the arm, where there are obstacles and much is to be tried."""
+        return replace(self, liquids=(), tracking=None if self.scenario.obstacles else self.tracking)
+
+    @property
+    def start_posture(self) -> Array | None:
+        """(n,) where the motion begins, or None when that is chosen."""
+        return self.start.q if isinstance(self.start, AtPosture) else None
+
+    @property
+    def moving(self) -> bool:
+        """Whether the motion begins moving."""
+        return isinstance(self.start, AtPosture) and self.start.moving
+
+    def check_dry(self, what: str) -> None:
+        """Raise ScenarioError when a liquid is on the tray, of whose waves `what` knows nothing."""
+        for body in self.payload.liquids:
+            raise ScenarioError(
+                f"{self.scenario.name}: {what} is not planned with a liquid on the tray ({body.name}) unless it is "
+                "known how the waves are just then; salver.Live knows, and salver plan --stops."
+            )
+
+    @cached_property
+    def constraints(self) -> tuple[Constraint, ...]:
+        """All that must hold along the motion."""
+        limits = self.limits
+        found: list[Constraint] = [JointLimit(limits), TorqueLimit(limits), TorqueRateLimit(limits)]
+        margin = self.scenario.contact.margin
+        found += [ContactConstraint(rows, margin, speed) for rows in self.contacts for speed in self.speeds]
+        if np.isfinite(self.max_tilt):
+            found.append(LevelConstraint() if self.level else TiltConstraint(self.max_tilt))
+        if self.moving and self.past is None:
+            self.check_dry("a motion that begins moving")
+        moving = [speed for speed in self.speeds if speed.factor]
+        found += [Brim(each[0].body, self.spare, self.calm, speed) for each in self.liquids for speed in moving]
+        found += [PassPose(self.arm, end.target, f"pose {k} to pass") for k, end in enumerate(self.through, 1)]
+        if self.keep_out is not None:
+            found.append(Clearance(self.keep_out))
+        return (*found, *self.extra)
+
+    def at(
+        self, s: Array, z: Array, duration: float, nodes: Indices | None = None, imposed: bool = True
+    ) -> MotionEvaluation:
+        """A motion z (4, P, n) of this arm and load at points s (P,) in [0, 1] of its duration."""
+        nodes = np.arange(len(s)) if nodes is None else nodes
+        frame_id = self.arm.tray_id
+        return MotionEvaluation(
+            self.model, frame_id, self.tracking, s, duration, z, nodes, imposed, self.moving, self.liquids, self.past
+        )
+
+
+def with_missed_cases(
+    problem: TransportProblem, motion: MotionEvaluation, margin: float = 0.0
+) -> TransportProblem | None:
+    """The problem with those fills and dampings added at which a liquid comes nearer than a margin, a share of its
+    room, to what it may reach, with what the arm makes of it; None for none."""
+    if not problem.liquids:
+        return None
+    t, whole = motion.s[motion.nodes] * motion.duration, problem.every_case
+    missing = tuple(_others(known, every) for known, every in zip(problem.liquids, whole, strict=True))
+    sloshing, found = Sloshing.of(missing, t, motion.terms.w, motion.response, motion.past).each, []
+    for known, others in zip(problem.liquids, missing, strict=True):
+        parts = sloshing.get(known[0].body.name, ())
+        left = np.min([np.ones(len(others)), *(slacks(part).min(axis=1) for part in parts)], axis=0)
+        found.append((*known, *(others[k] for k in np.flatnonzero(left < FINEST + margin))))
+    return replace(problem, liquids=tuple(found)) if found != list(problem.liquids) else None
+
+
+def _others(known: tuple[SloshingCase, ...], more: tuple[SloshingCase, ...]) -> tuple[SloshingCase, ...]:
+    """Cases of a liquid that are not known yet."""
+    here = {(case.fill, case.damping) for case in known}
+    return tuple(case for case in more if (case.fill, case.damping) not in here)
+
+
+def _tracking(scenario: Scenario, payload: Payload) -> JointLoop | None:
+    """The closed loop that a robust plan allows for; friction does not act through it."""
+    return joint_loop(scenario, payload.with_only([p for p in payload.uncertain.parameters if p.loads]))
+
+
+def transport_problem(
+    scenario: Scenario,
+    *,
+    level: bool | None = None,
+    robust: bool = True,
+    goal_yaw_free: bool | None = None,
+    start_posture: Array | None = None,
+    arm: ArmModel | None = None,
+    extra: Sequence[Constraint] = (),
+    passing: bool = False,
+) -> TransportProblem:
+    """The transport problem of a scenario. Arguments that are given override the scenario.
+
+    level: tray level all along (as motion.orientation says); otherwise it may tilt, up to motion.max_tilt_deg.
+    robust: keep the contact for the whole uncertain set, or only for nominal parameters.
+    extra: constraints of one's own. passing: whether whoever asks knows of motion.through.
+    Raises ScenarioError when the scenario has no arm, a start posture of the wrong length or of another pose, or an end
+    that tilts the tray further than the motion may.
+    """
+    if scenario.arm is None:
+        raise ScenarioError(f'{scenario.name}: this needs an arm; add an [arm] table, for example model = "panda".')
+    if not passing:
+        scenario.check_one_leg("this plan")
+    arm = load_arm(scenario.arm, scenario.tray) if arm is None else arm
+    payload = scenario.payload if robust else scenario.payload.nominal
+    if level is None:
+        level = not scenario.motion.may_turn
+    tilt = scenario.motion.max_tilt_deg
+    max_tilt = 0.0 if level else float(np.deg2rad(tilt)) if tilt is not None else np.inf
+    motion, first = scenario.motion, payload.bodies[0]
+    _level_enough(motion, max_tilt)
+    yaw_free = motion.goal_yaw == "free" if goal_yaw_free is None else goal_yaw_free
+    begin = PoseTarget(np.array(motion.start.position), motion.start.rotation, first.p_EB, first.R_EB)
+    end = PoseTarget(np.array(motion.goal.position), motion.goal.rotation, first.p_EB, first.R_EB, yaw_free)
+    start: End = AtPose(begin)
+    given = scenario.arm.start_posture if start_posture is None else start_posture
+    if given is not None:
+        start = AtPosture(corrected_posture(arm, given, begin, first.name))
+    parts = arm_geometry(arm, payload.bodies, scenario.around)
+    liquids = tuple(cases(body, payload.uncertain) for body in payload.liquids)
+    more = (cases(body, payload.uncertain, VERDICT_APART) for body in payload.liquids)
+    return TransportProblem(
+        scenario=scenario,
+        arm=arm,
+        model=with_load(arm, payload.bodies).pin_model,
+        payload=payload,
+        start=start,
+        goal=AtPose(end),
+        limits=arm.planning_limits,
+        max_tilt=max_tilt,
+        contacts=contact_rows(payload),
+        uncertain=payload.uncertain,
+        tracking=_tracking(scenario, payload) if robust and not arm.weightless else None,
+        keep_out=KeepOut.of(parts, start.q[None] if isinstance(start, AtPosture) else None) if parts.pairs else None,
+        speeds=(FULL_SPEED,) if liquids else corners(motion.speeds, motion.speed_rate),
+        extra=tuple(extra),
+        liquids=liquids,
+        every_case=tuple((*known, *_others(known, every)) for known, every in zip(liquids, more, strict=True)),
+        through=tuple(
+            AtPose(PoseTarget(np.array(pose.position), pose.rotation, first.p_EB, first.R_EB, yaw_free))
+            for pose in scenario.motion.through
+        ),
+    )
+
+
+def _level_enough(motion: Motion, max_tilt: float) -> None:
+    """Raise ScenarioError for a pose that tilts the tray by more than max_tilt, rad."""
+    on_the_way = [(f"through[{k}]", pose) for k, pose in enumerate(motion.through)]
+    for key, pose in (("start", motion.start), *on_the_way, ("goal", motion.goal)):
+        leans = float(np.arccos(np.clip(pose.rotation[2, 2], -1.0, 1.0)))
+        if leans > max(max_tilt, np.sqrt(2) * LEVEL_TOLERANCE):  # about each of two axes: a stop may end so
+            raise ScenarioError(
+                f"motion.{key} tilts the tray by {np.rad2deg(leans):.3g} deg, and the motion may tilt it by at most "
+                f'{np.rad2deg(max_tilt):.3g} deg; give motion.orientation = "free" and a max_tilt_deg that allows it.'
+            )
