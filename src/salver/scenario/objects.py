@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import BeforeValidator, Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from salver.scenario.fields import (
     Degrees,
@@ -386,6 +386,12 @@ class UncertaintySet(Model):
     correlation: dict[str, Annotated[Number, Field(gt=-1, lt=1)]] = Field(
         default={}, max_length=1000, description='numbers between -1 and 1 under keys such as "mass,com_x"'
     )
+
+    @model_serializer(mode="wrap")
+    def _stated(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Without a shake of which nothing is said: plans that were made before there was one stay readable."""
+        found: dict[str, Any] = dump(self)
+        return found if self.shake is not None else {key: value for key, value in found.items() if key != "shake"}
 
     def around(self, objects: list[CarriedObject], loose: list[LooseObject]) -> UncertainSet:
         """All uncertain parameters, in the order of the objects and then of the tray: eq (8).
