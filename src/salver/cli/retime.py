@@ -32,6 +32,13 @@ def retime(
     ] = None,
     out: Annotated[Path | None, typer.Option("-o", "--out", help="Run directory; default runs/NAME-retimed.")] = None,
     robust: Annotated[bool, typer.Option(help="Safe for the whole uncertain set, or only nominally.")] = True,
+    reserve: Annotated[
+        str | None,
+        typer.Option(
+            help="What every contact keeps in the worst case, as a share of the normal force at rest, as 10%. Default: "
+            "margin of the scenario's [contact]."
+        ),
+    ] = None,
     pace: Annotated[
         str | None,
         typer.Option(
@@ -79,11 +86,16 @@ def retime(
             raise ScenarioError(f"{path} is not a run directory; for a file of a motion give --scenario.")
         scenario = str(path / SCENARIO)
     chosen = scenarios.load(scenario)
+    if reserve is not None:
+        chosen = chosen.with_changes(contact__condition="exact", contact__margin=_share(reserve))
     if write is not None:
         form_of(write)  # told before anything is computed
     if pace is not None:
-        if out is not None or stops:
-            raise typer.BadParameter("--pace makes no run directory: leave -o and --stops out; --write names its file.")
+        if out is not None or stops or reserve is not None:
+            raise typer.BadParameter(
+                "--pace only scales the time and makes no run directory: leave -o, --stops and --reserve out; --write "
+                "names its file."
+            )
         from salver.auditing import AuditOptions, read_for
 
         _at_pace(
@@ -120,6 +132,16 @@ def retime(
             say(f"Wrote {file}")
     if not plan.ok:
         raise typer.Exit(NO_SAFE_PLAN)
+
+
+def _share(reserve: str) -> float:
+    try:
+        share = float(reserve.removesuffix("%")) / (100 if reserve.endswith("%") else 1)
+    except ValueError:
+        share = -1.0
+    if not 0 <= share < 1:
+        raise ScenarioError(f'--reserve "{reserve}" must be a share from 0 to below 100%, as 10% or 0.1.')
+    return share
 
 
 def _tell(plan: Plan) -> None:
