@@ -9,7 +9,9 @@ import pytest
 
 import salver as sv
 from live_runs import ROUNDS
+from salver.driver.preflight import check_plan
 from salver.liquid.given_way import Sloshing
+from salver.models.arm.arm import load_arm
 from salver.planning.fastest import plan_fastest
 from salver.planning.stops import along, past_of, plan_stops, stop_problem, stopped, with_stops
 from salver.planning.trajopt.ends import Anywhere, AtPosture
@@ -80,6 +82,10 @@ def test_a_slow_plan_with_coffee_is_stopped_long_before_its_end_and_nothing_spil
     done = stopped(plan, now)
     assert done.duration - now < 0.5
     assert done.margins.verdict(worst=True).ok
+    arm = load_arm(case.arm, case.tray)
+    assert [
+        check.sentence for check in check_plan(plan, arm, case.payload.bodies) if check.name == "stops" and not check.ok
+    ] == []
     full = {"fill": 0.065, "damping": 0.002, "mass": 0.275, "friction": 0.36}
     assert simulate(plan, parameters=full, stop_at=now).outcome == "holds"
 

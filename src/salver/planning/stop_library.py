@@ -89,11 +89,12 @@ class StopLibrary(Shown):
     def stopped(self, plan: JointMotion, now: float) -> JointMotion:
         """The motion after a stop request at `now` > 0: the plan to the instant of the best stop, and that stop."""
         course = self.course(now)
-        if course.stop is None:
-            return plan
-        before = plan.t[plan.t < course.leaves - SAME]
-        stop = self.motion(course.stop)
-        t = np.concatenate([before, course.leaves + stop.t])
+        return plan if course.stop is None else self.after(plan, course.stop)
+
+    def after(self, plan: JointMotion, k: int) -> JointMotion:
+        """The plan to the instant at which stop k leaves it, and that stop."""
+        before, stop = plan.t[plan.t < self.t[k] - SAME], self.motion(k)
+        t = np.concatenate([before, self.t[k] + stop.t])
         states = (np.vstack([a, b]) for a, b in zip(plan.sample(before), (stop.q, stop.dq, stop.ddq), strict=True))
         return JointMotion(t, *states)
 

@@ -36,7 +36,7 @@ from salver.planning.trajopt.constraints.obstacles import KeepOut
 from salver.planning.trajopt.curves import BrakingCurve, FreeCurve, Grid, launch_basis, united
 from salver.planning.trajopt.ends import Anywhere, AtPosture
 from salver.planning.trajopt.exchange import CurveOf, optimise
-from salver.planning.trajopt.problem import TransportProblem, transport_problem, with_missed_cases
+from salver.planning.trajopt.problem import SPARE, TransportProblem, transport_problem, with_missed_cases
 from salver.planning.trajopt.spline import RestSpline, SplineMotion, min_jerk_blend
 from salver.sensitivity.arm.task import task_law
 from salver.sensitivity.arm.terms import motion_terms
@@ -75,7 +75,7 @@ def stop_problem(plan: Plan) -> TransportProblem:
     assert plan.joint is not None
     q = plan.joint.sample(np.linspace(0.0, plan.joint.duration, 401))[0]
     free = plan.scenario.with_changes(arm__start_posture=None, motion__through=[])
-    problem = transport_problem(free)
+    problem = replace(transport_problem(free), spare=SPARE)  # whoever judges a stop looks between its nodes
     tilt = max(float(np.arccos(np.clip(problem.arm.tray_pose(x)[1][2, 2], -1.0, 1.0))) for x in q)
     if tilt > max(problem.max_tilt, LEVEL_TOLERANCE):
         problem = replace(problem, max_tilt=1.01 * tilt)  # between the instants that were looked at it may be more

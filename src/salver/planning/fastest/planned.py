@@ -19,7 +19,7 @@ from salver.planning.object.conditions import LIQUID
 from salver.planning.trajopt.bound import least_by_friction, least_duration
 from salver.planning.trajopt.constraints.constraints import LEVEL_TOLERANCE, ContactConstraint
 from salver.planning.trajopt.exchange import SHORTEST, reached
-from salver.planning.trajopt.problem import TransportProblem, transport_problem, with_missed_cases
+from salver.planning.trajopt.problem import SPARE, TransportProblem, transport_problem, with_missed_cases
 from salver.planning.trajopt.spline import SplineMotion
 from salver.planning.trajopt.watch import Watch
 from salver.scenario import Scenario
@@ -28,8 +28,6 @@ from salver.wording import listed
 
 if TYPE_CHECKING:
     from salver.planning.plan import Plan
-
-SPARE = 2e-3  # share of the room of liquids that is then kept more
 
 
 def plan_fastest(

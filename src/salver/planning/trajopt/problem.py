@@ -45,6 +45,8 @@ from salver.planning.trajopt.evaluation import MotionEvaluation
 from salver.scenario import Motion, Scenario
 from salver.sensitivity.arm.tracking import JointLoop, joint_loop
 
+SPARE = 2e-3  # share of the room of liquids that is kept more where another check looks between the nodes
+
 
 @dataclass(frozen=True, eq=False)
 class TransportProblem:
