@@ -48,9 +48,8 @@ if TYPE_CHECKING:
 
 SPLINE = RestSpline(degree=5, spans=6)  # of a stop,
 FINE = RestSpline(degree=5, spans=10)  # and of one that is sought from another beginning
-STORED = united(
-    united(np.linspace(0.0, 1.0, 41), SPLINE.breaks()), FINE.breaks()
-)  # with the breaks: what is stored is what was checked
+# Samples of a stop, with the breaks: what is stored is what was checked.
+STORED = united(united(np.linspace(0.0, 1.0, 41), SPLINE.breaks()), FINE.breaks())
 WARM = 0.3  # damping of the first step from the stop of the next instant
 LEAST = 1e-4  # s by which a stop must be sooner at rest than what there is without it
 Progress = Callable[[int, int], None]
@@ -138,7 +137,7 @@ def plan_stops(
     def state_at(now: float) -> AtPosture:
         return AtPosture(*(x[0] for x in motion.sample(now)))
 
-    left, vain, finely = [float(now) for now in instants], 0, False
+    left = [float(now) for now in instants]
     while left:
         now = left.pop()
         begun = None if strayed is None else strayed.state_at(t, now)
@@ -147,24 +146,17 @@ def plan_stops(
         if rest - now < soon:
             found = None
         elif path is None:
-            state, found, beat = state_at(now), None, rest - now - LEAST
-            guess = _going_on(motion, now, begin, ahead)
-            if vain < 2 and rest - now > _late(problem, state):
-                if finely:  # so is what is ahead
-                    found = stop_from(problem, state, begun, guess, spline=FINE, beat=beat)
-                if found is None:
-                    found = _anew(problem, state, begun, beat)
-                vain = vain + 1 if found is None else 0
-            finely = found is not None
+            state, beat = state_at(now), rest - now - LEAST
+            found = _anew(problem, state, begun, beat) if rest - now > _late(problem, state) else None
             if found is None:
-                found = stop_from(problem, state, begun, guess, beat=beat)
+                found = stop_from(problem, state, begun, _going_on(motion, now, begin, ahead), beat=beat)
         else:
             found = brake_on(problem, path, end, now, begun, _law_ahead(now, begin, end, kept), rest - now)
         if found is not None and now + found.motion.duration < rest - LEAST:
             kept.append((now, found))
             ahead, rest, begin = found.motion, now + found.motion.duration, now
         before = left[-1] if left else 0.0
-        finer = path is None and not vain and now - before > 0.9 * every  # not halved already
+        finer = path is None and now - before > 0.9 * every  # not halved already
         if finer and rest - before > _late(problem, state_at(before)):
             left.append(0.5 * (before + now))
         elif progress:
@@ -203,28 +195,26 @@ def stop_from(
     state: AtPosture,
     deviation: Array | None = None,
     guess: JointMotion | None = None,
-    duration: float | None = None,
-    spline: RestSpline = SPLINE,
     beat: float = np.inf,
 ) -> FoundStop | None:
     """The shortest motion to rest anywhere from a state of the arm; None when none was found.
 
     problem: what must hold on the way, for which uncertain set; its ends are not asked for.
     deviation: (2, n, n_c + 1) in which the arm is under a parameter error, of `Deviation.state_at`; at rest under it
-    unless given. guess: a motion from the state to rest, and the `duration`, s, to begin with: braking of every joint
-    unless given. spline: of what is found. beat: s; given up where it will hardly be shorter than this.
+    unless given. guess: a motion from the state to rest, to begin with: braking of every joint unless given.
+    beat: s; given up where it will hardly be shorter than this.
 
     What is found is checked between the nodes of the programme, on a grid six times finer (the joints' own limits on
     one thirty times finer), and judged by `follow.limits.verdict`.
     """
     problem = _begun(problem, state, deviation)
     if guess is None:
-        return _shortest(problem, FreeCurve, _braking(spline, state, duration or braking_time(problem)), beat)
-    duration = guess.duration if duration is None else duration
+        return _shortest(problem, FreeCurve, _braking(SPLINE, state, braking_time(problem)), beat)
     # Waves leave few ways to rest: with them a search begins at times of 1.3 and 1.15 the guess's duration too.
     begins = [(1.0, WARM), (1.3, 1.0), (1.15, WARM)]
     for longer, damping in begins if problem.liquids else begins[:1]:
-        begin = SplineMotion(spline, _fitted(problem, guess, longer * duration, spline), longer * duration)
+        duration = longer * guess.duration
+        begin = SplineMotion(SPLINE, _fitted(problem, guess, duration), duration)
         if (found := _shortest(problem, FreeCurve, begin, beat, damping)) is not None:
             return found
     return None
@@ -352,14 +342,14 @@ def _braking(spline: RestSpline, state: AtPosture, duration: float) -> SplineMot
     return SplineMotion(spline, spline.fit(s, q), duration)
 
 
-def _fitted(problem: TransportProblem, guess: JointMotion, duration: float, spline: RestSpline = SPLINE) -> Array:
+def _fitted(problem: TransportProblem, guess: JointMotion, duration: float) -> Array:
     """(size, n) coefficients of a motion near to a guess in posture and acceleration, with its ends."""
     assert isinstance(problem.start, AtPosture)
     s, smooth = np.linspace(0.0, 1.0, 121), 0.1  # weight of acceleration, in normalised time, beside posture
     q, _, ddq = guess.sample(s * guess.duration)
     powers = np.array([duration, duration**2])[:, None, None]
     launch = launch_basis(s)[:, :, :, None] * problem.start.rates[:, None, None, :]
-    basis = spline.matrices(s)
+    basis = SPLINE.matrices(s)
     q = q - (launch[:, 0] * powers).sum(axis=0)
     ddq = ddq * duration**2 - (launch[:, 2] * powers).sum(axis=0)
     ends = np.stack([q[0], q[-1]])
