@@ -103,7 +103,9 @@ def test_the_safest_motion_needs_a_duration_that_is_long_enough():
     case = scenario.load("panda-cube").with_changes(objects__0__uncertainty={})
     with pytest.raises(ScenarioError, match=r"motion\.duration is missing"):
         plan_safest(case.with_changes(motion__duration=None))
-    with pytest.raises(UnreachableError, match=r"no safe motion in 0\.3 s was found; the shortest that was takes 0\.6"):
+    with pytest.raises(
+        UnreachableError, match=r"no safe motion in 0\.3 s was found; the shortest one that was found takes 0\.6"
+    ):
         plan_safest(case.with_changes(motion__duration=0.3), options=FEW)
 
 

@@ -324,9 +324,9 @@ def test_a_cb3_is_refused_by_its_version(directory: Path, controller: Make) -> N
 @pytest.mark.parametrize(
     ("kind", "answer", "words"),
     [
-        ("O", b"\x01DOUBLE,VECTOR6D", "tells the types of 2 of 9 fields"),
-        ("I", b"", "tells the types of 1 of 7 fields"),
-        ("I", b"\x01\xff\xfe", "tells the types of 1 of 7 fields"),
+        ("O", b"\x01DOUBLE,VECTOR6D", "types for 2 fields of the data exchange, where 9 were"),
+        ("I", b"", "types for 1 fields of the data exchange, where 7 were"),
+        ("I", b"\x01\xff\xfe", "types for 1 fields of the data exchange, where 7 were"),
         ("v", b"\0", "unpack requires a buffer of 16 bytes"),
         ("S", b"\0", 'refuses the request "S"'),
         ("V", b"\0", 'refuses the request "V"'),

@@ -155,7 +155,7 @@ def filtered_at(t: Array, y: Array, drop: float, fewest: int) -> float:
     motion: what the filter let through must be worth half as many.
 
     Along the axis that moves least: noise is as strong over an octave and a half, at all times, and then ends, at all
-    times. What moves is stronger at some times than at others, or only in a narrow band.
+    times. Motion is stronger at some times than at others, or lies in a narrow band.
     """
     y = y[:, np.ptp(y, axis=0) > 0]
     if y.shape[1] < 2:

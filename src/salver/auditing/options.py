@@ -18,7 +18,7 @@ class AuditOptions:
     longest_gap: s without samples that a curve bridges; None: 0.02 s, or 3.5 steps. Longer guesses are judged.
     fewest: samples, below which noise is not told from motion. Recordings must be twice as long.
     false_alarm: probability that noise alone is taken for motion, for each kind of window. Slightly faster curves.
-    hideable: standard deviations, over its window, of a shake that is always found. Noise hides twice as much.
+    hideable: standard deviations, over its window, of a shake that is always found. Doubled, noise hides twice as much.
     certain: standard deviations in the error of an acceleration. Twice the error; more motions are on the edge.
     negligible: m/s^2, amplitude of an oscillation that is let be. Slower curves.
     usual: Hz, bandwidth of a curve that follows no more than it must. Faster curves, more noise in accelerations.

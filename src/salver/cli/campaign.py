@@ -45,8 +45,8 @@ def campaign(
 ) -> None:
     """Run every plan of a directory many times with perturbed parameters, all plans on the same samples.
 
-    Stopped half way, even killed, the same command goes on where it was. Results: runs.parquet and campaign.json in
-    DIRECTORY/campaign. One run alone: `salver simulate DIRECTORY --run K`.
+    If it is stopped half way, even killed, the same command resumes where it was. Results: runs.parquet and
+    campaign.json in DIRECTORY/campaign. One run alone: `salver simulate DIRECTORY --run K`.
 
     Ends with 0 when all runs were made, whatever became of the objects, and 1 when some could not be.
 

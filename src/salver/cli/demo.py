@@ -26,7 +26,7 @@ def demo(
 ) -> None:
     """The paper's experiment, whole, and then the case where it matters: a tall bottle as fast as possible.
 
-    Stopped half way, the same command goes on where it was.
+    If it is stopped half way, the same command resumes where it was.
 
     Example: `salver demo -o out/demo`
     """

@@ -156,7 +156,10 @@ def _told(
         return dry_run_live(case, wishes, out, watchdog, realtime, source=source, listen=listen, confirm=_warned)
     address = _given(address)
     if listen and not yes:
-        raise SalverError("With --live - standard input is for the wishes; give --yes to let the arm move.")
+        raise SalverError(
+            "With --live - requests come from standard input, so nobody can be asked there; give --yes to let the "
+            "arm move."
+        )
     return run_live_on_franka(
         case,
         wishes,

@@ -67,7 +67,8 @@ def plan(
         bool,
         typer.Option(
             "--robust",
-            help="Find the paper's motion: the same of the object alone, whatever the arm can follow; at once.",
+            help="Find the paper's motion: as --least-sensitive, of the object alone, whether or not the arm can "
+            "follow it.",
         ),
     ] = False,
     beside: Annotated[

@@ -98,7 +98,8 @@ def _show(found: Tracking, directory: Path) -> None:
     console.print(headed("not checked", f"{unseen(found)}."))
     console.print(headed("executed", verdict(found)))
     console.print(
-        f"The log's clock is {found.done.shift:.4f} s ahead of the plan's; the plan keeps {-100 * found.planned:.1f} %."
+        f"The log's clock is {found.done.shift:.4f} s ahead of the plan's; the plan itself has a margin of "
+        f"{-100 * found.planned:.1f} % of the weight."
     )
     table = Table(box=None, padding=(0, 3, 0, 0))
     for title in ("joint", "off the plan", "later than all", "friction", "noise", "alone"):

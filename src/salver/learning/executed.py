@@ -3,9 +3,9 @@
 Two differentiations of a joint angle turn 20 micro-radians of noise at 1 kHz into tens of rad/s^2. So not the angle is
 smoothed, but the *deviation* from the plan, and of that only what no known reason explains
 (`salver.learning.deviations`), whose derivatives are exact. What is left is smoothed in the cosine transform by
-1 / (1 + (f / f_c)^6) (Garcia 2010, "Robust smoothing of gridded data"). Which reason and which f_c, each joint's
-deviation tells itself, as most likely of one whose spectrum falls so and white noise (Patterson and Thompson 1971;
-Schwarz 1978); what is left over is the noise.
+1 / (1 + (f / f_c)^6) (Garcia 2010, "Robust smoothing of gridded data"). Each joint's deviation itself selects
+the reason and f_c: those under which a deviation with this spectrum plus white noise is most likely (Patterson and
+Thompson 1971; Schwarz 1978). The residual is the noise.
 """
 
 from __future__ import annotations

@@ -64,7 +64,7 @@ class Estimate:
 
     @property
     def together(self) -> Array:
-        """(10, 10) covariance with that of systematic errors as large as their bounds."""
+        """(10, 10) covariance of noise plus that of systematic errors as large as their bounds."""
         return np.asarray(self.covariance + self.systematic @ self.systematic.T)
 
 

@@ -75,7 +75,7 @@ class Sloshing:
 
     @property
     def each(self) -> dict[str, tuple[Slosh, ...]]:
-        """The cases of each liquid, by the name of its body, in parts."""
+        """By the name of its body, the cases of each liquid, in parts."""
         found = {}
         for group, parts in self.together:
             planned, *given = parts

@@ -89,7 +89,9 @@ def _yaml(text: str, path: Path) -> Any:
         def compose_node(self, parent: Any, index: Any) -> Any:
             if self.parser.check_event(AliasEvent):
                 event = self.parser.peek_event()
-                raise ComposerError(None, None, f"the alias *{event.anchor} is none of a message", event.start_mark)
+                raise ComposerError(
+                    None, None, f"it uses the alias *{event.anchor}, which messages do not have", event.start_mark
+                )
             return super().compose_node(parent, index)
 
     loader = YAML(typ="safe", pure=True)

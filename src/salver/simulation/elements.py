@@ -271,8 +271,9 @@ def add_load(spec: Any, load: Load, k: int) -> None:
 
 
 def lent(still: RigidBody) -> float:
-    """kg m^2 about every axis without which the engine's compiler would not take it for a body: what a box of liquid
-    leaves need not be one (`Modes.still`). Its axes stay as they are, and the compiled scene gives it back."""
+    """kg m^2 to add about every axis so that the engine's compiler accepts a body: the part of a liquid in a box that
+    does not slosh (`Modes.still`) may violate the triangle inequality. Its axes stay as they are, and the compiled
+    scene takes the addition back."""
     least, middle, largest = np.linalg.eigvalsh(still.inertia_com).tolist()
     lacks = largest - middle - least
     return lacks + 1e-9 * largest if lacks > 1e-9 * largest else 0.0

@@ -154,7 +154,9 @@ class Exchange:
         """The recipe's number; raises SalverError when a field is not there, or is taken by another client."""
         types = answer[1:].decode("ascii", "replace").split(",")
         if len(types) != len(wanted):
-            raise SalverError(f"it tells the types of {len(types)} of {len(wanted)} fields of the data exchange")
+            raise SalverError(
+                f"it gives types for {len(types)} fields of the data exchange, where {len(wanted)} were asked for"
+            )
         for (name, code), said in zip(wanted.items(), types, strict=True):
             if said != TYPES[code]:
                 raise SalverError(f"{name} of the data exchange is {said}")

@@ -104,8 +104,8 @@ class Path:
         return t, self._fine[-1]
 
     def grid_of(self, movable: Movable) -> tuple[Array, Array, Array]:
-        """Live times (K,), where the middles of the parts are then, (K, M, 3), and m/s that they move with at most from
-        each to the next, (K - 1, M)."""
+        """Live times (K,), s; the middles of the parts at these times, (K, M, 3), m; and the largest speed of each part
+        between one time and the next, (K - 1, M), m/s."""
         if self._grid is None:
             duration = self.motion.duration
             own = np.append(np.arange(0.0, max(duration - FINEST, FINEST), STEP), duration)

@@ -388,7 +388,7 @@ class Steering:
         return Unknowns(felt.reshape(*slope.shape[:2], -1))
 
     def _rows(self, blocks: Sequence[Block], masks: Sequence[Mask], unknowns: Unknowns | None) -> Array:
-        """Derivatives (r, size n) by the bend of the rows that masks name, block by block."""
+        """Derivatives (r, size n) of the masked rows by the bend, block by block."""
         matrices = [np.zeros((0, self.grid.basis.shape[2] * self.problem.n))]
         for block, mask in zip(blocks, masks, strict=True):
             node, column = np.nonzero(mask)

@@ -120,7 +120,7 @@ class Committed:
                 rest = replace(rest, tracking=rest.tracking.begun(sagging))
 
     def settling(self, problem: TransportProblem) -> MotionEvaluation:
-        """The arm at rest after it, until what a wrong load made it stray has settled."""
+        """The arm at rest after this motion, until the deviation that a parameter error caused has settled."""
         assert problem.tracking is not None
         astray = _astray(problem, None if self.deviation is None else self.deviation[-1])
         return self._held(astray, problem.tracking.settling)

@@ -22,13 +22,13 @@ class SpeedOptions:
     """How the speed factor of a live motion is changed: as soon as passes the verdict.
 
     Attributes:
-        least: factor of full speed: a motion that is slower takes so long that it is not verified in time.
-        soonest, latest: s in which the factor changes, the first and the last that is tried.
+        least: smallest factor of full speed; a slower motion takes so long that it is not verified in time.
+        soonest, latest: s in which the factor changes; the first and the last duration that is tried.
         braking: s, the last that is tried for a stop along the path of a motion that is run slowly. Other stops are
             sooner by half of that at most, and are looked for 0.3 to 0.9 s.
-        longer: times as long as the one before is the next that is tried.
-        glance: s between the instants at which one is judged first; only what passes is judged as all is.
-        again: s from a try that failed to the next one.
+        longer: ratio of each tried duration to the one before.
+        glance: s between the instants of a first, quick verdict; only motions that pass it get the full verdict.
+        again: s between a failed try and the next.
     """
 
     least: float = 0.05

@@ -276,7 +276,7 @@ class Filling:
         return np.where(inside, at_corner, 0.0), sure + most.sum(axis=-1)
 
     def largest(self, of: Array, enough: Array | None = None) -> tuple[Array, Array]:
-        """What coefficients (M, 9) can add at most, and the moments (M, 9) that nearly make it; see `largest_mean`."""
+        """The most that coefficients (M, 9) can add, and moments (M, 9) that nearly reach it; see `largest_mean`."""
         Q = inertia_matrix(of[:, 3:])
         Q[:, ~np.eye(3, dtype=bool)] *= 0.5
         return largest_mean(self.hull, self.mean, of[:, :3], Q, enough)

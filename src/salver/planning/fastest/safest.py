@@ -91,7 +91,7 @@ def quickest_within(
         raise UnreachableError(f"{scenario.name}: {quickest.status.sentence}")
     if quickest.duration > duration:
         raise UnreachableError(
-            f"{scenario.name}: no safe motion in {duration:g} s was found; the shortest that was takes "
+            f"{scenario.name}: no safe motion in {duration:g} s was found; the shortest one that was found takes "
             f"{quickest.duration:.4f} s."
         )
     return quickest, duration

@@ -259,7 +259,7 @@ class PathCurve:
         return self.grid.motion(coefficients, duration)
 
     def _by_law(self, law: Array) -> Array:
-        """(4, 4, R, n): derivatives by u and its three time derivatives, first axis, of z."""
+        """(4, 4, R, n): derivatives of z by u and its three time derivatives (first axis)."""
         u, u1, u2, u3 = law
         _, p1, p2, p3, p4 = self.path.derivatives(u[:, 0], 4)
         zero = np.zeros_like(p1)

@@ -101,7 +101,7 @@ _ROWS = (slice(0, 6), slice(6, 12), slice(12, 24))  # of the stacked maps: load,
 
 
 def _interact(first: Parameter, second: Parameter) -> bool:
-    """Whether two parameters can act as a product: of one object, and not two entries of its inertia."""
+    """Whether the product of two parameters can act: both are of one object, and neither is an entry of its inertia."""
     acting = first.loads and second.loads and "inertia" not in (first.kind, second.kind)
     return acting and (first.owner == second.owner or "tilt" in (first.kind, second.kind))
 
