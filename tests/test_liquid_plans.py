@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import salver as sv
+from salver.cli.plan import show
 from salver.contact_margins import margins, values
 from salver.contact_margins.whole import spill_status
 from salver.errors import ScenarioError
@@ -21,6 +22,7 @@ from salver.planning.fastest.found import EFFORTS, object_motion
 from salver.planning.fastest.planned import SPARE, _sterner
 from salver.planning.fastest.retiming import plan_retimed
 from salver.planning.fastest.safest import plan_safest
+from salver.planning.make import make_plan
 from salver.planning.object.problem import Problem
 from salver.planning.trajopt.constraints.brim import Brim
 from salver.planning.trajopt.problem import transport_problem
@@ -382,3 +384,13 @@ def test_a_plan_to_a_goal_that_leans_is_checked_in_the_wave_after_it(coffee):
     assert run.slip.max() > 1e-3
     level = to_a_goal_that_leans(coffee, 0.0)
     assert level.ok, level.status.sentence
+
+
+def test_what_is_printed_of_a_plan_with_an_open_liquid_says_what_room_is_left_under_the_brim(coffee, capsys):
+    plan = make_plan(coffee.with_changes(motion__duration=2.0), "baseline")
+    show(plan, plan, "baseline")
+    (line,) = [line for line in capsys.readouterr().out.splitlines() if "under the brim" in line]
+    (spill,) = plan.margins.spills(worst=True)
+    least = 1e3 * min(spill.left.min(), spill.after)
+    assert line.split()[-4:] == 2 * [f"{least:.1f}", "mm"]
+    assert 5.0 < least < 1e3 * (coffee.objects[0].liquid.brim - coffee.objects[0].liquid.fill)

@@ -304,6 +304,7 @@ def show(plan: Plan, other: Plan, beside: str) -> None:
         "distance to tipping, worst case": lambda p: millimetres(
             min(m.tip_over_worst.min() for m in p.margins.interfaces)
         ),
+        **({"room under the brim, worst case": _room} if scenario.payload.liquids else {}),
         "contact condition kept everywhere": lambda p: "yes" if p.verification.violation == 0 else "NO",
         "arm can follow, as far as checked": lambda p: (
             "-" if p.arm_status is None else "yes" if p.arm_status.ok else "NO"
@@ -329,6 +330,12 @@ def show(plan: Plan, other: Plan, beside: str) -> None:
     if plan.solver:
         seconds = 1e3 * float(plan.solver["seconds"])
         console.print(f"Solved in {seconds:.1f} ms by {plan.solver['name']}.")
+
+
+def _room(plan: Plan) -> str:
+    """The least that a liquid leaves under its brim, during the motion and after it."""
+    spills = plan.margins.spills(worst=True)
+    return millimetres(min(min(float(spill.left.min()), spill.after) for spill in spills), "no brim")
 
 
 def _friction(plan: Plan) -> str:
