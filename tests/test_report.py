@@ -161,7 +161,7 @@ def test_room_below_a_brim_is_no_share_of_a_weight(tmp_path: Path) -> None:
     assert left > 0
     html = build(run, None).html  # of stops on the path nothing is known with a liquid, and the page says so
     assert "Stops on the path" not in html
-    assert "but not what a stop of the robot does: liquids slosh." in html
+    assert "without a chart of braking, which needs a dry load." in html
     assert plan.left == pytest.approx(left, rel=0.02)
     assert plan.facts()["left in the worst case"] == f"{100 * plan.left:.3g} % of the weight"
 

@@ -77,7 +77,7 @@ def build(run: ReportedRun, arm: ArmModel | None) -> Sections:
     """All sections for what the run directory has."""
     page = Sections()
     stops = charts.braking_charts(run)
-    stopping = "and what a stop of the robot does" if stops else "but not what a stop of the robot does: liquids slosh"
+    stopping = "and what a stop of the robot does" if stops else "without a chart of braking, which needs a dry load"
     page.add(
         "margins",
         "Margins",
