@@ -32,7 +32,7 @@ class Bar:
         self._done: tuple[int | None, int | None, str] = (None, None, "")
 
     def step(self, done: int, total: int, words: str = "") -> None:
-        """How many of how many are done."""
+        """Note that `done` of `total` steps are done."""
         with self._lock:
             self._done = (done, total, words)
             if self._shown is not None:
@@ -82,7 +82,7 @@ class Lines:
         self._done: tuple[int, int, str] = (0, 1, "")
 
     def step(self, done: int, total: int, words: str = "") -> None:
-        """How many of how many are done."""
+        """Note that `done` of `total` steps are done."""
         self._done = done, total, words
 
     def wait(self) -> None:

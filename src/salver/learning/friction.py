@@ -9,9 +9,9 @@ at least |f_t| / f_n; where c and the level of the robot's base are known as ran
 (both are quasi-linear in c and linear in u: Sion 1958). Any u gives a bound, so few directions are never optimistic. It
 is said of that base and that pressure, not of each of its points, nor of how it resists being turned.
 
-A load that begins to slide on a slowly tilted tray, where nothing twists it, has no more than what is needed there. On
-a short tilt (`salver.learning.tilts`) it slides the farther the less friction it has: one that moved by less than d has
-at least the friction with which it would have moved by d.
+If a load begins to slide on a slowly tilted tray, where nothing twists it, its friction is at most the friction needed
+there. On a short tilt (`salver.learning.tilts`) a load with less friction slides farther: a displacement below d
+implies at least the friction with which the load would have moved by d.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
 """Motions that ask for friction and for little else: the tray tilts where the scenario's motion starts, and comes back.
 
 A *slow* tilt (`tilt_test`) stays a second at the angle that proves what was asked. A load with less friction slides off
-it, if nobody is near. A *short* one (`short_tilt`) only touches its steepest angle, with the angular acceleration a:
-where friction is less than what is asked by e, the load moves by some 4.5 g e^2 / a, and stays. So from a friction that
-is known to be there follows a tilt that moves no load by more than is allowed, whatever its friction really is. What it
-proves is known then, and the next may ask for more.
+the tray unless somebody catches it. A *short* one (`short_tilt`) only touches its steepest angle, with the angular
+acceleration a: where friction is less than what is asked by e, the load moves by some 4.5 g e^2 / a, and stays. So from
+a friction that is known to be there follows a tilt that moves no load by more than is allowed, whatever its friction
+really is. What it proves is known then, and the next may ask for more.
 """
 
 from __future__ import annotations

@@ -220,7 +220,7 @@ class Plan(Shown, Tabular):
 
     @property
     def unshaken(self) -> tuple[str, ...]:
-        """What of a tray that shakes is not counted, in words."""
+        """The effects of a shaking tray that the plan does not count, in words."""
         if self.uncertain.shake is None:
             return (unshaken(),)
         return ("how waves answer a tray that shakes",) if self.scenario.payload.liquids else ()

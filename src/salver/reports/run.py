@@ -75,7 +75,7 @@ class ReportedMotion:
     def planned_for(self, ranges: bool) -> str:
         """The line below a motion's name that says what it was planned for; empty for one that was not planned.
 
-        ranges: there are some.
+        ranges: whether any parameter has a range.
         """
         if self.stem == "baseline":
             return "the straight line in the same time"

@@ -225,7 +225,7 @@ def transition(kp: float, kd: float, t: npt.ArrayLike) -> Array:
 
 
 def _transition(kp: float, kd: float, cosine: Array, sine: Array) -> Array:
-    """`transition` by what `_ringing` gives."""
+    """`transition` from the cosine and sine of `_ringing`."""
     own = 0.5 * kd * sine
     found = np.empty((*np.shape(sine), 2, 2))
     found[..., 0, 0], found[..., 0, 1], found[..., 1, 0], found[..., 1, 1] = (

@@ -210,7 +210,7 @@ class TrayLoop:
 
 
 def _respond(error_filter: LinearFilter, forcing: Dual, which: Indices, count: int) -> tuple[Dual, Dual]:
-    """Errors and their rates of `count` parameters, of which the forcing is that of `which`."""
+    """Errors and their rates by `count` parameters, of which those in `which` have a forcing."""
     errors = np.zeros((2, error_filter.nodes, count, 3))
     errors[:, :, which] = error_filter.respond(forcing.value)
     if forcing.tangent is None:
