@@ -140,3 +140,13 @@ def test_queued_goals_are_not_without_end(cube):
     assert all(answer.ok for answer in answers[:100])
     assert answers[100].sentence == "The goal is refused: 100 goals are queued already, which is the most."
     assert "queued is 'no'; it must be True or False" in live.goto((0.5, 0, 0.5), queued="no").sentence
+
+
+def test_a_short_stop_keeps_its_limits_between_the_instants_of_the_verdict_too(bottle):
+    """With instants 2.5 ms apart it is beyond a limit of torque rate, as it is executed."""
+    rng = np.random.default_rng([81, 5])
+    at, goal = rng.uniform(0.25, 0.6), rng.uniform((0.4, -0.4, 0.4), (0.55, 0.15, 0.6))
+    live = Live(bottle, lead=LEAD)
+    told = drive(live, 1.2, [(0.0, place(*goal)), (at, lambda live: live.stop())])
+    assert live.committed.ends - live.committed.begins < 0.4
+    check(live, told)

@@ -52,7 +52,9 @@ class VerdictOptions:
     Attributes:
         step: s between instants; every knot of the motion is one. Doubled, a verdict takes 0.7 of the time and contact
             rows rise by more than `contact` between the instants.
-        step_with_liquids: s, the same with open liquids, whose cases cost most.
+        instants: of a motion without liquids at least, no closer than `period`: stops of 0.2 s change within less
+            time, and were up to 1.8 % beyond a limit of torque rate, 0.2 % of contact, between instants `step` apart.
+        step_with_liquids: s, as `step`, with open liquids, whose cases cost most.
         deriving: instants from one at which derivatives of the dynamics are worked out to the next (knots are such);
             between them they are linear. They are factors of the deviation, which is small: contact rows change by less
             than 2e-4 (tests/test_live_verdict.py). At 1, a verdict takes 1.04 to 1.1 times as long.
@@ -70,6 +72,7 @@ class VerdictOptions:
     """
 
     step: float = 2.5e-3
+    instants: int = 160
     step_with_liquids: float = 4e-3
     at_rest_instants: int = 16
     deriving: int = 4
@@ -140,7 +143,8 @@ class Judged:
     @classmethod
     def of(cls, problem: TransportProblem, motion: JointMotion, options: VerdictOptions = STANDARD) -> Judged:
         """Every knot is an instant, and between two of them they are evenly spaced."""
-        step = options.step_with_liquids if problem.liquids else options.step
+        closer = max(motion.duration / options.instants, options.period)
+        step = options.step_with_liquids if problem.liquids else min(options.step, closer)
         counts = np.maximum(1, np.ceil(np.diff(motion.t) / step - 1e-9)).astype(int)
         counts[0] += max(0, 4 - int(counts.sum()))  # a filter of cubics needs five
         t, z = motion.evenly(counts)
