@@ -28,6 +28,7 @@ from salver.files import provenance
 from salver.geometry import Array, Indices, invert
 from salver.liquid.spills import Liquids, Spill
 from salver.models.tray_motion import at_rest, motion_vector
+from salver.models.uncertain.parameters import unshaken
 from salver.motion_files import JointSamples, Samples, of_columns, read
 from salver.motion_files.samples import cut_at_rests
 from salver.motion_files.units import Units
@@ -179,7 +180,10 @@ class Audit(Shown, Tabular):
         doubts += [*self.motion.doubts, *borne.unseen(), *self._begun(), *self._unsure(worst)]
         if doubts:
             return cannot_tell(doubts, worst)
-        return replace(status, sentence=borne.left_out() + status.sentence)
+        first = borne.left_out()
+        if worst and self.motion.recording is None and self.scenario.payload.uncertain.shake is None:
+            first = f"Not checked: {unshaken()}. "  # a recording shows how the tray shook
+        return replace(status, sentence=first + status.sentence)
 
     def _begun(self) -> list[Doubt]:
         """That it is not known how liquids move at the beginning."""
