@@ -253,7 +253,8 @@ def _can_be_seen(plan: Plan, held: float | None, slid: float | None, moved: floa
         raise ScenarioError(f"held = {held:g} s must be before slid = {slid:g} s.")
     if moved is not None and not (plan.method == SHORT and 0 <= moved < 1):
         raise ScenarioError(
-            f"moved = {moved:g} m must be from 0 to 1 m, on a short tilt (salver calibrate friction SCENARIO --short)."
+            f"moved = {moved:g} m must be from 0 to 1 m, and tells friction on a short tilt only (salver calibrate "
+            "friction SCENARIO --short)."
         )
     if plan.method == SHORT and (held is not None or slid is not None):
         raise ScenarioError("A short tilt is over before anybody can tell when a load slid: give by how much it moved.")
