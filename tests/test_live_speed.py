@@ -298,6 +298,46 @@ def test_the_same_is_said_by_lines(cube):
     np.testing.assert_allclose(where(live), FIRST, atol=1e-4)
 
 
+def test_what_is_requested_after_a_release_is_done_when_nothing_was_before_it(cube):
+    live = Live(cube, lead=LEAD)
+    drive(live, 0.1, [(0.0, hold), (0.05, release)])
+    assert live.settled
+    drive(live, 1.2, [(0.0, lambda live: live.goto(FIRST, queued=True))], begins=0.1)
+    np.testing.assert_allclose(where(live), FIRST, atol=1e-4)
+
+
+def test_a_goal_is_gone_on_with_after_a_hold_that_ends_before_anything_is_planned(cube):
+    live = Live(cube, lead=LEAD)
+    drive(live, 0.2, [(0.0, place(*FIRST))])
+    while live.prepare(PATIENCE):
+        pass
+    drive(live, 0.005, [(0.0, hold)], every=None, begins=0.2)
+    drive(live, 2.0, [(0.0, release)], begins=0.205)
+    np.testing.assert_allclose(where(live), FIRST, atol=1e-4)
+
+
+def test_a_chunk_that_comes_while_the_arm_is_held_is_put_off_by_the_rest_of_the_hold(cube):
+    live = Live(cube, lead=LEAD)
+    drive(live, 0.5, [(0.0, hold)])
+    p = where(live)
+    drive(live, 0.1, [(0.0, lambda live: live.chunk([0.1, 0.6], [p, p + np.array([0.1, 0.0, 0.0])]))], begins=0.5)
+    drive(live, 0.8, [(0.0, release)], begins=0.6)
+    assert where(live)[0] - p[0] > 0.095
+
+
+def test_no_source_and_no_value_makes_a_request_raise(cube):
+    live = Live(cube, lead=LEAD)
+    for wrong in ([], 10**5000, None, np.zeros(2)):
+        assert live.hold(source=wrong).ok
+        assert live.stop(source=wrong).ok
+        for ask in (live.release, live.resume, lambda source: live.override(0.5, source=source)):
+            assert "it must be one of policy, operator, monitor" in ask(source=wrong).sentence
+    assert live.resume().ok
+    for wrong in (10**5000, np.True_, np.array([0.5])):
+        assert live.override(wrong).sentence.startswith("The override is refused: factor is ")
+    assert not live.goto(FIRST, queued=10**5000).ok
+
+
 @pytest.mark.slow
 def test_the_bottle_stays_in_the_engine_when_it_is_held_and_slowed(bottle):
     """At corners of its ranges, at random instants."""

@@ -49,10 +49,12 @@ from salver.live.replanning.wishes import (
     chunk_wish,
     factor_of,
     is_flag,
+    is_source,
     numbers,
     pose_goal,
     posture_goal,
     refused,
+    shown,
     twist_wish,
 )
 from salver.live.running import Running
@@ -206,8 +208,8 @@ class Live:
 
     def _unable(self, source: Source) -> str:
         """Why a request from a source cannot be carried out now, or nothing."""
-        if source not in PRIORITY:
-            return f"source is {str(source)[:40]!r}; it must be one of {', '.join(PRIORITY)}"
+        if not is_source(source):
+            return f"source is {shown(source)}; it must be one of {', '.join(PRIORITY)}"
         stopped, wish = self._stopped, self._wish
         if stopped is not None:
             stopped.refused += 1
@@ -243,7 +245,7 @@ class Live:
         if (pose is None) == (q is None):
             return self._refuse("a goal is a pose or a posture q, one of them", "The goal")
         if not is_flag(queued):
-            return self._refuse(f"queued is {str(queued)[:40]!r}; it must be True or False", "The goal")
+            return self._refuse(f"queued is {shown(queued)}; it must be True or False", "The goal")
         if unable := self._unable(source):
             return self._refuse(unable, "The goal")
         goal = pose_goal(self._problem, pose) if pose is not None else posture_goal(self._problem, q)  # type: ignore[arg-type]
@@ -266,7 +268,7 @@ class Live:
         A stop that is ready (`prepare`) begins in the next period; else one is planned. The committed motion ends at
         rest in any case. A stop is never refused; an unknown source counts as the operator.
         """
-        source = source if source in PRIORITY else OPERATOR
+        source = source if is_source(source) else OPERATOR
         stopped, halt = self._stopped, Halt(source)
         if stopped is None:
             self._stopped = Stopped(str(reason), source, self._now, halt)
@@ -286,7 +288,7 @@ class Live:
         stopped = self._stopped
         if stopped is None:
             return ACCEPTED
-        if source not in PRIORITY:
+        if not is_source(source):
             return self._refuse(self._unable(source), "To resume")
         if PRIORITY[source] < PRIORITY[stopped.source]:
             return self._refuse(f"the {stopped.source} stopped the arm", "To resume")
@@ -304,13 +306,15 @@ class Live:
         Requests that come meanwhile are carried out after it. A hold is never refused; an unknown source counts as the
         operator. A stop drops what is kept, and is lifted by `resume` alone.
         """
-        source, held = source if source in PRIORITY else OPERATOR, self._held
+        source, held = source if is_source(source) else OPERATOR, self._held
         if held is not None:
             if PRIORITY[source] > PRIORITY[held.halt.source]:
                 self._held = Hold(replace(held.halt, source=source), held.at)
             return ACCEPTED
         self._held = Hold(Halt(source), self._now)
         self._halt = self._ready.soonest(self.committed, self._now)
+        if self._halt is not None:  # what was requested is to be planned anew, however soon it is released
+            self._done = self._held.halt
         return ACCEPTED
 
     def release(self, *, source: Source = OPERATOR) -> Status:
@@ -319,7 +323,7 @@ class Live:
         Refused to a policy if the operator holds the arm, and while a stop is latched.
         """
         held = self._held
-        if self._stopped is not None or source not in PRIORITY:
+        if self._stopped is not None or not is_source(source):
             return self._refuse(self._unable(source), "To release")
         if held is None:
             return ACCEPTED
@@ -404,9 +408,10 @@ class Live:
             self.stop(self._lost, source="monitor")
 
     def _follow(self, wish: Follow) -> Status:
-        self._refused = ""
+        held, self._refused = self._held, ""
         self._queue.clear()
-        self._wish = wish
+        # On release it is put off by the whole hold, of which only the rest is to come.
+        self._wish = wish if held is None else wish.later(held.at - self._now)
         return ACCEPTED
 
     def obstacles(self, seen: Sequence[Moving]) -> Status:
@@ -550,7 +555,7 @@ class Live:
     @property
     def settled(self) -> bool:
         """Whether the arm rests and no request is left."""
-        idle = self._asked is self._done and not self._queue and self._offer is None and self._halt is None
+        idle = self._asked in (None, self._done) and not self._queue and self._offer is None and self._halt is None
         return idle and self._now >= self.committed.ends
 
     @property
@@ -646,7 +651,7 @@ class Live:
         free = self._stopped is None and self._held is None
         if running.outlook.sentence(self._now) and not resigned and free and self._offer is None:
             return EVADE
-        if wish is not self._done:
+        if wish is not None and wish is not self._done:
             early = isinstance(wish, Follow) and self._hand_over(self.committed, "tick") <= self.committed.begins + 1e-9
             return None if early else wish
         if not free:

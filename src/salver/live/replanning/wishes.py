@@ -94,6 +94,19 @@ def refused(sentence: str) -> Status:
     return Status("refused", sentence, False)
 
 
+def shown(value: object) -> str:
+    """The beginning of what was given, in quotes."""
+    try:
+        return repr(str(value)[:40])
+    except Exception:  # a number of thousands of digits
+        return f"a {type(value).__name__} that is no text"
+
+
+def is_source(value: object) -> bool:
+    """Whether it is one of those that may request."""
+    return isinstance(value, str) and value in PRIORITY
+
+
 def is_flag(value: object) -> bool:
     """Whether it is True or False, and nothing that only counts as such."""
     return isinstance(value, bool | np.bool_)
@@ -129,7 +142,7 @@ def factor_of(value: Any) -> float | Status:
     """A factor of full speed."""
     factor, least = numbers([value], (1,), "the factor"), STANDARD.least
     if isinstance(factor, Status) or not least <= factor[0] <= 1.0:
-        return refused(f"factor is {str(value)[:40]!r}; it must be a number from {least:g} to 1, and hold() stops")
+        return refused(f"factor is {shown(value)}; it must be a number from {least:g} to 1, and hold() stops")
     return float(factor[0])
 
 
