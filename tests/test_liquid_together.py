@@ -125,3 +125,23 @@ def test_few_and_many_drives_are_answered_alike(columns: int, moving: bool) -> N
         alone = several.respond(drive[..., some], start[..., some] if moving else None)
         np.testing.assert_allclose(x[..., column : column + 1], alone[0], rtol=1e-10, atol=1e-12)
         np.testing.assert_allclose(rate[..., column : column + 1], alone[1], rtol=1e-10, atol=1e-12)
+
+
+def test_what_is_known_of_another_motion_is_refused(glasses: TransportProblem) -> None:
+    """Its waves are the same only if what the tray feels is."""
+    motion = moved(glasses)
+    with pytest.raises(ValueError, match="another motion's"):
+        moved(glasses, swing=0.2).knowing(terms=motion.terms)
+    half = motion.knowing(terms=motion.terms, response=motion.response, sag=motion.sag).at_factor(0.5)
+    assert half.terms.twist == pytest.approx(0.5 * motion.terms.twist)
+
+
+def test_an_arm_taken_to_stray_as_from_a_motion_near_by_is_felt_as_its_own_motion_is(glasses: TransportProblem) -> None:
+    """What it strays is the other's, what the tray then feels follows from where this motion is; standing still it sags
+    as there."""
+    motion, truly = moved(glasses), moved(glasses, 1.01)
+    taken = moved(glasses, 1.01).straying_as(motion)
+    before, after, guessed = (x.felt() for x in (motion, truly, taken))
+    assert np.abs(guessed[0] - after[0]).max() < 0.1 * np.abs(before[0] - after[0]).max()
+    np.testing.assert_array_equal(guessed[1].dw, before[1].dw)
+    assert taken.felt(0.0)[1] is motion.sag
