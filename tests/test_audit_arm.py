@@ -1,12 +1,13 @@
 """Audits of joint motions: the arm's limits, and what it would touch."""
 
 import json
+import re
 
 import numpy as np
 import pytest
 
 import salver as sv
-from salver.auditing.arm import NOT_CHECKED
+from salver.auditing.arm import NOT_CHECKED, arm_status
 from salver.auditing.verdict import audit_samples
 from salver.models.arm.arm import load_arm
 from salver.motion_files.samples import JointSamples
@@ -76,6 +77,22 @@ def test_joints_out_of_their_range_are_named(ur10):
     assert found.arm.sentence.startswith(
         f"wrist_3_joint is at {arm.limits.q_max[5] + 0.1:.4g} rad at 3.00 s, 0.1 rad out"
     )
+
+
+@pytest.mark.parametrize("model", ["ur10", "without shapes"])
+def test_a_joint_out_of_its_range_in_one_sample_of_many_is_seen_whatever_is_known_of_shapes(ur10, model, tmp_path):
+    """Samples come five times as often as postures are compared."""
+    if model != "ur10":
+        arm = load_arm(ur10.arm, ur10.tray)
+        (tmp_path / "arm.urdf").write_text(re.sub('filename="[^"]*"', 'filename="gone.stl"', arm.urdf))
+        ur10 = ur10.with_changes(arm__model=str(tmp_path / "arm.urdf"), arm__flange="tool0")
+    arm = load_arm(ur10.arm, ur10.tray)
+    q = np.tile(START, (101, 1))
+    q[52, 5] = arm.limits.q_max[5] + 0.1
+    recorded = JointSamples(np.arange(101) * 1e-3, arm.joint_names, q, None, None, "recording")
+    status = arm_status(recorded, arm, ur10)
+    assert not status.ok
+    assert status.sentence.endswith("at 0.05 s, 0.1 rad out of its range.")
 
 
 def test_of_a_motion_of_the_tray_nothing_is_known_of_an_arm(ur10):

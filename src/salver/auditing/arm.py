@@ -20,26 +20,26 @@ STEP = 5e-3  # s between postures that are looked at; between two of them the ar
 
 
 def arm_status(samples: JointSamples, arm: ArmModel, scenario: Scenario) -> Status:
-    """Whether joints keep to their ranges and nothing touches, at postures `STEP` apart and between them. A good status
-    says first what was not checked."""
+    """Whether joints keep to their ranges, at all samples, and nothing touches, at postures `STEP` apart and between
+    them. A good status says first what was not checked."""
     samples = reordered(samples, arm.joint_names)
-    try:
-        parts = arm_geometry(arm, scenario.payload.bodies, scenario.around)
-    except ScenarioError as error:
-        return Status(NOT_CHECKED.code, f"{NOT_CHECKED.sentence} {error}", True)
     t, q = commanded_motion(samples)[:2] if samples.commanded else (samples.t, samples.q)
-    keep = np.unique(np.clip(np.searchsorted(t, np.arange(t[0], t[-1], STEP)), 0, len(t) - 1))
-    keep = np.union1d(keep, [0, len(t) - 1])
-    t, q = t[keep], q[keep]
-    dq = np.gradient(q, t, axis=0)
-    swept = sweep(parts, JointMotion(t, q, dq, np.gradient(dq, t, axis=0)))
-    blind = listed(["how fast the joints move, and their torques", *unchecked(arm, parts)])
     beyond = np.maximum(arm.limits.q_min - q, q - arm.limits.q_max)
     k, j = np.unravel_index(int(np.argmax(beyond)), beyond.shape)
     if beyond[k, j] > 0:
         name, unit = arm.joint_names[j], arm.unit(int(j))
         far = f"{name} is at {q[k, j]:.4g} {unit} at {t[k]:.2f} s, {beyond[k, j]:.2g} {unit} out of its range"
         return Status(LIMIT_EXCEEDED, f"{far}.", False)
+    try:
+        parts = arm_geometry(arm, scenario.payload.bodies, scenario.around)
+    except ScenarioError as error:
+        return Status(NOT_CHECKED.code, f"{NOT_CHECKED.sentence} {error}", True)
+    keep = np.unique(np.clip(np.searchsorted(t, np.arange(t[0], t[-1], STEP)), 0, len(t) - 1))
+    keep = np.union1d(keep, [0, len(t) - 1])
+    t, q = t[keep], q[keep]
+    dq = np.gradient(q, t, axis=0)
+    swept = sweep(parts, JointMotion(t, q, dq, np.gradient(dq, t, axis=0)))
+    blind = listed(["how fast the joints move, and their torques", *unchecked(arm, parts)])
     if swept.touch is not None:
         first, second, when = swept.touch.first, swept.touch.second, swept.touch.time
         return Status(COLLISION, f"{first} and {second} touch at {when:.2f} s.", False)
