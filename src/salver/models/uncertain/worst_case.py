@@ -18,8 +18,8 @@ Commands that are held put w off by a swing to either side, whatever the paramet
 A tray that shakes by any dw of a ball (`Vibration`) adds the support of that ball, a |c_f| + b |c_alpha| with the parts
 of c that take specific force and angular acceleration: a constant of each row, whatever is planned, at every speed.
 
-A body with unknown contents adds the largest mean of a quadratic over all its mass distributions (`models.contents`);
-its drift is linear in the same moments, and so in the same mean.
+A body with unknown contents adds the largest mean of a quadratic over all its mass distributions
+(`models.uncertain.contents`); its drift is linear in the same moments, and so in the same mean.
 
 All of it is convex in w, with the derivative `WorstCase.attained`.
 """
