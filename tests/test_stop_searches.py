@@ -1,6 +1,7 @@
 """Where a search for a stop begins, the curves on which it looks, and which stop is taken when."""
 
 from dataclasses import replace
+from itertools import product
 from types import SimpleNamespace
 
 import numpy as np
@@ -26,6 +27,7 @@ from salver.planning.stops import (
     stop_problem,
 )
 from salver.planning.trajopt.curves import BrakingCurve, FreeCurve, Grid
+from salver.planning.trajopt.problem import SPARE
 from salver.planning.trajopt.spline import RestSpline
 from salver.trajectory import JointMotion
 
@@ -190,8 +192,8 @@ def test_stops_are_planned_backwards_each_to_be_at_rest_before_what_is_ahead(mon
     assert library.t == pytest.approx([0.1, 0.3, 0.5, 0.8])
     assert library.duration == pytest.approx([0.25, 0.1, 0.39, 0.1])
     states = whole.t, whole.q, whole.dq, whole.ddq
-    for part in (slice(0, 100), slice(100, 201)):
-        moving = JointMotion(whole.t[part] - whole.t[part][0], *(x[part] for x in states[1:]))
+    for part, joint in product((slice(0, 100), slice(100, 201)), ([0], [6])):  # which turn backwards and forwards
+        moving = JointMotion(whole.t[part] - whole.t[part][0], *(x[part][:, joint] for x in states[1:]))
         with pytest.raises(SalverError, match="begins or ends moving"):
             plan_stops(nowhere, moving, 0.1)
 
@@ -250,14 +252,18 @@ def test_no_stop_is_sought_where_going_on_is_at_rest_soon_anyway(monkeypatch):
     assert told == [(k + 1, 24) for k in range(24)]
 
 
-def test_a_stop_may_lean_as_far_as_its_plan_does():
+def test_a_stop_may_lean_as_far_as_its_plan_does_and_need_not_pass_its_poses():
     """A wrist that leans by 5 degrees on the way, where the scenario keeps its tray level."""
-    case = PAPER.with_changes(motion__orientation="fixed")
-    problem = transport_problem(case)
+    level = PAPER.with_changes(motion__orientation="fixed")
+    case = level.with_changes(motion__through=[{"position": [0.45, 0.0, 0.5]}])
+    problem = transport_problem(level)
     t = np.linspace(0, 1, 41)
     q = problem.start_posture + np.outer(np.sin(np.pi * t) ** 2, np.deg2rad(5) * np.eye(7)[5])
     plan = SimpleNamespace(joint=JointMotion(t, q, 0 * q, 0 * q), scenario=case)
-    assert stop_problem(plan).max_tilt == pytest.approx(1.01 * np.deg2rad(5), rel=1e-3)
+    found = stop_problem(plan)
+    assert found.max_tilt == pytest.approx(1.01 * np.deg2rad(5), rel=1e-3)
+    assert not found.through
+    assert found.spare == SPARE  # of the room of liquids, for whoever looks between the nodes
 
 
 def test_a_motion_that_begins_moving_has_the_derivatives_that_differences_give():
