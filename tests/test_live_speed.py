@@ -1,5 +1,7 @@
 """The speed override of a live motion, and a hold, after which what was requested is gone on with."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -8,10 +10,11 @@ from live_runs import LEAD, PATIENCE, check, drive, executed, in_turn, place
 from salver.campaigns.summary import DROPPED, FAR
 from salver.errors import Status
 from salver.live import Live, Moving
-from salver.live.replanning.planner import Job, Planner
-from salver.live.replanning.wishes import Retime
+from salver.live.replanning.planner import Answer, Job, Planner
+from salver.live.replanning.wishes import Halt, Retime
 from salver.live.script import Prompter, script
 from salver.live.verdict.profile import SpeedProfile
+from salver.live.verdict.seal import sealed
 from salver.planning.fastest import joint_plan
 
 FIRST, SECOND = (0.45, 0.1, 0.45), (0.55, -0.2, 0.45)
@@ -336,6 +339,104 @@ def test_no_source_and_no_value_makes_a_request_raise(cube):
     for wrong in (10**5000, np.True_, np.array([0.5])):
         assert live.override(wrong).sentence.startswith("The override is refused: factor is ")
     assert not live.goto(FIRST, queued=10**5000).ok
+
+
+def test_the_bounds_of_the_override_are_accepted(cube):
+    live = Live(cube, lead=LEAD)
+    for factor in (0.05, np.float32(0.5), 1):
+        assert live.override(factor).ok
+
+
+def test_what_is_left_of_a_chunk_is_as_much_later_as_the_first_hold_took(cube):
+    live = Live(cube, lead=LEAD)
+    live.command(0.0)
+    p = where(live)
+    assert live.chunk([0.1, 0.6], [p, p + np.array([0.1, 0.0, 0.0])]).ok
+    before = live._wish
+    wishes = [(0.1, lambda live: live.hold(source="policy")), (0.4, hold)]
+    drive(live, 0.9, wishes, begins=0.001)
+    assert live.override(2.0).ok is False
+    assert live.release().ok
+    assert live.refused == ""
+    held = pytest.approx(0.8, abs=0.002)
+    assert live._wish.until - before.until == held
+    assert live._wish.then is live._wish.wanted
+    np.testing.assert_allclose(live._wish.wanted.t - before.wanted.t, 0.8, atol=0.002)
+
+
+def test_an_arm_that_is_held_may_be_put_elsewhere(cube):
+    live = Live(cube, lead=LEAD)
+    drive(live, 0.8, [(0.0, place(*FIRST)), (0.25, hold)])
+    q = live._reader.q + np.array([0.05, 0, 0, 0, 0, 0, 0])
+    assert live.restart(q).ok
+    drive(live, 0.002, every=None, begins=0.8)
+    assert live.settled
+    told = drive(live, 0.3, [(0.1, release)], begins=0.802)
+    np.testing.assert_array_equal(told.q, np.tile(q, (300, 1)))
+    assert live.settled
+
+
+@pytest.mark.parametrize("late", [False, True])
+def test_the_path_at_full_speed_is_known_of_what_is_proposed_or_comes_late(cube, late):
+    live = Live(cube, lead=LEAD)
+    live.override(0.4)
+    live.goto(FIRST)
+    live.command(0.0)
+
+    def unsealed(job):
+        answer = live._planner.answer(job)
+        assert not sealed(replace(answer.found, profile=replace(answer.found.profile, to=0.9)), job.base)
+        if not late:
+            return replace(answer, found=replace(answer.found, seal=b""))
+        drive(live, 0.3, every=None, begins=0.001)
+        return answer
+
+    live.plan(PATIENCE, unsealed)
+    found = live._offer.committed
+    assert (found.run.factor, found.run.to, found.run.begins) == (0.4, 0.4, found.begins)
+    assert found.motion.duration == pytest.approx(found.run.path.duration / 0.4)
+
+
+def test_just_before_the_end_a_motion_is_neither_slowed_nor_stopped_later_than_it_ends(cube):
+    """At 85 % braking on the path takes longer than finishing."""
+    live = Live(cube, lead=LEAD)
+    live.override(0.85)
+    drive(live, 0.2, [(0.0, place(*FIRST))])
+    base = live.committed
+    found = live._planner.answer(Job(Halt(), base, base.ends - 0.11, PATIENCE)).found
+    assert found is None or found.ends < base.ends
+    drive(live, base.ends - 0.05 - 0.2, every=None, begins=0.2)
+    drive(live, 0.04, [(0.0, override(0.1))], begins=live.now + 0.001)
+    assert live.committed is base
+    assert live.refused == ""
+
+
+def test_no_speed_is_begun_whose_factor_would_leave_the_range_between_its_ends(cube):
+    """While it speeds up it slows down no sooner than it is as fast as was asked for."""
+    live = Live(cube, lead=LEAD)
+    live.override(0.3)
+    drive(live, 0.3, [(0.0, place(*FIRST))])
+    live.override(0.7)
+    drive(live, 0.1, begins=0.3)
+    run = live.committed.run
+    assert run.to == 0.7
+    for to in (0.1, 0.3):
+        for share in (0.1, 0.5):
+            job = Job(Retime(to), live.committed, run.begins + share * run.within, PATIENCE)
+            assert live._planner.answer(job).found is None
+
+
+def test_another_speed_is_begun_sooner_than_another_motion(cube):
+    live = Live(cube)
+    live.override(0.3)
+    drive(live, 0.3, [(0.0, place(*FIRST))])
+    live.override(0.6)
+    jobs = []
+    live.plan(PATIENCE, lambda job: jobs.append(job) or Answer(None, Status("refused", "", False)))
+    assert isinstance(jobs[0].wish, Retime)
+    assert jobs[0].begins - live.now < 0.15  # s, where it is 0.25 before any motion was planned
+    live.plan(PATIENCE, jobs.append)
+    assert len(jobs) == 1  # not tried again at once
 
 
 @pytest.mark.slow
