@@ -62,6 +62,22 @@ def test_the_floor_is_what_the_scenario_says(ur10):
     assert "floor" not in free.arm.sentence
 
 
+def test_the_nearest_obstacle_is_named_though_parts_of_the_arm_are_nearer_to_one_another(ur10):
+    lamp = {"type": "sphere", "name": "lamp", "radius": 0.1, "position": (0, 0, 4)}
+    hung = ur10.with_changes(surroundings__floor="none", obstacles=[lamp])
+    assert "passes lamp at" in sv.audit(columns(hung, -0.1 * LEVEL_DOWN), hung).arm.sentence
+
+
+def test_the_last_sample_is_compared_too(ur10):
+    """It comes less than the usual 5 ms after the one before."""
+    names = load_arm(ur10.arm, ur10.tray).joint_names
+    q = np.array([START, START, START + 0.6 * np.eye(6)[1]])
+    recorded = JointSamples(np.array([0.0, 0.005, 0.009]), names, q, None, None, "recording")
+    assert (
+        arm_status(recorded, load_arm(ur10.arm, ur10.tray), ur10).sentence == "wrist_2_link and floor touch at 0.01 s."
+    )
+
+
 def test_a_good_motion_says_first_what_was_not_checked_of_the_arm(ur10):
     found = sv.audit(columns(ur10, -0.1 * LEVEL_DOWN), ur10)
     assert found.ok

@@ -470,3 +470,10 @@ def test_an_audit_in_degrees_is_the_audit_in_radians_and_the_refusal_says_how(tm
     expected = audit({"t": t, **dict(zip(JOINTS, q.T, strict=True))}, case)
     assert np.allclose(found.motion.samples.a_S, expected.motion.samples.a_S, atol=1e-5)
     assert found.worst.sentence == expected.worst.sentence
+
+
+def test_a_message_in_degrees_is_not_told_to_take_an_option_for_tables(tmp_path):
+    t, q = joint_motion(rate=100)
+    (tmp_path / "b.json").write_text(json.dumps({"trajectory": trajectory_message(t, np.rad2deg(q))}))
+    with pytest.raises(FileFormatError, match="these are degrees: joint positions must be in rad"):
+        audit(tmp_path / "b.json", scenarios.load("panda-cube"))

@@ -368,6 +368,14 @@ def test_a_file_of_all_legs_has_each_at_its_time_with_the_arm_at_rest_between(pl
         read_motion(directory, pause=-1.0)
 
 
+@pytest.mark.slow
+def test_a_run_of_all_legs_with_a_value_outside_its_range_is_none_of_the_plan(planned, tmp_path):
+    run = sv.simulate_legs(planned, parameters={"second.mass": 0.25, "first.mass": 0.21})
+    assert all(leg.summary["outside"] == {"second.mass": pytest.approx((0.16, 0.24))} for leg in run.legs)
+    run.save(tmp_path)
+    assert sorted(path.name for path in tmp_path.rglob("*.npz")) == ["leg1-what-if.npz", "leg2-what-if.npz"]
+
+
 def test_an_audit_cuts_a_file_of_all_legs_at_its_rest_and_knows_what_is_taken_there(planned, directory, tmp_path):
     (path,) = write_export(directory, "csv", tmp_path / "all.csv", pause=0.8)
     first, second = audit_legs(path, planned.scenario)
@@ -377,6 +385,10 @@ def test_an_audit_cuts_a_file_of_all_legs_at_its_rest_and_knows_what_is_taken_th
         assert one.motion.samples.t[-1] == pytest.approx(leg.duration + 0.4, abs=0.03)
         least = min(m.exact_worst.min() for m in leg.margins.interfaces)
         assert min(m.exact_worst.min() for m in one.margins.interfaces) == pytest.approx(least, abs=3e-3)
+    table = np.genfromtxt(path, delimiter=",", names=True)
+    in_mm = {name: (1e3 if name.startswith("p_S") else 1.0) * table[name] for name in table.dtype.names}
+    for one, again in zip((first, second), audit_legs(in_mm, planned.scenario, units="mm"), strict=True):
+        assert np.allclose(one.motion.samples.p_SB, again.motion.samples.p_SB, rtol=0, atol=1e-6)
     (alone,) = write_export(directory, "csv", tmp_path / "leg1.csv", stem="leg1")
     with pytest.raises(FileFormatError, match=r"rests 0 times on its way.*2 legs need 1\."):
         audit_legs(alone, planned.scenario)
