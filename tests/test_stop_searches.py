@@ -26,6 +26,7 @@ from salver.planning.stops import (
     stop_from,
     stop_problem,
 )
+from salver.planning.trajopt.constraints.obstacles import SAFETY
 from salver.planning.trajopt.curves import BrakingCurve, FreeCurve, Grid
 from salver.planning.trajopt.problem import SPARE
 from salver.planning.trajopt.spline import RestSpline
@@ -242,12 +243,16 @@ def test_no_stop_is_sought_where_going_on_is_at_rest_soon_anyway(monkeypatch):
         return FoundStop(JointMotion(np.linspace(0, 0.025, STORED.size), *np.zeros((3, STORED.size, 7))), np.zeros(7))
 
     nowhere = SimpleNamespace(n=7, liquids=())
-    monkeypatch.setattr(stops, "along", lambda problem, motion, space: (np.linspace(0, 1, 11), None, None))
+    radius = np.full((11, 7), 0.01)
+    radius[5] = 0.02  # rad by which the arm may be off the motion at .5 s
+    strayed = SimpleNamespace(joint_radius=lambda order: radius, state_at=lambda t, now: None)
+    monkeypatch.setattr(stops, "along", lambda problem, motion, space: (np.linspace(0, 1, 11), None, strayed))
     monkeypatch.setattr(stops, "stop_from", stop)
     monkeypatch.setattr(stops, "_late", lambda problem, state: np.inf)
     told = []
     library = plan_stops(nowhere, swaying(1.0), 0.04, progress=lambda *done: told.append(done))
     assert library.t == pytest.approx(np.arange(0.08, 0.9, 0.08))
+    assert library.stray[:, 0] == pytest.approx([*np.where(library.t < 0.5, 0.01, 0.02), 0.02])
     assert len(asked) == len(library.t)
     assert told == [(k + 1, 24) for k in range(24)]
 
@@ -264,6 +269,17 @@ def test_a_stop_may_lean_as_far_as_its_plan_does_and_need_not_pass_its_poses():
     assert found.max_tilt == pytest.approx(1.01 * np.deg2rad(5), rel=1e-3)
     assert not found.through
     assert found.spare == SPARE  # of the room of liquids, for whoever looks between the nodes
+
+
+def test_a_stop_may_pass_as_close_as_its_plan_does():
+    """A ball 2 mm over the cube of 4 cm where the plan begins: half of that is kept."""
+    over = np.add(PAPER.motion.start.position, [0.0, 0.0, 0.02 + 2e-3 + 0.05])
+    case = PAPER.with_changes(obstacles=[{"name": "ball", "type": "sphere", "radius": 0.05, "position": over.tolist()}])
+    q = np.tile(transport_problem(PAPER).start_posture, (2, 1))
+    plan = SimpleNamespace(joint=JointMotion(np.array([0.0, 1.0]), q, 0 * q, 0 * q), scenario=case)
+    least, *others = np.sort(stop_problem(plan).keep_out.required)
+    assert least == pytest.approx(1e-3, rel=0.05)
+    assert min(others) == SAFETY
 
 
 def test_a_motion_that_begins_moving_has_the_derivatives_that_differences_give():
