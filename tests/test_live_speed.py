@@ -426,6 +426,36 @@ def test_no_speed_is_begun_whose_factor_would_leave_the_range_between_its_ends(c
             assert live._planner.answer(job).found is None
 
 
+def test_a_slow_motion_does_not_stop_on_its_path_where_something_will_pass(cube):
+    live = Live(cube, lead=LEAD)
+    live.override(0.2)
+    drive(live, 0.8, [(0.0, place(*FIRST))])
+    base, begins = live.committed, live.now + LEAD
+    planner = Planner(live.problem)
+    found = planner.answer(Job(Halt(), base, begins, PATIENCE)).found
+    assert found.profile.to == 0.0
+    p, aside = live.problem.arm.tray_pose(found.motion.q[-1])[0], np.array([0.0, 0.6, 0.0])
+    away = found.ends - live.now + 0.05
+    samples = [0.0, away, away + 0.3], [p + aside, p, p - aside]
+    ball = Moving("ball", "sphere", radius=0.03, samples=samples, uncertainty=0.0, growth=0.0, lasts=away + 0.3)
+    assert live.obstacles([ball]).ok
+    found = planner.answer(Job(Halt(), base, begins, 0.1, live._sighting.obstacles)).found
+    assert found is None or found.profile is None
+
+
+def test_another_goal_is_gone_to_from_a_slow_motion_without_coming_to_rest(cube):
+    live = Live(cube, lead=LEAD)
+    live.override(0.3)
+    told = drive(live, 0.8, [(0.0, place(*FIRST))])
+    first = live.committed
+    told = in_turn(told, drive(live, 0.2, [(0.0, place(*SECOND))], begins=0.8))
+    assert live.committed.begins < first.ends - 0.5
+    assert live.committed.run.factor == 0.3
+    told = in_turn(told, drive(live, live.committed.motion.duration, begins=1.0))
+    np.testing.assert_allclose(where(live), SECOND, atol=1e-4)
+    check(live, told)
+
+
 def test_another_speed_is_begun_sooner_than_another_motion(cube):
     live = Live(cube)
     live.override(0.3)
