@@ -139,3 +139,11 @@ def test_a_lid_keeps_the_liquid_in_and_its_force(coffee):
     spill = whole.spills(True)[0]
     assert np.isinf(spill.left).all()
     assert np.abs(whole.nominal["cup"][0].wrench).max() > 0.1
+
+
+def test_instants_of_some_instants_are_those_of_the_motion(coffee):
+    t = np.linspace(0, 0.9, 31)
+    liquids = Liquids.along(coffee.payload, t, shaken(t))
+    twice = liquids.at(np.arange(10, 20)).at(np.array([2, 5]))
+    for (found,), (whole,) in zip(twice.nominal.values(), liquids.nominal.values(), strict=True):
+        np.testing.assert_array_equal(found.wrench, whole.wrench[:, [12, 15]])
