@@ -216,3 +216,21 @@ def test_acceleration_that_grows_from_rest_within_the_outermost_samples_raises_n
     some = (fine[::20] > 0.02) & (fine[::20] < 0.4)
     known = Spill.of("cup", read)
     assert np.abs(truth - np.interp(fine[::20], known.t, known.crest))[some].max() < 1.5e-4
+
+
+@pytest.mark.parametrize(("noise", "code"), [(0.0, "spills"), (1e-6, "cannot_tell")])
+def test_waves_that_come_too_high_after_a_recording_that_ends_at_rest_are_known_up_to_its_noise(cup, noise, code):
+    """It speeds up gently and brakes in 0.15 s; the waves are highest when the tray stands still again."""
+    brake, peak, rate = 0.15, 2.48, 400.0
+    turn = 0.2 + 6 * brake
+    t = np.arange(0.0, turn + brake + 0.004, 1 / rate)
+    gentle = np.where((t > 0.2) & (t < turn), peak / 6 * np.sin(np.pi * (t - 0.2) / (6 * brake)) ** 2, 0.0)
+    hard = np.where((t >= turn) & (t < turn + brake), peak * np.sin(np.pi * (t - turn) / brake) ** 2, 0.0)
+    y = np.cumsum(np.cumsum(gentle - hard)) / rate**2 + noise * np.random.default_rng(0).standard_normal(len(t))
+    still = 0 * t
+    columns = {"t": t, "x": 0.5 + still, "y": y, "z": 0.4 + still, "qw": 1 + still}
+    found = audit(columns | dict.fromkeys(("qx", "qy", "qz"), still), cup)
+    slack = Spill.of("cup", found._liquids.nominal["cup"]).slack
+    assert slack[:-1].min() > 0 > slack[-1]
+    assert found.nominal.code == code, found.nominal.sentence
+    assert "ended" not in found.nominal.details.get("reasons", {})
