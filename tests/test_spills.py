@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 
 from salver.liquid.sloshing import LIGHTEST, Slosh
-from salver.liquid.spills import Liquids, Spill, slacks
+from salver.liquid.spills import Liquids, Spill, limits, slacks
 from salver.liquid.wave_cases import VERDICT_APART, SloshingCase, cases
+from salver.liquid.wave_gradients import Unknowns
 from salver.liquid.waves import along
 from salver.models.tray_motion import at_rest
+from salver.models.uncertain.parameters import NOTHING
 from salver.planning.trajopt.constraints.brim import Brim
 from salver.planning.trajopt.problem import transport_problem, with_missed_cases
 from shaken import shaken
@@ -147,3 +149,14 @@ def test_instants_of_some_instants_are_those_of_the_motion(coffee):
     twice = liquids.at(np.arange(10, 20)).at(np.array([2, 5]))
     for (found,), (whole,) in zip(twice.nominal.values(), liquids.nominal.values(), strict=True):
         np.testing.assert_array_equal(found.wrench, whole.wrench[:, [12, 15]])
+
+
+def test_the_slope_of_a_wave_that_must_settle_is_of_when_it_must(coffee):
+    still = coffee.with_changes(objects__0__liquid__settled_wave=2e-3, objects__0__liquid__settled_within=4.0)
+    t, case = np.linspace(0, 0.9, 101), cases(still.payload.liquids[0], NOTHING)
+    dw = np.zeros((101, 12))
+    dw[:, 0] = np.sin(2 * np.pi * t / 0.9)  # nothing at the end, whose posture is taken as given
+    part, less, more = (Slosh.of(along(case, t, shaken(t) + step * dw)) for step in (0.0, -1e-4, 1e-4))
+    (limit,) = (each for each in limits(part) if each.name == "settled waves")
+    slope = limit.by(np.array([0]), np.array([100]), Unknowns(dw[:, :, None]))[0, 0]
+    assert slope == pytest.approx((more.left(4.0) - less.left(4.0))[0] / 2e-4, rel=1e-2)
