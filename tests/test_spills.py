@@ -149,6 +149,8 @@ def test_instants_of_some_instants_are_those_of_the_motion(coffee):
     twice = liquids.at(np.arange(10, 20)).at(np.array([2, 5]))
     for (found,), (whole,) in zip(twice.nominal.values(), liquids.nominal.values(), strict=True):
         np.testing.assert_array_equal(found.wrench, whole.wrench[:, [12, 15]])
+    for (known,) in twice.only(coffee.payload.nominal).worst.values():  # with nothing uncertain, one case
+        assert len(known.wrench) == 1 < len(twice.worst[coffee.payload.first.name][0].wrench)
 
 
 def test_the_slope_of_a_wave_that_must_settle_is_of_when_it_must(coffee):
