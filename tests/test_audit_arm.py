@@ -133,3 +133,11 @@ def test_what_a_command_does_not_say_of_vibration_is_said_first(ur10):
     recorded = sv.audit(columns(ur10, up), ur10).worst.sentence
     said = [text.startswith("Not checked: vibration of the tray") for text in (told, counted, recorded)]
     assert said == [True, False, False]
+
+
+def test_a_link_that_is_below_the_floor_in_every_posture_is_named(ur10):
+    """The base stands 6 cm below it: the lower end of the upper arm is in it wherever the arm goes."""
+    sunk = ur10.with_changes(arm__base_position=[0.0, 0.0, -0.06], surroundings__floor=0.0)
+    told = sv.audit(columns(sunk, -0.1 * LEVEL_DOWN), sunk).arm.sentence
+    assert "upper_arm_link against the floor (nearer to it than 10 mm in every posture)" in told
+    assert "against the floor" not in sv.audit(columns(ur10, -0.1 * LEVEL_DOWN), ur10).arm.sentence

@@ -335,8 +335,10 @@ def arm_geometry(
     left_out["always"] = [
         (i, j) for i, j in pairs if (i, j) in overlap or (j < tray and (names[i], names[j]) in linked)
     ]
-    left_out["floor"] = _on_floor(_with_pairs(compared, tuple(pair for pair in pairs if pair[0] < tray)))
-    pairs = [pair for pair in pairs if pair not in left_out["always"] and pair not in left_out["floor"]]
+    links_floor = _with_pairs(compared, tuple(pair for pair in pairs if pair[0] < tray))
+    left_out["floor"], left_out["sunk"] = _on_floor(links_floor)
+    gone = {pair for key in ("always", "floor", "sunk") for pair in left_out[key]}
+    pairs = [pair for pair in pairs if pair not in gone]
     named = {
         key: list(dict.fromkeys((names[i], names[j]) for i, j in found)) for key, found in left_out.items() if found
     }
@@ -355,13 +357,14 @@ def _always(parts: ArmGeometry) -> list[Pair]:
     return list(parts.pairs)
 
 
-def _on_floor(parts: ArmGeometry) -> list[Pair]:
-    """Pairs of a link and the floor of which no posture changes anything: what turns about the vertical, and what is
-    nearer in every posture than plans may come."""
+def _on_floor(parts: ArmGeometry) -> tuple[list[Pair], list[Pair]]:
+    """Pairs of a link and the floor of which no posture changes anything, as of what turns about the vertical; and of
+    links that are nearer to it in every posture than plans may come."""
     parts = parts.only(np.flatnonzero(parts.of_floor))
     distance = parts.clearance(postures_of(parts.arm))
-    moves = np.ptp(distance, axis=0) > _STILL
-    return [pair for k, pair in enumerate(parts.pairs) if not moves[k] or distance[:, k].max() < Floor.clear]
+    still, sunk = np.ptp(distance, axis=0) <= _STILL, distance.max(axis=0, initial=-np.inf) < Floor.clear
+    found = [[pair for pair, yes in zip(parts.pairs, which, strict=True) if yes] for which in (still, sunk & ~still)]
+    return found[0], found[1]
 
 
 def _refusal(arm: ArmModel, missing: dict[str, str]) -> str:
@@ -392,6 +395,9 @@ def _unchecked(
             f"{'a part of ' * (pair in compared)}{pair[0]} against {pair[1]}" for pair in left_out["always"]
         )
         told.append(f"{pairs} (their hulls overlap in every posture)")
+    if "sunk" in left_out:
+        names = listed([link for link, _ in left_out["sunk"]])
+        told.append(f"{names} against the floor (nearer to it than {1e3 * Floor.clear:.0f} mm in every posture)")
     if "srdf" in left_out:
         told.append(f"{len(left_out['srdf'])} pairs of links that the SRDF disables")
     if "neighbours" in left_out:
