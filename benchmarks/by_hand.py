@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from salver.simulation.loads import Load
 from salver.simulation.outcome import Thresholds
+from salver.simulation.scene.loads import Load
 from salver.trajectory import Reference
 
 GRAVITY = 9.81

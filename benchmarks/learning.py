@@ -4,7 +4,7 @@ python benchmarks/learning.py --logs 112    # 12 cases of 112 loads, and the sam
 python benchmarks/learning.py --defects 50    # sensors that are wrong, within their bounds and beyond
 python benchmarks/learning.py --loads 100 --friction open --sensor wrist    # careful first, then fast
 
-Logs are made by `salver.learning.sensors`, whose errors are not those that the estimator assumes. Loads are drawn
+Logs are made by `salver.learning.load.sensors`, whose errors are not those that the estimator assumes. Loads are drawn
 within mass +-50 %, centre of mass +-15 mm and friction 0.2 to 0.6, of which nothing else is known (open), or which is
 known to 10 %, for the tall bottle on a Panda; a count goes on where it was stopped (--runs). Each row of the tables is
 kept in docs/data/learning.json; `make pages` writes docs/howto from it.
@@ -26,10 +26,10 @@ import numpy as np
 import salver as sv
 from salver.errors import SalverError
 from salver.files import read_json, write_json
-from salver.learning.excite import plan_excite
-from salver.learning.identify import LoggedRun, identify, identify_runs
-from salver.learning.sensors import Defects, SensedArm, Sensors
-from salver.learning.systematic import SensorBounds
+from salver.learning.load.excite import plan_excite
+from salver.learning.load.identify import LoggedRun, identify, identify_runs
+from salver.learning.load.sensors import Defects, SensedArm, Sensors
+from salver.learning.load.systematic import SensorBounds
 from salver.learning.trips import LEARNING, Sensor, trips, true_load
 from salver.models.physical import random_inertia
 from salver.models.uncertain.parameters import INERTIAL, inertial_vector

@@ -28,8 +28,8 @@ from salver.errors import SalverError
 from salver.models.arm.arm import ArmModel, load_arm
 from salver.planning.make import make_plan
 from salver.planning.plan import Plan
-from salver.simulation.meshes import arm_meshes
 from salver.simulation.physics import Experiment
+from salver.simulation.scene.meshes import arm_meshes
 from survey import ARMS, read
 
 SEED, STEP, DURATION = 20261125, 0.01, 2.0

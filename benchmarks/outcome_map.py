@@ -119,7 +119,7 @@ def cells(which: str) -> list[Cell]:
 
 
 def draw(which: str, rows: list[dict[str, Any]]) -> None:
-    from salver.reports.figures import outcome_map, render
+    from salver.reports.pictures.figures import outcome_map, render
     from salver.reports.style import paper_style
 
     columns = {key: [row[key] for row in rows] for key in rows[0]}

@@ -21,11 +21,11 @@ import numpy as np
 from salver.models.arm.arm import load_arm
 from salver.planning.make import make_plan
 from salver.scenario import Scenario, load
-from salver.simulation.engine import mujoco
-from salver.simulation.loads import true_world
 from salver.simulation.physics import Experiment, simulate, simulate_tray
 from salver.simulation.run import Options
-from salver.simulation.scene import build
+from salver.simulation.scene.engine import mujoco
+from salver.simulation.scene.loads import true_world
+from salver.simulation.scene.scene import build
 from salver.trajectory import min_jerk_line
 
 PAPER = load("panda-cube")

@@ -22,12 +22,12 @@ from scipy.signal import butter, filtfilt
 import salver as sv
 from salver.errors import FileFormatError
 from salver.geometry import Array
-from salver.learning.channels import ChannelReading
-from salver.learning.deviations import STANDSTILL
-from salver.learning.executed import executed
-from salver.learning.identify import LoggedRun, _felt, identify_runs, prior
+from salver.learning.load.channels import ChannelReading
+from salver.learning.load.identify import LoggedRun, _felt, identify_runs, prior
 from salver.learning.logs import Log
-from salver.learning.track import track
+from salver.learning.tracking.deviations import STANDSTILL
+from salver.learning.tracking.executed import executed
+from salver.learning.tracking.track import track
 from salver.motion_files import JointSamples
 from salver.scenario import Scenario, parse
 from salver.trajectory import JointMotion

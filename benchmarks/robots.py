@@ -23,8 +23,8 @@ import salver as sv
 from salver.campaigns import run_campaign
 from salver.errors import SalverError
 from salver.files import read_json, write_json
-from salver.learning.track import Judge, track
-from salver.learning.tune import engine_robot, tune
+from salver.learning.tracking.track import Judge, track
+from salver.learning.tracking.tune import engine_robot, tune
 from salver.models.arm.arm import load_arm
 from salver.motion_files.samples import joint_samples
 from salver.planning.plan import Plan, load_plan

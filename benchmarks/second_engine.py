@@ -50,11 +50,11 @@ from by_hand import GRAVITY, demand, kept_by_hand, rocking, slipping
 from salver.models.bodies import TRAY
 from salver.scenario import Scenario, load, names
 from salver.simulation import creep
-from salver.simulation.elements import FOOT_RADIUS
-from salver.simulation.loads import Load, TrueWorld, true_world
 from salver.simulation.outcome import Thresholds, behaviour, judge
 from salver.simulation.physics import simulate_tray
-from salver.simulation.scene import build
+from salver.simulation.scene.elements import FOOT_RADIUS
+from salver.simulation.scene.loads import Load, TrueWorld, true_world
+from salver.simulation.scene.scene import build
 from salver.simulation.trace import Trace
 from salver.trajectory import Reference, min_jerk_line
 

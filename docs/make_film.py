@@ -8,8 +8,8 @@ from __future__ import annotations
 import tempfile
 from pathlib import Path
 
-from salver.cli.demo import bottle
-from salver.reports.film import write_film
+from salver.cli.plans.demo import bottle
+from salver.reports.pictures.film import write_film
 
 FILM = Path(__file__).parent / "images" / "bottle.gif"
 

@@ -16,8 +16,8 @@ from make_reproduction import table
 
 from salver.campaigns import run_campaign
 from salver.planning.make import make_plan
-from salver.reports import figures
 from salver.reports.perturbed import heavier
+from salver.reports.pictures import figures
 from salver.reports.run import read_run
 from salver.reports.style import paper_style
 from salver.scenario import load

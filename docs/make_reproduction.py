@@ -17,8 +17,8 @@ from salver.models.uncertain.parameters import INERTIAL, inertial_vector, phi_of
 from salver.planning.make import plan_baseline, plan_object
 from salver.planning.object.cost import tray_loop
 from salver.planning.plan import Plan
-from salver.reports import figures
 from salver.reports.perturbed import perturbed_rollouts
+from salver.reports.pictures import figures
 from salver.reports.run import read_run
 from salver.reports.style import paper_style
 from salver.sampling import draw

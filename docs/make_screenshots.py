@@ -19,7 +19,7 @@ import salver as sv
 from salver import scenario
 from salver.playground import World
 from salver.playground.server import Playground
-from salver.reports.page import write_report
+from salver.reports.pages.page import write_report
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE.parent / "tests"))

@@ -17,8 +17,8 @@ from salver.export import write_export
 from salver.models.arm.arm import load_arm
 from salver.models.shapes.mesh_files import read_mesh_file
 from salver.planning.make import plan_baseline
-from salver.reports.figures import write_figures
-from salver.reports.film import write_film
+from salver.reports.pictures.figures import write_figures
+from salver.reports.pictures.film import write_film
 
 CUBE = scenario.load("panda-cube")
 

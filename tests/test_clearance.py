@@ -21,11 +21,11 @@ from salver.planning.follow.limits import verdict
 from salver.planning.make import make_plan
 from salver.planning.seeds.blocked import why_blocked
 from salver.planning.trajopt.ends import AtPose
-from salver.reports import charts
-from salver.reports.meshes import obstacle_meshes
+from salver.reports.pages import charts
+from salver.reports.pages.meshes import obstacle_meshes
 from salver.reports.run import read_run
-from salver.simulation.loads import true_world
-from salver.simulation.scene import build
+from salver.simulation.scene.loads import true_world
+from salver.simulation.scene.scene import build
 from salver.trajectory import JointMotion
 
 REST = np.array([0.0, -1.2, 1.5, -0.3, 1.6, 0.0])

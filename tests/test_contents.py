@@ -22,8 +22,8 @@ from salver.models.uncertain.parameters import Parameter
 from salver.models.uncertain.worst_case import Drift, WorstCase
 from salver.sampling import METHODS, draw
 from salver.scenario import Scenario, load
-from salver.simulation.loads import true_world
 from salver.simulation.physics import simulate, simulate_tray
+from salver.simulation.scene.loads import true_world
 
 COM = (0.012, 0.009, 0.016)
 

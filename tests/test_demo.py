@@ -6,7 +6,7 @@ import re
 import pytest
 
 from salver import scenario
-from salver.cli.demo import bottle
+from salver.cli.plans.demo import bottle
 from salver.errors import ScenarioError
 from salver.planning.fastest import EFFORTS
 from salver.planning.make import plan_pair

@@ -13,8 +13,8 @@ import salver as sv
 from salver.cli import app
 from salver.errors import ScenarioError
 from salver.learning import identify
-from salver.learning.excite import Information, plan_excite
-from salver.learning.sensors import SensedArm, Sensors, nominal_load
+from salver.learning.load.excite import Information, plan_excite
+from salver.learning.load.sensors import SensedArm, Sensors, nominal_load
 from salver.planning.fastest import AtPosture, Point, transport_problem
 from salver.planning.plan import Plan
 from salver.planning.trajopt.curves import FreeCurve, Grid

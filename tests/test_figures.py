@@ -15,7 +15,8 @@ from salver import scenario
 from salver.errors import MissingDependencyError, SalverError
 from salver.planning.make import make_plan
 from salver.planning.plan import load_plan
-from salver.reports import figures, film, perturbed
+from salver.reports import perturbed
+from salver.reports.pictures import figures, film
 from salver.reports.run import read_run
 from salver.reports.style import OUTCOME_COLOURS, RC, ROLE_COLOURS, paper_style, rgb
 from salver.reports.tables import numbers_table, scenario_rows, write_table

@@ -18,12 +18,12 @@ from salver.planning.fastest import plan_fastest, transport_problem
 from salver.planning.follow.clearance import sweep
 from salver.planning.make import make_plan
 from salver.planning.plan import Plan
-from salver.reports.replay import _floor
+from salver.reports.pages.replay import _floor
 from salver.reports.run import ReportedRun
 from salver.scenario import Scenario
-from salver.simulation.loads import true_world
-from salver.simulation.meshes import arm_meshes
-from salver.simulation.scene import build
+from salver.simulation.scene.loads import true_world
+from salver.simulation.scene.meshes import arm_meshes
+from salver.simulation.scene.scene import build
 
 # Where the upper arm of a UR10 and the wrist of a Gen3 go below the base unless something is there.
 UR10 = ([0.472, -0.277, 0.691], [0.374, 0.446, 0.397])

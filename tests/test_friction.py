@@ -11,8 +11,8 @@ from typer.testing import CliRunner
 from salver.cli import app
 from salver.errors import SalverError, ScenarioError
 from salver.geometry import Array
-from salver.learning.friction import USUAL, friction, needed
-from salver.learning.tilts import tilt_test
+from salver.learning.friction.friction import USUAL, friction, needed
+from salver.learning.friction.tilts import tilt_test
 from salver.models.arm.arm import load_arm
 from salver.models.tray_motion import at_rest
 from salver.motion_files.samples import joint_samples

@@ -18,8 +18,8 @@ from salver.cli.common import headed, printable, result_console
 from salver.errors import FileFormatError, SalverError
 from salver.export import write_export
 from salver.planning.make import plan_baseline, plan_object
-from salver.reports import cells
-from salver.reports.page import page, write_report
+from salver.reports.pages import cells
+from salver.reports.pages.page import page, write_report
 from salver.reports.run import read_run
 from salver.simulation.physics import simulate
 

@@ -16,10 +16,10 @@ from salver.cli import app
 from salver.errors import FileFormatError, SalverError, ScenarioError
 from salver.geometry import Array
 from salver.learning import Log, SensorBounds, identify, read_log
-from salver.learning.identify import LoggedRun, identify_runs
-from salver.learning.narrowing import prior
-from salver.learning.ranges import NAMES, WIDTH, fieller
-from salver.learning.sensors import SensedArm, Sensors
+from salver.learning.load.identify import LoggedRun, identify_runs
+from salver.learning.load.narrowing import prior
+from salver.learning.load.ranges import NAMES, WIDTH, fieller
+from salver.learning.load.sensors import SensedArm, Sensors
 from salver.models.uncertain.parameters import inertial_vector
 from salver.planning.plan import Plan, load_plan
 from salver.scenario import load

@@ -13,7 +13,7 @@ from rosbags.typesys import Stores, get_typestore
 import salver as sv
 from salver.errors import FileFormatError
 from salver.learning import Log, read_log
-from salver.learning.sensors import SensedArm, Sensors, nominal_load
+from salver.learning.load.sensors import SensedArm, Sensors, nominal_load
 from salver.models.arm.arm import load_arm
 from salver.planning.plan import Plan
 

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from salver.geometry import Array
-from salver.learning.excite import plan_excite
-from salver.learning.identify import LoggedRun, identify_runs
-from salver.learning.noise import BlockNoise, ChannelNoise, SensorNoise
-from salver.learning.ranges import NAMES
-from salver.learning.sensors import SensedArm, Sensors
+from salver.learning.load.excite import plan_excite
+from salver.learning.load.identify import LoggedRun, identify_runs
+from salver.learning.load.noise import BlockNoise, ChannelNoise, SensorNoise
+from salver.learning.load.ranges import NAMES
+from salver.learning.load.sensors import SensedArm, Sensors
 from salver.models.uncertain.parameters import inertial_vector, phi_of
 from salver.planning.fastest import plan_fastest
 from salver.planning.plan import Plan

@@ -15,8 +15,8 @@ import salver as sv
 from salver.errors import SalverError
 from salver.geometry import Array
 from salver.learning import Identified, SensorBounds, identify
-from salver.learning.ranges import WIDTH, Estimate, consistent, intervals, slid
-from salver.learning.sensors import SensedArm, Sensors
+from salver.learning.load.ranges import WIDTH, Estimate, consistent, intervals, slid
+from salver.learning.load.sensors import SensedArm, Sensors
 from salver.models.bodies import Body
 from salver.models.physical import hull_faces, nearest, random_inertia, realisable
 from salver.models.rigid_body import RigidBody

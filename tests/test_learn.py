@@ -11,8 +11,8 @@ from typer.testing import CliRunner
 from salver.cli import app
 from salver.errors import ScenarioError
 from salver.learning import trips as made
-from salver.learning.friction import USUAL
-from salver.learning.ranges import NAMES
+from salver.learning.friction.friction import USUAL
+from salver.learning.load.ranges import NAMES
 from salver.learning.trips import _Hidden, trips, true_load
 from salver.planning.fastest import plan_fastest
 from salver.planning.plan import Plan

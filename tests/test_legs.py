@@ -41,7 +41,7 @@ from salver.planning.trajopt.exchange import SHORTEST
 from salver.planning.trajopt.programme import Programme
 from salver.planning.trajopt.spline import RestSpline, min_jerk_blend
 from salver.planning.trajopt.watch import Watch
-from salver.reports.page import write_report
+from salver.reports.pages.page import write_report
 from salver.scenario.legs import Leg, loads
 from salver.simulation.record import load_record
 

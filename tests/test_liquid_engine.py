@@ -20,9 +20,9 @@ from salver.planning.fastest import plan_fastest
 from salver.planning.make import plan_baseline
 from salver.sampling import draw
 from salver.scenario import parse
-from salver.simulation.loads import true_world
 from salver.simulation.physics import simulate_tray
-from salver.simulation.scene import build
+from salver.simulation.scene.loads import true_world
+from salver.simulation.scene.scene import build
 from salver.trajectory import MotionSamples, SampledReference, min_jerk_line
 
 WALL = 0.004

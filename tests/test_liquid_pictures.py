@@ -13,11 +13,11 @@ from PIL import Image
 import browser
 import salver as sv
 from salver.geometry import matrix_from_quat_wxyz, matrix_from_rpy, quat_wxyz_from_matrix
-from salver.reports.page import write_report
-from salver.reports.replay import replay_scene
+from salver.reports.pages.page import write_report
+from salver.reports.pages.replay import replay_scene
 from salver.reports.run import read_run
-from salver.simulation.liquid_surface import SPILT_COLOUR, DrawnSurface
-from salver.simulation.render import View, snapshots
+from salver.simulation.pictures.render import View, snapshots
+from salver.simulation.scene.liquid_surface import SPILT_COLOUR, DrawnSurface
 
 STICKY = {"objects__0__friction": 2.0, "motion__duration": 0.75, "arm": None}  # it spills, and stays where it is
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import salver as sv
-from salver.cli.plan import show
+from salver.cli.plans.plan import show
 from salver.contact_margins import margins, values
 from salver.contact_margins.whole import spill_status
 from salver.errors import ScenarioError
@@ -222,7 +222,7 @@ def test_waves_that_a_hasty_stop_leaves_are_not_steeper_than_is_known():
 @pytest.mark.slow
 def test_fastest_plan_keeps_the_coffee_and_the_engine_agrees(coffee, tmp_path):
     from salver.planning.fastest import plan_fastest
-    from salver.reports.page import write_report
+    from salver.reports.pages.page import write_report
 
     plan = plan_fastest(coffee)
     assert plan.ok, plan.verification.sentence

@@ -18,7 +18,7 @@ from salver.geometry import Array, compose, exp, log, matrix_from_quat_wxyz, qua
 from salver.models.arm.arm import load_arm
 from salver.planning.make import make_plan
 from salver.planning.plan import Plan, load_plan
-from salver.reports.page import write_report
+from salver.reports.pages.page import write_report
 
 DURATION = 1.8
 SHORT = {"physics__settle_before": 0.05, "physics__settle_after": 0.1}

@@ -17,7 +17,7 @@ from salver.errors import FileFormatError, SalverError, ScenarioError
 from salver.export import write_export
 from salver.planning.make import plan_baseline, plan_object
 from salver.planning.plan import load_plan
-from salver.reports.page import write_report
+from salver.reports.pages.page import write_report
 from salver.simulation.physics import simulate
 from salver.simulation.record import load_record
 
@@ -157,7 +157,7 @@ def test_a_scenario_of_ones_own_without_plans_is_never_moved(tmp_path, plans):
 
 @pytest.mark.slow
 def test_watch_plans_again_on_save_and_waits_for_mistakes_to_be_mended(tmp_path, capsys, monkeypatch):
-    from salver.cli import watch
+    from salver.cli.plans import watch
 
     toml, run, text = tmp_path / "cube.toml", tmp_path / "run", (scenario.SCENARIO_DIR / "panda-cube.toml").read_text()
     toml.write_text(text)

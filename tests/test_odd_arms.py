@@ -13,7 +13,7 @@ from salver import scenario
 from salver.control.arm import ArmState
 from salver.driver.execution import Watchdog
 from salver.errors import ScenarioError, UnreachableError
-from salver.learning.track import track
+from salver.learning.tracking.track import track
 from salver.models.arm.arm import load_arm
 from salver.motion_files.samples import joint_samples
 from salver.planning.fastest import plan_fastest

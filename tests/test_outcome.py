@@ -11,9 +11,9 @@ from salver import scenario as scenarios
 from salver.geometry import exp
 from salver.scenario import parse
 from salver.simulation import creep
-from salver.simulation.loads import true_world
 from salver.simulation.outcome import Behaviour, Thresholds, _rate, behaviour, judge
-from salver.simulation.scene import Scene, build
+from salver.simulation.scene.loads import true_world
+from salver.simulation.scene.scene import Scene, build
 from salver.simulation.trace import Trace
 
 T = np.array([-0.2, -0.1, 0.0, 0.1, 0.2, 0.3])  # the motion starts at the third instant

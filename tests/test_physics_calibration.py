@@ -14,10 +14,10 @@ from salver.geometry import exp
 from salver.models.arm.arm import load_arm
 from salver.scenario import parse
 from salver.simulation import creep
-from salver.simulation.elements import DAMPING_WIDTH
-from salver.simulation.loads import true_world
 from salver.simulation.physics import _check_engine, simulate_tray
-from salver.simulation.scene import build
+from salver.simulation.scene.elements import DAMPING_WIDTH
+from salver.simulation.scene.loads import true_world
+from salver.simulation.scene.scene import build
 from salver.trajectory import min_jerk_line
 
 G = 9.81

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from salver.errors import MissingDependencyError
-from salver.simulation.meshes import read_mesh
-from salver.simulation.render import NoOpenGLError, View, painter, snapshots
+from salver.simulation.pictures.render import NoOpenGLError, View, painter, snapshots
+from salver.simulation.scene.meshes import read_mesh
 
 
 @pytest.mark.slow
@@ -40,7 +40,7 @@ def test_physics_loads_whatever_opengl_is_asked_for():
 
 @pytest.mark.slow
 def test_pictures_fall_back_when_there_is_no_opengl(nominal, baseline, monkeypatch):
-    monkeypatch.setattr("salver.simulation.render._BACKENDS", ())
+    monkeypatch.setattr("salver.simulation.pictures.render._BACKENDS", ())
     monkeypatch.delenv("MUJOCO_GL", raising=False)
     pictures = snapshots(nominal, baseline.scenario, [0.0], width=320, height=240)
     assert pictures.renderer == "matplotlib"

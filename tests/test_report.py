@@ -16,11 +16,11 @@ from salver import scenario
 from salver.errors import FileFormatError
 from salver.models.uncertain.parameters import Parameter
 from salver.planning.make import make_plan
-from salver.reports.page import write_report
+from salver.reports.pages.page import write_report
+from salver.reports.pages.sections import build
+from salver.reports.pages.words import asked, verdict
 from salver.reports.parameters import half_range
 from salver.reports.run import ReportedRun, read_run
-from salver.reports.sections import build
-from salver.reports.words import asked, verdict
 
 pytestmark = pytest.mark.slow
 

@@ -13,7 +13,7 @@ import pytest
 from browser import Browser, chromium, missing
 from pages import data_of
 from salver.files import versions
-from salver.reports.page import write_report
+from salver.reports.pages.page import write_report
 from salver.reports.run import read_run
 
 pytestmark = pytest.mark.slow

@@ -14,9 +14,9 @@ from salver import scenario
 from salver.geometry import matrix_from_quat_wxyz
 from salver.models.arm.arm import load_arm
 from salver.planning.make import make_plan
-from salver.reports.meshes import decimate, link_meshes, merge_vertices, pack
-from salver.reports.page import write_report
-from salver.reports.replay import replay_scene
+from salver.reports.pages.meshes import decimate, link_meshes, merge_vertices, pack
+from salver.reports.pages.page import write_report
+from salver.reports.pages.replay import replay_scene
 from salver.reports.run import read_run
 
 pytestmark = pytest.mark.slow

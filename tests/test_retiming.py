@@ -13,7 +13,7 @@ import typer
 from typer.testing import CliRunner
 
 from salver.cli.common import handled
-from salver.cli.retime import retime as retime_command
+from salver.cli.plans.retime import retime as retime_command
 from salver.errors import FileFormatError, ScenarioError
 from salver.models.contact_rows import contact_rows
 from salver.motion_files import read_path

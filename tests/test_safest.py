@@ -13,8 +13,8 @@ from typer.testing import CliRunner
 
 from salver import scenario, simulate_legs
 from salver.cli import app
-from salver.cli.plan import Effort
-from salver.cli.searching import searching
+from salver.cli.plans.plan import Effort
+from salver.cli.plans.searching import searching
 from salver.errors import ScenarioError, Status, UnreachableError
 from salver.geometry import exp
 from salver.models.contact_rows import contact_rows

@@ -11,9 +11,9 @@ from salver.errors import ScenarioError
 from salver.geometry import exp, matrix_from_quat_wxyz, matrix_from_rpy
 from salver.models.arm.arm import load_arm
 from salver.scenario import parse
-from salver.simulation.elements import FOOT_RADIUS, hull_name
-from salver.simulation.loads import ROUND_POINTS, clip, true_world
-from salver.simulation.scene import build
+from salver.simulation.scene.elements import FOOT_RADIUS, hull_name
+from salver.simulation.scene.loads import ROUND_POINTS, clip, true_world
+from salver.simulation.scene.scene import build
 from salver.simulation.trace import Recorder, net_contact_wrench
 
 G = 9.81

@@ -11,8 +11,8 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 
 from by_hand import rocking
 from salver.scenario import load
-from salver.simulation.loads import true_world
 from salver.simulation.physics import simulate_tray
+from salver.simulation.scene.loads import true_world
 from salver.trajectory import min_jerk_line
 from second_engine import in_drake, onset, random_cases
 

@@ -13,11 +13,11 @@ from salver import scenario as scenarios
 from salver.cli import app
 from salver.models.uncertain.parameters import Parameter, UncertainSet
 from salver.planning.make import make_plan
-from salver.reports.page import write_report
+from salver.reports.pages.page import write_report
+from salver.reports.pages.words import true_parameters, verdict
 from salver.reports.run import read_run
-from salver.reports.words import true_parameters, verdict
-from salver.simulation.loads import outside
 from salver.simulation.record import load_record
+from salver.simulation.scene.loads import outside
 
 
 @pytest.fixture(scope="module")

@@ -25,7 +25,7 @@ from salver.models.arm.arm import load_arm
 from salver.motion_files import read
 from salver.planning.fastest import plan_fastest
 from salver.planning.plan import Plan, load_plan
-from salver.reports.speed_bar import speed_bar
+from salver.reports.pages.speed_bar import speed_bar
 
 BOTTLE = scenario.load("panda-tall-bottle").with_changes(motion__speeds="full")
 ONLY = "NOT AT EVERY SPEED: Only at "

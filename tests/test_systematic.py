@@ -14,8 +14,8 @@ from salver.cli import app
 from salver.errors import FileFormatError, ScenarioError
 from salver.geometry import Array
 from salver.learning import SensorBounds, identify
-from salver.learning.sensors import Defects, SensedArm, Sensors
-from salver.learning.systematic import Felt, wrist_errors
+from salver.learning.load.sensors import Defects, SensedArm, Sensors
+from salver.learning.load.systematic import Felt, wrist_errors
 from salver.models.physical import random_inertia
 from salver.models.uncertain.parameters import INERTIAL, inertial_vector
 from salver.planning.plan import Plan

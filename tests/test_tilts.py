@@ -12,8 +12,8 @@ from typer.testing import CliRunner
 from salver.cli import app
 from salver.errors import ScenarioError
 from salver.geometry import Array, log
-from salver.learning.friction import GRAVITY, USUAL, FrictionOptions, friction, proves, ways
-from salver.learning.tilts import _motion, room, short_tilt, tilt_test
+from salver.learning.friction.friction import GRAVITY, USUAL, FrictionOptions, friction, proves, ways
+from salver.learning.friction.tilts import _motion, room, short_tilt, tilt_test
 from salver.models.arm.arm import load_arm
 from salver.models.tray_motion import N_MOTION
 from salver.motion_files.samples import joint_samples

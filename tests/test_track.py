@@ -16,9 +16,9 @@ from salver.driver.preflight import check_plan
 from salver.errors import FileFormatError, SalverError, ScenarioError
 from salver.export.motion import read_motion
 from salver.geometry import Array
-from salver.learning.executed import executed, read_joints
-from salver.learning.track import Judge, track
-from salver.learning.tune import (
+from salver.learning.tracking.executed import executed, read_joints
+from salver.learning.tracking.track import Judge, track
+from salver.learning.tracking.tune import (
     COMMAND_LEAD,
     TuningOptions,
     beyond_limits,
@@ -34,7 +34,7 @@ from salver.motion_files.samples import joint_samples
 from salver.planning.plan import Plan, load_plan
 from salver.scenario import load
 from salver.simulation.physics import Experiment
-from salver.simulation.robots import robot_for
+from salver.simulation.scene.robots import robot_for
 from salver.trajectory import JointMotion
 
 UNEQUAL = [14.4, 9.6, 12.0, 13.2, 10.8, 14.4, 9.6]  # Hz: 12 and a fifth more or less

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from salver.geometry import Array
-from salver.learning.deviations import of_lags, under_torque
-from salver.learning.executed import executed
-from salver.learning.track import Judge, track
+from salver.learning.tracking.deviations import of_lags, under_torque
+from salver.learning.tracking.executed import executed
+from salver.learning.tracking.track import Judge, track
 from salver.planning.plan import Plan
 from salver.simulation.physics import Experiment
 from salver.trajectory import JointMotion

@@ -10,8 +10,8 @@ from scipy.integrate import solve_ivp
 from salver import scenario as scenarios
 from salver.geometry import GRAVITY_S, exp, hat, log, quat_wxyz_from_matrix
 from salver.scenario import parse
-from salver.simulation.loads import true_world
-from salver.simulation.scene import build
+from salver.simulation.scene.loads import true_world
+from salver.simulation.scene.scene import build
 from salver.simulation.tray_frame import TrayMotion, apply
 from salver.trajectory import PolynomialReference, Reference, min_jerk_line
 

@@ -25,9 +25,10 @@ from salver.planning.make import make_plan
 from salver.planning.plan import Plan
 from salver.planning.round import MultiLegPlan
 from salver.planning.seeds.starts import ends
-from salver.reports import tables, words
-from salver.reports.meshes import link_meshes
-from salver.reports.replay import replay_scene
+from salver.reports import tables
+from salver.reports.pages import words
+from salver.reports.pages.meshes import link_meshes
+from salver.reports.pages.replay import replay_scene
 from salver.reports.run import read_run
 from salver.trajectory import JointMotion, min_jerk_line
 

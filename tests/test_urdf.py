@@ -17,8 +17,8 @@ from salver.models.arm.arm import load_arm
 from salver.models.arm.arm_geometry import arm_geometry
 from salver.models.arm.urdf import find_mesh
 from salver.planning.follow.limits import unchecked, verdict
-from salver.simulation.loads import true_world
-from salver.simulation.scene import build
+from salver.simulation.scene.loads import true_world
+from salver.simulation.scene.scene import build
 from salver.trajectory import JointMotion
 
 

@@ -36,10 +36,10 @@ from salver.planning.trajopt.ends import AtPosture
 from salver.playground.world import World
 from salver.sampling import draw
 from salver.scenario import Scenario
-from salver.simulation.loads import true_world
 from salver.simulation.physics import Experiment, simulate_tray
-from salver.simulation.scene import build
-from salver.simulation.shaking import Shaking
+from salver.simulation.scene.loads import true_world
+from salver.simulation.scene.scene import build
+from salver.simulation.scene.shaking import Shaking
 from salver.simulation.tray_frame import TrayMotion, apply
 from salver.trajectory import MotionSamples, SampledReference
 

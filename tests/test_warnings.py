@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 from salver import scenario
 from salver.cli import app
 from salver.planning.make import make_plan
-from salver.reports.page import page
+from salver.reports.pages.page import page
 from salver.reports.run import read_run
 from salver.scenario.warnings import warnings_of
 

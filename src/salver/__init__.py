@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from salver.planning.fastest import FastestOptions
     from salver.planning.plan import Plan
     from salver.planning.round import MultiLegPlan
-    from salver.reports.inline import Page
+    from salver.reports.pages.inline import Page
     from salver.scenario import Scenario
     from salver.simulation.record import SimulationRecord
     from salver.simulation.round import RoundRecord
@@ -411,7 +411,7 @@ def report(
     from salver.auditing import Audit
     from salver.errors import ScenarioError
     from salver.planning.plan import Plan
-    from salver.reports.inline import page_of
+    from salver.reports.pages.inline import page_of
 
     if not isinstance(of, Plan | Audit | str | Path):
         raise ScenarioError(f"report wants a Plan, an Audit or a run directory; it was given a {type(of).__name__}.")

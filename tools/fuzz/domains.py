@@ -139,7 +139,7 @@ def run_directory(rng: Rng, folder: Path) -> None:
     from salver.export import write_export
     from salver.files import load_npz
     from salver.planning.plan import load_plan
-    from salver.reports.page import write_report
+    from salver.reports.pages.page import write_report
     from salver.simulation.record import load_record
 
     run = unpacked(folder)

@@ -20,30 +20,30 @@ from salver import __version__
 from salver.cli.common import INTERRUPTED, handled
 from salver.cli.lazily import load_when_used
 
-# In the order of use; each is the function of that name in the module of that name.
-COMMANDS = (
-    "demo",
-    "scenarios",
-    "new",
-    "plan",
-    "simulate",
-    "campaign",
-    "audit",
-    "tradeoff",
-    "retime",
-    "report",
-    "figures",
-    "render",
-    "export",
-    "live",
-    "execute",
-    "calibrate",
-    "excite",
-    "identify",
-    "learn",
-    "track",
-    "tune",
-)
+# In the order of use, each with its folder; it is the function of that name in the module of that name.
+COMMANDS = {
+    "demo": "plans",
+    "scenarios": "plans",
+    "new": "plans",
+    "plan": "plans",
+    "simulate": "checks",
+    "campaign": "checks",
+    "audit": "checks",
+    "tradeoff": "plans",
+    "retime": "plans",
+    "report": "results",
+    "figures": "results",
+    "render": "results",
+    "export": "results",
+    "live": "robot",
+    "execute": "robot",
+    "calibrate": "learning",
+    "excite": "learning",
+    "identify": "learning",
+    "learn": "learning",
+    "track": "learning",
+    "tune": "learning",
+}
 
 RARELY = 50_000  # new objects after which Python looks for some that nothing holds: imports make many that stay
 
@@ -74,7 +74,7 @@ def _gathered(names: Iterable[str]) -> typer.Typer:
     )
     gathered.callback()(_options)
     for name in names:
-        gathered.command(name)(handled(getattr(import_module(f"salver.cli.{name}"), name)))
+        gathered.command(name)(handled(getattr(import_module(f"salver.cli.{COMMANDS[name]}.{name}"), name)))
     return gathered
 
 

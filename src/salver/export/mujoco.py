@@ -36,10 +36,10 @@ def write_scene(directory: str | Path, path: Path, stem: str = "plan", *, unsafe
     a liquid that is no body to such a file, FileFormatError for a directory without such a plan, UnsafeError.
     """
     from salver.models.arm.arm import load_arm
-    from salver.simulation import scene as scenes
-    from salver.simulation.elements import lent
-    from salver.simulation.engine import mujoco
-    from salver.simulation.loads import true_world
+    from salver.simulation.scene import scene as scenes
+    from salver.simulation.scene.elements import lent
+    from salver.simulation.scene.engine import mujoco
+    from salver.simulation.scene.loads import true_world
 
     plan = load_plan(directory, stem)
     path = place_for(path, plan.verdict, unsafe)
@@ -109,8 +109,8 @@ def _convex_stl(points: Array) -> bytes:
 
 def _add_servos(spec: Any, arm: ArmModel) -> None:
     """A position servo on every joint, within the maker's torque, and weight compensated as in a real arm."""
-    from salver.simulation.elements import ARM_PREFIX, TRAY_BODY
-    from salver.simulation.engine import mujoco
+    from salver.simulation.scene.elements import ARM_PREFIX, TRAY_BODY
+    from salver.simulation.scene.engine import mujoco
 
     for body in spec.bodies:
         if body.name.startswith(ARM_PREFIX) or body.name == TRAY_BODY:

@@ -5,14 +5,14 @@ the load is meant to stay on every trip. A plan that is slower than the one befo
 wider ranges.
 
 A first trip is short and gentle, and so hides the height of the centre of mass. So between it and the second the arm
-makes an excitation trajectory, safe as any trip (`salver.learning.excite`); joint torques, too, locate the centre of
-mass by it. And no carry shows more friction than its plan assumes. So the tray tilts, shortly and each time a little
-steeper (`salver.learning.tilts`), until the load moves by more than a mark on the tray hides, or could tip: by two
-centimetres at most, whatever its friction is. Then it is put back.
+makes an excitation trajectory, safe as any trip (`salver.learning.load.excite`); joint torques, too, locate the centre
+of mass by it. And no carry shows more friction than its plan assumes. So the tray tilts, shortly and each time a little
+steeper (`salver.learning.friction.tilts`), until the load moves by more than a mark on the tray hides, or could tip: by
+two centimetres at most, whatever its friction is. Then it is put back.
 
 Here the load is carried in the physics engine, which alone knows the true one, and judged there. What the arm's
-sensors say (`salver.learning.sensors`) is made along what the engine's arm does with the load strapped to the tray, and
-with the empty tray: what loose contacts of the engine do to an arm is no property of a load.
+sensors say (`salver.learning.load.sensors`) is made along what the engine's arm does with the load strapped to the
+tray, and with the empty tray: what loose contacts of the engine do to an arm is no property of a load.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ import numpy as np
 
 from salver.errors import SalverError, ScenarioError, UnreachableError
 from salver.geometry import Array
-from salver.learning.excite import plan_excite
-from salver.learning.friction import USUAL, Friction, friction
-from salver.learning.identify import Identified, LoggedRun, identify_runs
-from salver.learning.sensors import Defects, Done, SensedArm, Sensors
-from salver.learning.systematic import SensorBounds
-from salver.learning.tilts import short_tilt
+from salver.learning.friction.friction import USUAL, Friction, friction
+from salver.learning.friction.tilts import short_tilt
+from salver.learning.load.excite import plan_excite
+from salver.learning.load.identify import Identified, LoggedRun, identify_runs
+from salver.learning.load.sensors import Defects, Done, SensedArm, Sensors
+from salver.learning.load.systematic import SensorBounds
 from salver.models.arm.arm import load_arm
 from salver.models.uncertain.parameters import INERTIAL, inertial_vector
 from salver.motion_files.samples import joint_samples

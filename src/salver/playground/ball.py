@@ -14,8 +14,8 @@ from salver.models.arm.arm import ArmModel
 from salver.models.arm.arm_geometry import arm_geometry
 from salver.models.bodies import TRAY
 from salver.models.payload import Payload
-from salver.simulation.elements import FLOOR, HULL, INERT, TRAY_GEOM, hull_name
-from salver.simulation.engine import mujoco
+from salver.simulation.scene.elements import FLOOR, HULL, INERT, TRAY_GEOM, hull_name
+from salver.simulation.scene.engine import mujoco
 
 BALL = "playground:ball"
 

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 
 from salver.geometry import Array
-from salver.simulation.liquid_surface import DrawnSurface
 from salver.simulation.outcome import liquid_room, surfaces
-from salver.simulation.scene import Scene
+from salver.simulation.scene.liquid_surface import DrawnSurface
+from salver.simulation.scene.scene import Scene
 from salver.simulation.trace import Recorder, Trace
 
 

@@ -9,8 +9,8 @@ import numpy as np
 from markupsafe import Markup
 
 from salver.files import versions
-from salver.reports.page import asset, fill, policy
-from salver.reports.replay import joint_poses, liquid, stage
+from salver.reports.pages.page import asset, fill, policy
+from salver.reports.pages.replay import joint_poses, liquid, stage
 from salver.reports.style import BLUE, rgb
 
 if TYPE_CHECKING:

@@ -22,7 +22,7 @@ from salver.planning.plan_files import make_way
 from salver.scenario import Scenario
 from salver.simulation import creep
 from salver.simulation.run import Options, Run, measure
-from salver.simulation.scene import Scene
+from salver.simulation.scene.scene import Scene
 from salver.simulation.trace import Recorder
 from salver.trajectory import JointMotion
 

@@ -24,9 +24,9 @@ from salver.playground.liquids import LiquidSurfaces
 from salver.playground.recording import SessionRecording
 from salver.playground.unprotected import Unprotected
 from salver.scenario import Scenario
-from salver.simulation.engine import mujoco
-from salver.simulation.loads import true_world
-from salver.simulation.scene import build
+from salver.simulation.scene.engine import mujoco
+from salver.simulation.scene.loads import true_world
+from salver.simulation.scene.scene import build
 
 
 class World:
@@ -316,7 +316,7 @@ class World:
 
     def frame(self) -> dict[str, Any]:
         """What the page shows of this instant, ready for JSON."""
-        from salver.reports.replay import joint_poses
+        from salver.reports.pages.replay import joint_poses
 
         with self._lock:
             data, scene = self._data, self.scene

@@ -14,9 +14,9 @@ import numpy as np
 from salver.geometry import Array
 from salver.models.liquid import GRAVITY, LEAST_WEIGHT
 from salver.simulation import creep
-from salver.simulation.elements import DAMPING_WIDTH
-from salver.simulation.loads import Load
-from salver.simulation.scene import HINGE, Scene
+from salver.simulation.scene.elements import DAMPING_WIDTH
+from salver.simulation.scene.loads import Load
+from salver.simulation.scene.scene import HINGE, Scene
 from salver.simulation.trace import Trace
 
 

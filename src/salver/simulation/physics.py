@@ -24,12 +24,12 @@ from salver.models.arm.arm import ArmModel, load_arm
 from salver.models.arm.arm_limits import JointLimits
 from salver.scenario import Scenario
 from salver.simulation import creep, tray_frame
-from salver.simulation.engine import mujoco
-from salver.simulation.loads import outside, true_world
 from salver.simulation.record import SimulationRecord
-from salver.simulation.robots import robot_for
 from salver.simulation.run import Options, Run, at_commands, measure, of_tray, prepare
-from salver.simulation.scene import build
+from salver.simulation.scene.engine import mujoco
+from salver.simulation.scene.loads import outside, true_world
+from salver.simulation.scene.robots import robot_for
+from salver.simulation.scene.scene import build
 from salver.simulation.trace import Recorder, Trace
 from salver.trajectory import JointMotion, MotionSamples, Reference
 

@@ -104,7 +104,8 @@ class SimulationRecord(Shown, Tabular):
         return MotionSeries(ns, names, self.q, None, None, None, self.p_SE, self.quat_SE_wxyz, p_SB, quat_SB_wxyz)
 
     def what_if(self, outside: Mapping[str, tuple[float, float] | None]) -> SimulationRecord:
-        """The record, which says which true values were outside their ranges (`salver.simulation.loads.outside`)."""
+        """The record, which says which true values were outside their ranges
+        (`salver.simulation.scene.loads.outside`)."""
         return replace(self, summary={**self.summary, "outside": dict(outside)}) if outside else self
 
     def save(self, directory: str | Path, stem: str = "plan", kind: str = "") -> Path:

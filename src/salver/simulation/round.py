@@ -17,11 +17,11 @@ from salver.errors import ScenarioError
 from salver.models.uncertain.parameters import Parameter, all_parameters
 from salver.planning.round import MultiLegPlan
 from salver.scenario import Scenario
-from salver.simulation.loads import outside
 from salver.simulation.outcome import WORST_FIRST
 from salver.simulation.physics import Experiment
 from salver.simulation.record import SimulationRecord
 from salver.simulation.run import Options
+from salver.simulation.scene.loads import outside
 
 _ORDER = (*WORST_FIRST, "limit", "holds")
 OF_A_STOP = ("stop_at", "stop_takes", "finishes")  # of a summary

@@ -15,10 +15,10 @@ from salver.geometry import Array, invert, log, quat_wxyz_from_matrix
 from salver.models.arm.arm import ArmModel
 from salver.scenario import Scenario
 from salver.simulation import creep
-from salver.simulation.loads import true_world
 from salver.simulation.outcome import Behaviour, Thresholds, behaviour, judge, liquid_room, surfaces
 from salver.simulation.record import SimulationRecord
-from salver.simulation.scene import Scene, build
+from salver.simulation.scene.loads import true_world
+from salver.simulation.scene.scene import Scene, build
 from salver.simulation.trace import Trace, net_contact_wrench
 from salver.trajectory import MotionSamples, Reference
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from salver.geometry import Array, matrix_from_quat_wxyz
 from salver.models.liquid import MODES
-from salver.simulation.scene import Scene
+from salver.simulation.scene.scene import Scene
 from salver.simulation.tray_frame import TrayMotion
 
 

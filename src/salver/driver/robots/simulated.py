@@ -51,8 +51,8 @@ class SimulatedRobot:
 
     def __init__(self, plan: Plan, arm: ArmModel, extra_time: float, realtime: bool = True) -> None:
         """extra_time: s that the run may last beyond the planned one (a cool stop)."""
-        from salver.simulation.engine import mujoco
         from salver.simulation.run import prepare
+        from salver.simulation.scene.engine import mujoco
         from salver.simulation.trace import Recorder
 
         self._plan, self._arm, self._realtime, self._engine = plan, arm, realtime, mujoco

@@ -1,0 +1,1 @@
+"""Commands that check: runs in the physics engine, campaigns of them, audits."""

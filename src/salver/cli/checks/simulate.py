@@ -1,0 +1,358 @@
+"""`salver simulate`: one run in the physics engine."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from salver.cli.checks.audit import OnTray, Topic, Units
+from salver.cli.common import Json, headed, of_a_run, print_json, result_console, say
+from salver.errors import ScenarioError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from salver.planning.plan import Plan
+    from salver.planning.round import MultiLegPlan
+    from salver.scenario import Scenario
+    from salver.simulation.record import SimulationRecord
+
+
+def simulate(
+    directory: Annotated[
+        Path, typer.Argument(help="Run directory that `salver plan` made; or a motion file, with --scenario.")
+    ],
+    stem: Annotated[
+        str,
+        typer.Option(
+            help="Which plan: plan, baseline, nominal, or both that there are; of a plan of several legs, leg1, leg2 "
+            "and so on, or plan: all of them, one after the other."
+        ),
+    ] = "plan",
+    set_: Annotated[
+        list[str] | None,
+        typer.Option("--set", help="True value of a parameter, as mass=0.3 (SI units); repeat for several."),
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the sensor noise.")] = 0,
+    run: Annotated[
+        int | None, typer.Option(help="Repeat run number K of the directory's campaign: its parameters and its seed.")
+    ] = None,
+    folder: Annotated[str, typer.Option(help="Folder of that campaign in DIRECTORY.")] = "campaign",
+    stop_at: Annotated[
+        float | None, typer.Option(help="Ask for a stop at this time, s: the plan needs stops (salver plan --stops).")
+    ] = None,
+    speed: Annotated[
+        float, typer.Option(help="Run the plan at this constant share of its speed, above 0 and at most 1.")
+    ] = 1.0,
+    scenario: OnTray = None,
+    topic: Topic = None,
+    units: Units = None,
+    write: Annotated[
+        Path | None,
+        typer.Option(
+            help="Write what arm, tray and first object did to this motion file, as its ending says (.csv, .json, "
+            ".yaml; none: ROS bag)."
+        ),
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Run a plan once in the physics engine: arm, tray, loose objects, contact.
+
+    Tells whether each object held, slid, tipped or left the tray, how far the arm was from its limits, and how far the
+    measured contact forces are from the plan's tube. Without an arm in the scenario, the tray is moved exactly.
+    Writes DIRECTORY/simulation/STEM.npz (time histories) and .json (summary); earlier runs are kept as STEM-1, STEM-2.
+    A stopped run is STEM-stop, one at another speed STEM-slow, and neither a run of the plan to the page. A run with
+    a value outside the range that the plan was made for is STEM-what-if: the page shows it apart, with that range.
+
+    The legs of a task of several are run one after the other: what stays on the tray begins each where the one before
+    has left it. They are written as leg1, leg2 and so on.
+
+    For a motion file (CSV, JSON, YAML, ROS bag) the tray is moved exactly along the motion, as `salver audit` reads it;
+    the arm is left out, and nothing is written but what --write asks for.
+
+    Example: `salver simulate runs/panda-cube --stem both --set mass=0.306`
+
+    Ends with 0 when the run was made, whatever became of the object.
+    """
+    from salver.motion_files import form_of
+    from salver.planning.round import has_legs
+    from salver.run_directory import STEMS, leg_number
+
+    if stem not in (*STEMS, "both") and leg_number(stem) is None:
+        raise ScenarioError(f'--stem = "{stem}"; it must be {", ".join(STEMS)} or both; or leg1, leg2, ...')
+    if scenario is None:
+        of_a_run(directory)
+        if topic is not None or units is not None:
+            raise ScenarioError("--topic and --units are for motion files; give --scenario with one.")
+    asked = _Asked(directory, stem, true_values(set_ or []), seed, run, folder, stop_at, write, speed)
+    if speed != 1.0 and (scenario is not None or run is not None or stop_at is not None):
+        raise ScenarioError("--speed is for a run of a plan; leave out --scenario, --run and --stop-at.")
+    if run is not None:
+        asked = _repeated(asked)
+    if write is not None:
+        form_of(write)  # told before anything is computed
+        if stem == "both" and scenario is None:
+            raise ScenarioError("--write is for one run; name its plan with --stem.")
+    if scenario is not None:
+        results = _motion(asked, scenario, topic, units)
+    elif stem in ("plan", "both") and has_legs(directory):
+        _legs(asked, json)
+        return
+    else:
+        results = _plans(asked)
+    if json:
+        told = {name: {"parameters": record.parameters, **record.summary} for name, record in results.items()}
+        print_json(told if scenario is None else told[directory.name])
+    else:
+        show(results)
+        if scenario is None:
+            say(f"Written to {directory / 'simulation'}.")
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """Options of the runs. run: number in the campaign of `folder`, None for a run that belongs to none."""
+
+    directory: Path
+    stem: str
+    parameters: dict[str, float]
+    seed: int
+    run: int | None
+    folder: str
+    stop_at: float | None
+    write: Path | None
+    speed: float = 1.0
+
+    def stop(self, plan: Plan | MultiLegPlan) -> float | None:
+        """Instant of the stop request in a run of that plan, s, or None."""
+        from salver.campaigns import stop_of_run
+
+        return self.stop_at if self.run is None else stop_of_run(self.directory, self.run, plan.duration, self.folder)
+
+
+def _repeated(asked: _Asked) -> _Asked:
+    """Options with the parameters and the seed of a campaign's run."""
+    from salver.campaigns import parameters_of_run, read_definition
+
+    if asked.parameters:
+        raise ScenarioError("--run takes its parameters from the campaign; leave out --set.")
+    assert asked.run is not None
+    parameters, seed = parameters_of_run(asked.directory, asked.run, asked.folder)
+    if asked.stop_at is not None and read_definition(asked.directory, asked.folder).stops:
+        raise ScenarioError("--run of a campaign of stops has its own instant; leave out --stop-at.")
+    return replace(asked, parameters=parameters, seed=seed)
+
+
+def _plans(asked: _Asked) -> dict[str, SimulationRecord]:
+    """One run of each plan, by stem."""
+    from salver.planning.plan import load_plan
+    from salver.planning.round import has_legs
+    from salver.run_directory import STEMS
+    from salver.simulation.physics import simulate as run_physics
+
+    directory = asked.directory
+    if asked.run is not None and has_legs(directory):
+        raise ScenarioError("--run is a run of all legs; leave out --stem.")
+    both = [name for name in STEMS if (directory / f"{name}.npz").is_file()]
+    results: dict[str, SimulationRecord] = {}
+    for name in both if asked.stem == "both" else (asked.stem,):
+        plan = load_plan(directory, name)
+        _warn(plan, name)
+        stop_at = asked.stop(plan)
+        moved = plan if asked.speed == 1.0 else plan.at_speed(asked.speed)
+        record = results[name] = run_physics(moved, parameters=asked.parameters, seed=asked.seed, stop_at=stop_at)
+        record.save(directory, name, "-stop" if stop_at is not None else "" if moved is plan else "-slow")
+        if asked.write is not None:
+            _write([record], plan.scenario, asked.write, plan.verdict)
+    return results
+
+
+def _legs(asked: _Asked, json: bool) -> None:
+    """All legs in the engine, one after the other."""
+    from salver.planning.round import load_round
+    from salver.simulation.round import simulate_round
+
+    directory = asked.directory
+    plan = load_round(directory)
+    if asked.speed != 1.0:
+        plan = replace(plan, legs=tuple(leg.at_speed(asked.speed) for leg in plan.legs))
+    for k, leg in enumerate(plan.legs, 1):
+        _warn(leg, f"leg{k}")
+    record = simulate_round(plan, parameters=asked.parameters, seed=asked.seed, stop_at=asked.stop(plan))
+    record.save(directory, "" if asked.speed == 1.0 else "-slow")
+    if asked.write is not None:
+        _write(record.legs, plan.scenario, asked.write, plan.verdict)
+    if json:
+        print_json({"plan": {"parameters": record.parameters, **record.summary}})
+        return
+    show({f"leg {k}": leg for k, leg in enumerate(record.legs, 1)}, record.parameters)
+    if "stop_at" in record.summary:
+        say(f"Stopped on leg {len(record.legs)}, which ends the run.")
+    elif len(record.legs) < len(plan.legs):
+        say(f"salver: leg {len(record.legs) + 1} was not begun: the load was lost on the one before it.")
+    say(f"Written to {directory / 'simulation'}.")
+
+
+def _write(records: Sequence[SimulationRecord], scenario: Scenario, path: Path, verdict: str) -> None:
+    """Write the executed motion of all legs as a motion file, which says if the motion is unsafe or the load was
+    lost."""
+    from salver.models.arm.arm import load_arm
+    from salver.motion_files import MotionSeries, write
+    from salver.motion_files.verdict import UNSAFE, one_line
+
+    first = records[0]
+    arm = None if scenario.arm is None or not first.q.shape[1] else load_arm(scenario.arm, scenario.tray)
+    if not verdict.startswith(UNSAFE):
+        lost = [sentence for record in records if record.outcome != "holds" for sentence in sentences(record)]
+        verdict = one_line(f"{UNSAFE}: {' '.join(lost)}") if lost else ""
+    parts = [record.motion(arm.joint_names if arm else ()) for record in records]
+    step = float(first.t[1] - first.t[0])
+    motion = MotionSeries.in_turn(parts, 0.0, step) if len(parts) > 1 else parts[0]
+    motion = replace(motion, verdict=verdict)
+    for file in write(motion, path, unsafe=True):
+        say(f"Wrote {file}")
+
+
+def _motion(asked: _Asked, scenario: str, topic: str | None, units: str | None) -> dict[str, SimulationRecord]:
+    """A motion file in the engine."""
+    from salver import scenario as scenarios
+    from salver.auditing import read_for
+    from salver.given import simulate_given
+
+    if asked.run is not None or asked.stop_at is not None or asked.stem != "plan":
+        raise ScenarioError("--run, --stop-at and --stem are for run directories; a motion file has none of them.")
+    chosen, path = scenarios.load(scenario), asked.directory
+    samples = read_for(chosen, path, topic, units=units)
+    record = simulate_given(samples, chosen, asked.parameters)
+    if asked.write is not None:
+        _write([record], chosen, asked.write, samples.verdict)
+    return {path.name: record}
+
+
+def true_values(settings: list[str]) -> dict[str, float]:
+    values = {}
+    for text in settings:
+        name, equals, number = text.partition("=")
+        try:
+            values[name.strip()] = float(number)
+        except ValueError:
+            equals = ""
+        if not equals:
+            raise ScenarioError(f'--set "{text}" must be a name, an equals sign and a number, as in mass=0.3.')
+    return values
+
+
+def _warn(plan: Plan, stem: str) -> None:
+    if plan.arm_status is not None and not plan.arm_status.ok and plan.joint is not None:
+        say(f"salver: {stem}: {plan.arm_status.sentence}")
+
+
+def show(results: dict[str, SimulationRecord], parameters: Mapping[str, float] | None = None) -> None:
+    """Runs side by side, for a person, on standard output. parameters: of all, if not those of the first."""
+    from rich.table import Table
+
+    console = result_console()
+    true = next(iter(results.values())).parameters if parameters is None else parameters
+    drawn = ", ".join(f"{name} = {value:.6g}" for name, value in true.items())
+    console.print(f"True parameters (SI units): {drawn or 'nominal'}")
+    for name, ends in next(iter(results.values())).summary.get("outside", {}).items():
+        known = (
+            f" is outside its range, {ends[0]:.4g} to {ends[1]:.4g}"
+            if ends
+            else ", which the plan takes as known exactly"
+        )
+        console.print(f"What if: {name} = {true[name]:.6g}{known}; this run says nothing for or against the plan.")
+    table = Table(box=None, padding=(0, 3, 0, 0))
+    table.add_column("")
+    for name in results:
+        table.add_column(name, justify="right")
+    several = any(len(record.object_names) > 1 for record in results.values())
+    columns = [_lines(record, several) for record in results.values()]
+    for label in dict.fromkeys(label for column in columns for label in column):
+        table.add_row(label, *(column.get(label, "") for column in columns))
+    console.print(table)
+    for name, record in results.items():
+        for sentence in sentences(record):
+            console.print(headed(name, sentence))
+
+
+def _lines(record: SimulationRecord, several: bool) -> dict[str, str]:
+    summary = record.summary
+    lines = {"duration": f"{summary['duration']:.3f} s"}
+    for item in summary["objects"]:
+        name = f"{item['name']}: " if several else ""
+        lines[f"{name}outcome"] = item["outcome"]
+        lines[f"{name}slip, peak / final"] = f"{1e3 * item['peak_slip']:.3f} / {_millimetres(item['final_slip'])} mm"
+        if "peak_wave" in item:
+            lines[f"{name}liquid, peak / brim"] = f"{1e3 * item['peak_wave']:.1f} / {_millimetres(item['room'], 1)} mm"
+        lines[f"{name}lift, tip"] = f"{1e3 * item['peak_lift']:.2f} mm, {57.29578 * item['peak_tip_angle']:.2f} deg"
+        lines[f"{name}without contact for"] = f"{1e3 * item['contact_lost']:.0f} ms"
+    lines["object off its reference, peak"] = _pose(summary["e_p_peak"], summary["e_o_peak"])
+    lines["tray off its reference, peak"] = _pose(summary["tray_e_p_peak"], summary["tray_e_o_peak"])
+    lines["least measured cone coefficient"] = f"{1e3 * summary['cone_coefficient_min']:.1f} mN"
+    if "tube" in summary:
+        lines["... most outside the plan's tube"] = f"{1e3 * summary['tube']['excess']:.1f} mN"
+    if "arm" in summary:
+        arm = summary["arm"]
+        lines["torque, speed of their limits"] = (
+            f"{100 * arm['torque_share_peak']:.0f} %, {100 * arm['velocity_share_peak']:.0f} %"
+        )
+    return lines
+
+
+def _millimetres(value: float | None, digits: int = 3) -> str:
+    return "-" if value is None else f"{1e3 * value:.{digits}f}"
+
+
+def _pose(position: float, angle: float) -> str:
+    return f"{1e3 * position:.3f} mm, {1e3 * angle:.2f} mrad"
+
+
+def sentences(record: SimulationRecord) -> list[str]:
+    """Sentences about a run beside its figures."""
+    summary: Any = record.summary
+    told = []
+    for item in summary["objects"]:
+        told.append(_fate(item, summary))
+    if summary["collides_at"] is not None:
+        told.append(f"Tray or object hits an obstacle at t = {_time(summary['collides_at'])}.")
+    arm = summary.get("arm")
+    if arm is None:
+        told.append("No arm was simulated: the tray was moved exactly along the reference.")
+        return told
+    if arm["torque_cut"] > 0:
+        told.append(
+            f"The arm's torque saturated: {100 * arm['torque_share_peak']:.0f} % of its limit was asked for, and "
+            f"{100 * arm['torque_cut']:.1f} % of the commands were cut."
+        )
+    if arm["torque_rate_cut"] > 0:
+        told.append(f"{100 * arm['torque_rate_cut']:.1f} % of the commands were cut to the limit of torque rate.")
+    if arm["velocity_share_peak"] > 1:
+        told.append(f"A joint moved at {100 * arm['velocity_share_peak']:.0f} % of its speed limit.")
+    if arm["position_margin"] < 0:
+        told.append(f"A joint went {-arm['position_margin']:.3f} rad beyond its range.")
+    return told
+
+
+def _fate(item: dict[str, Any], summary: dict[str, Any]) -> str:
+    name, limits = item["name"], summary["thresholds"]
+    if summary["slides_at_rest"] and item["outcome"] != "holds":
+        return f"{name} slides on the tray already at rest: friction does not hold it at the start's inclination."
+    return {
+        "holds": f"{name} holds: it slid less than {1e3 * limits['slip']:g} mm, creep of the engine "
+        f"({1e6 * item['peak_creep']:.0f} um) not counted.",
+        "slides": f"{name} slides from t = {_time(item['first_slip'])} on, {1e3 * item['peak_slip']:.2f} mm at most.",
+        "spills": f"{name} spills from t = {_time(item.get('first_spill'))} on: its liquid rises by "
+        f"{1e3 * item.get('peak_wave', 0.0):.1f} mm, and the brim is {1e3 * (item.get('room') or 0.0):.1f} mm "
+        f"above it.",
+        "tips": f"{name} tips by over {57.3 * limits['tip_angle']:.0f} degrees from t = {_time(item['first_tip'])} on.",
+        "lifts": f"{name} lifts off: over {1e3 * limits['lift']:g} mm from t = {_time(item['first_lift'])} on.",
+        "lost": f"{name} slid off the tray at t = {_time(item['lost_at'])}.",
+    }[item["outcome"]]
+
+
+def _time(t: float | None) -> str:
+    return "?" if t is None else f"{t:.3f} s"

@@ -1,0 +1,1 @@
+"""Commands that learn from logs: calibration, the load, the tracking of an arm."""

@@ -1,0 +1,124 @@
+"""`salver track`: was it the plan that the robot did, and what does the difference cost?"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from salver.cli.checks.audit import Topic
+from salver.cli.common import NO_SAFE_PLAN, Json, headed, print_json, result_console
+
+if TYPE_CHECKING:
+    from salver.learning.tracking.track import Tracking
+
+UNSEEN = "what joint encoders do not see: how arm and tray bend, and where the load stands"
+
+
+def track(
+    directory: Annotated[Path, typer.Argument(help="Run directory whose plan was carried out.")],
+    log: Annotated[Path, typer.Argument(help="What the joints did: .npz, CSV, JSON, YAML (MoveIt), ROS bag.")],
+    stem: Annotated[str, typer.Option(help="Which plan of the directory.")] = "plan",
+    topic: Topic = None,
+    json: Json = False,
+) -> None:
+    """Compare a robot's motion with the plan, and say what the difference takes from the contact margin.
+
+    The log holds joint positions (rad) over time (s), 90 samples a second or more, from rest to rest; its clock may
+    begin anywhere. A common delay of all joints is removed, because it costs nothing. The executed motion of the tray
+    is then judged like the plan, for every load of the scenario's ranges: the excess is the missing margin, as a share
+    of the weight. Names the joint that causes most of it, and the remedies in their order.
+
+    Example: `salver track runs/panda-tall-bottle runs/panda-tall-bottle/execution/plan.npz`
+
+    Ends with 0 when the executed motion lacks no margin, with 3 when it does.
+    """
+    from salver.learning.tracking.executed import read_joints
+    from salver.learning.tracking.track import Judge
+    from salver.learning.tracking.track import track as compare
+    from salver.planning.plan import load_plan
+
+    plan = load_plan(directory, stem)
+    judge = Judge.of(plan.scenario)
+    found = compare(plan, read_joints(log, judge.arm, topic), judge)
+    if json:
+        print_json(record(found))
+    else:
+        _show(found, directory)
+    if not found.ok:
+        raise typer.Exit(NO_SAFE_PLAN)
+
+
+def unseen(found: Tracking) -> str:
+    """Limits of the verdict, in words."""
+    return f"{UNSEEN}; what shakes faster than {found.done.fastest:.0f} Hz"
+
+
+def record(found: Tracking) -> dict[str, Any]:
+    """For machines. Rows as shares of the weight."""
+    return {
+        "not_checked": unseen(found),
+        "ok": found.ok,
+        "row": found.row,
+        "noise": found.noise,
+        "uncertainty": found.uncertainty,
+        "planned": found.planned,
+        "excess": found.excess,
+        "time": found.time,
+        "interface": found.interface,
+        "shift": found.done.shift,
+        "cause": found.cause,
+        "margin_that_pays": found.margin,
+        "joints": [vars(joint) for joint in found.joints],
+    }
+
+
+def verdict(found: Tracking) -> str:
+    """In one sentence."""
+    where = f"({found.interface}, at {found.time:.3f} s)"
+    known = f"+- {100 * found.uncertainty:.1f} %"
+    if found.ok:
+        return f"What was executed keeps {-100 * found.row:.1f} {known} of the weight in the worst case {where}."
+    if found.row > 0:
+        return (
+            f"What was executed exceeds what holds in the worst case by {100 * found.row:.1f} {known} of the weight "
+            f"{where}."
+        )
+    return (
+        f"Whether what was executed holds in the worst case cannot be told: it keeps {-100 * found.row:.1f} {known} of "
+        f"the weight {where}."
+    )
+
+
+def _show(found: Tracking, directory: Path) -> None:
+    from rich.table import Table
+
+    console = result_console()
+    console.print(headed("not checked", f"{unseen(found)}."))
+    console.print(headed("executed", verdict(found)))
+    console.print(
+        f"The log's clock is {found.done.shift:.4f} s ahead of the plan's; the plan itself has a margin of "
+        f"{-100 * found.planned:.1f} % of the weight."
+    )
+    table = Table(box=None, padding=(0, 3, 0, 0))
+    for title in ("joint", "off the plan", "later than all", "friction", "noise", "alone"):
+        table.add_column(title, justify="left" if title == "joint" else "right")
+    for joint in found.joints:
+        table.add_row(
+            joint.name,
+            f"{1e3 * joint.peak:.3f} m{joint.unit}",
+            f"{1e3 * joint.lag:.2f} ms",
+            f"{1e3 * joint.friction:.3f} m{joint.unit}",
+            f"{1e6 * joint.noise:.1f} u{joint.unit}",
+            f"{100 * joint.row:.1f} %",
+        )
+    console.print(table)
+    if found.ok:
+        return
+    console.print(headed("cause", f"{found.cause}."))
+    console.print(headed("cure 1", f"correct the command: salver tune {directory} --log LOG -o DIRECTORY."))
+    console.print(headed("cure 2", f"buy a margin for the rest: contact.margin = {found.margin:.4f}, and plan again."))
+    console.print(
+        headed("cure 3", "if that is too slow: another robot, or this one with its friction and payload put right.")
+    )

@@ -1,0 +1,1 @@
+"""Commands that make plans: the demonstration, scenarios, plans, timings, trade-offs."""

@@ -1,0 +1,146 @@
+"""`salver demo`: the paper's experiment, and the load that shows what planning for the unknown is worth."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from salver.cli.common import Json, print_json, result_console, say
+from salver.cli.progress import step
+
+if TYPE_CHECKING:
+    from salver.campaigns.engine import Campaign
+
+PAPER, BOTTLE = "panda-cube", "panda-tall-bottle"
+BOTTLE_SHARE = 5  # of the runs asked for, every fifth: what they show is not a matter of a few per cent
+STEPS = 5
+
+
+def demo(
+    out: Annotated[Path, typer.Option("-o", "--out", help="Directory for the two run directories.")] = Path("out/demo"),
+    n: Annotated[int, typer.Option("-n", "--runs", min=1, help="Perturbed runs of each of the paper's plans.")] = 100,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the perturbed parameters.")] = 0,
+    json: Json = False,
+) -> None:
+    """The paper's experiment, whole, and then the case where it matters: a tall bottle as fast as possible.
+
+    If it is stopped half way, the same command resumes where it was.
+
+    Example: `salver demo -o out/demo`
+    """
+    cube = paper(out / "cube", n, seed, json)
+    tall = bottle(out / "bottle", max(1, n // BOTTLE_SHARE), seed, json)
+    if json:
+        print_json({"directory": out, "cube": cube, "bottle": tall})
+        return
+    console = result_console()
+    console.print(f"\nThe paper's cube stayed on the tray in {_held(cube['campaign'])}: at this speed both do.")
+    console.print(
+        f"The tall bottle, as fast as the arm and the load allow, stayed in {_held(tall['campaign'])}: "
+        f"that costs {_price(tall)} of time."
+    )
+    console.print(f"See it fall and stay, side by side: {tall['page']} (open it in a browser)")
+    console.print(f"The paper's experiment: {cube['page']}, its figures redrawn: {out / 'cube' / 'figures'}")
+    console.print(
+        "Next: salver plan panda-cube --fastest -o out/fastest, or a scenario of your own (docs/tutorial.md)."
+    )
+
+
+def paper(out: Path, n: int, seed: int, quiet: bool) -> dict[str, Any]:
+    """Plan, run, draw and report the paper's scenario: the robust trajectory beside the straight line."""
+    from salver import scenario as scenarios
+    from salver.planning.make import plan_pair
+    from salver.planning.plan import load_plan
+    from salver.reports.pages.page import write_report
+    from salver.reports.pictures.figures import write_figures
+    from salver.simulation.physics import simulate
+
+    _head(1, "The paper's cube, half a metre in 2.5 s: its robust trajectory, and the straight line")
+    plan, baseline = plan_pair(scenarios.load(PAPER))
+    plan.save(out)
+    baseline.save(out, "baseline")
+    if not quiet:
+        from salver.cli.plans.plan import show
+
+        show(plan, baseline, "baseline")
+
+    _head(2, f"Physics: arm, tray and loose cube; {n} runs of each with the cube's mass perturbed")
+    for stem in ("plan", "baseline"):
+        simulate(load_plan(out, stem)).save(out, stem)
+    summary = _campaign(out, n, seed, quiet).summary
+
+    _head(3, f"Figures of the paper, with {n} perturbed closed loops without an engine, and the report page")
+    figures = write_figures(out, "png", n, seed, say=say)
+    return {"plan": plan.summary(), "campaign": summary, "figures": figures, "page": write_report(out)}
+
+
+def bottle(out: Path, n: int, seed: int, quiet: bool) -> dict[str, Any]:
+    """The fastest motion of the tall bottle, planned for its ranges and for nominal values; the same true bottles."""
+    from salver import scenario as scenarios
+    from salver.campaigns import parameters_of_run
+    from salver.planning.make import plan_pair
+    from salver.planning.plan import load_plan
+    from salver.reports.pages.page import write_report
+    from salver.simulation.physics import simulate
+
+    _head(
+        4,
+        "A tall bottle as fast as possible, the tray leaning like a waiter's: planned for its ranges, and nominally",
+    )
+    plan, nominal = plan_pair(scenarios.load(BOTTLE), "fastest", beside="nominal")
+    plan.save(out)
+    nominal.save(out, "nominal")
+    if not quiet:
+        from salver.cli.plans.plan import show
+
+        show(plan, nominal, "nominal")
+
+    _head(5, f"Physics: {n} bottles of unknown weight and balance, each with both motions")
+    campaign = _campaign(out, n, seed, quiet)
+    # The replay shows the same bottle with both: the one that the nominal motion keeps least.
+    run = campaign.summary["plans"]["nominal"]["worst_run"]["run"]
+    parameters, noise = parameters_of_run(out, run)
+    for stem in ("plan", "nominal"):
+        simulate(load_plan(out, stem), parameters=parameters, seed=noise).save(out, stem)
+    return {
+        "plan": plan.summary(),
+        "nominal": nominal.summary(),
+        "campaign": campaign.summary,
+        "page": write_report(out),
+    }
+
+
+def _campaign(out: Path, n: int, seed: int, quiet: bool) -> Campaign:
+    from salver.campaigns import run_campaign
+    from salver.cli.checks.campaign import show, told
+
+    campaign = run_campaign(out, n, seed, progress=told)
+    if not quiet:
+        show(campaign.summary)
+    return campaign
+
+
+def _head(number: int, text: str) -> None:
+    step(0, 1)  # what was told of the part before is over
+    say(f"\n[{number}/{STEPS}] {text}")
+
+
+def _held(summary: dict[str, Any]) -> str:
+    """Number of runs in which each plan kept its load, in plain words."""
+    held = {stem: plan["outcomes"].get("holds", {"count": 0})["count"] for stem, plan in summary["plans"].items()}
+    n = summary["definition"]["n"]
+    return " and ".join(f"{count} of {n} runs {_NAMES[stem]}" for stem, count in held.items())
+
+
+def _price(tall: dict[str, Any]) -> str:
+    careful, careless = tall["plan"]["duration"], tall["nominal"]["duration"]
+    return f"{100 * (careful / careless - 1):.0f} % ({careful:.2f} s instead of {careless:.2f} s)"
+
+
+_NAMES = {
+    "plan": "when planned for its uncertainty",
+    "baseline": "with the straight line",
+    "nominal": "when planned for its nominal values",
+}

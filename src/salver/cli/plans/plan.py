@@ -1,0 +1,345 @@
+"""`salver plan`: from a scenario to a run directory."""
+
+from __future__ import annotations
+
+from contextlib import nullcontext
+from enum import StrEnum
+from functools import partial
+from pathlib import Path
+from shlex import quote
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from salver.cli.common import (
+    NO_SAFE_PLAN,
+    Json,
+    ScenarioName,
+    Stops,
+    headed,
+    print_json,
+    result_console,
+    save_plans,
+    say,
+)
+from salver.cli.plans.searching import searching, stopping
+from salver.cli.plans.watch import watched
+from salver.wording import millimetres
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+
+    from salver.planning.fastest import FastestOptions
+    from salver.planning.plan import Plan
+    from salver.planning.round import MultiLegPlan
+    from salver.scenario import Scenario
+
+
+class Effort(StrEnum):
+    """The names in `salver.planning.fastest.EFFORTS`, which loads solvers."""
+
+    QUICK = "quick"
+    NORMAL = "normal"
+    THOROUGH = "thorough"
+
+
+def plan(
+    scenario: ScenarioName,
+    out: Annotated[Path | None, typer.Option("-o", "--out", help="Run directory; default runs/NAME.")] = None,
+    fastest: Annotated[bool, typer.Option("--fastest", help="Find the shortest duration that is safe.")] = False,
+    safest: Annotated[
+        bool,
+        typer.Option(
+            "--safest",
+            help="Find the motion that keeps the load furthest from its edge in the given duration, clear of obstacles "
+            "and within the arm's limits.",
+        ),
+    ] = False,
+    least_sensitive: Annotated[
+        bool,
+        typer.Option(
+            "--least-sensitive",
+            help="Find the motion along which the closed loop reacts least to wrong parameters in the given duration "
+            "(what the paper minimises), clear of obstacles and within the arm's limits.",
+        ),
+    ] = False,
+    robust: Annotated[
+        bool,
+        typer.Option(
+            "--robust",
+            help="Find the paper's motion: as --least-sensitive, of the object alone, whether or not the arm can "
+            "follow it.",
+        ),
+    ] = False,
+    beside: Annotated[
+        str | None,
+        typer.Option(
+            help="What to compare it with: baseline (the straight line in the same time; the default), or nominal (the "
+            "fastest motion for someone who believes the nominal values). A task of several legs is compared with "
+            "nothing.",
+        ),
+    ] = None,
+    duration: Annotated[float | None, typer.Option(help="Duration in s, instead of the scenario's.")] = None,
+    arm: Annotated[bool, typer.Option(help="Follow the plan with the scenario's arm, when it has one.")] = True,
+    stops: Stops = False,
+    force: Annotated[
+        bool, typer.Option("--force", help="Replace the plans of another scenario too; they are kept in earlier/.")
+    ] = False,
+    watch: Annotated[
+        bool, typer.Option("--watch", help="Plan again, and write the page, whenever the .toml file is saved.")
+    ] = False,
+    effort: Annotated[
+        Effort | None,
+        typer.Option(
+            help="How much the search for a fastest, safest or least sensitive plan tries, in starts and iterations; "
+            "default normal. The same effort gives the same plan on any machine.",
+        ),
+    ] = None,
+    time_limit: Annotated[
+        float | None,
+        typer.Option(min=0.0, help="End that search after so many seconds, with the best so far; none by default."),
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Plan a motion that keeps the object on the tray, and another one beside it to compare it with.
+
+    Without an option it is what the scenario's plan.method says; else the safest motion in its duration, and the
+    fastest where it has none.
+
+    Plans of the same scenario, as it was before it was edited, are replaced: they move to earlier/ with their results.
+
+    Example: `salver plan panda-cube -o runs/cube`
+
+    Ends with 0 when the plan is safe and the arm can follow it, with 3 when no such plan was found, which does not
+    prove that there is none. Ctrl-C ends the search for a fastest plan with the best found so far, which is written
+    with a status that says so; Ctrl-C once more ends the command.
+    """
+    again = partial(plan, **{**locals(), "watch": False})
+    from salver import scenario as scenarios
+
+    def place(named: Scenario) -> Path:
+        return out if out is not None else Path("runs") / named.name
+
+    if watch:
+        watched(Path(scenario), again, lambda: place(scenarios.load(scenario)))
+        return
+    chosen = scenarios.load(scenario)
+    if duration is not None:
+        chosen = chosen.with_changes(motion__duration=duration)
+    asked = {"fastest": fastest, "safest": safest, "least-sensitive": least_sensitive, "robust": robust}
+    method = _method(chosen, arm, [name for name, wanted in asked.items() if wanted])
+    if method == "robust" and beside != "nominal" and (effort is not None or time_limit is not None):
+        raise typer.BadParameter(
+            "--effort and --time-limit are for the searches of --fastest, --safest and --least-sensitive."
+        )
+    directory, options = place(chosen), options_of(effort)
+    if chosen.legs:
+        if beside is not None or not arm:
+            raise typer.BadParameter("--beside and --no-arm are not for a task of several legs; leave them out.")
+        plans = _legs(chosen, method, directory, options, time_limit)
+    else:
+        plans = _pair(chosen, method, arm, beside or "baseline", directory, force, options, time_limit)
+    if stops:
+        plans["plan"] = stopping(plans["plan"], lambda: save_plans(directory, plans, force))
+    save_plans(directory, plans, force)
+    if json:
+        print_json({"directory": directory, **{stem: made.summary() for stem, made in plans.items()}})
+    else:
+        _tell(directory, plans)
+    if not plans["plan"].ok:
+        raise typer.Exit(NO_SAFE_PLAN)
+
+
+def _method(scenario: Scenario, arm: bool, asked: list[str]) -> str:
+    """What is asked, by the options given, or by the scenario."""
+    from salver.planning.make import method_of
+
+    if len(asked) > 1:
+        raise typer.BadParameter(
+            "--fastest, --safest, --least-sensitive and --robust are four questions: give one of them."
+        )
+    method = asked[0] if asked else method_of(scenario, arm)
+    return "fastest" if method == "robust" and scenario.motion.duration is None else method
+
+
+def _pair(
+    scenario: Scenario,
+    method: str,
+    arm: bool,
+    beside: str,
+    directory: Path,
+    force: bool,
+    options: FastestOptions | None,
+    time_limit: float | None,
+) -> dict[str, Plan | MultiLegPlan]:
+    """By stem: the plan, and what it is compared with."""
+    from salver.planning.make import plan_pair
+    from salver.planning.plan_files import check_place
+    from salver.run_directory import check_free
+
+    if method == "fastest":  # the scenario that is saved is known when the plan is
+        check_free(directory)
+    else:
+        check_place(scenario, directory, edited=True, force=force)
+    with searching(time_limit) if method != "robust" or beside == "nominal" else nullcontext() as search:
+        found, other = plan_pair(scenario, method, arm, beside, options=options, watch=search)
+    return {"plan": found, beside: other}
+
+
+def _legs(
+    scenario: Scenario, method: str, directory: Path, options: FastestOptions | None, time_limit: float | None
+) -> dict[str, Plan | MultiLegPlan]:
+    """By stem, the one there is: the plan of a task of several legs."""
+    from salver.planning.fastest.legs import plan_legs
+    from salver.planning.fastest.safest import plan_safest_legs
+    from salver.run_directory import check_free
+
+    if method == "least-sensitive":
+        raise typer.BadParameter("--least-sensitive is not for a task of several legs; ask for --safest.")
+    check_free(directory)
+    with searching(time_limit) as search:
+        found = (plan_safest_legs if method == "safest" else plan_legs)(scenario, options=options, watch=search)
+    return {"plan": found}
+
+
+def _tell(directory: Path, plans: dict[str, Plan | MultiLegPlan]) -> None:
+    """What was planned, for a person, and what may come next."""
+    from salver.planning.plan import Plan
+
+    found, quoted = plans["plan"], quote(str(directory))
+    commands = [f"salver simulate {quoted}", f"salver report {quoted}"]
+    if isinstance(found, Plan):
+        beside = next(stem for stem in plans if stem != "plan")
+        other = plans[beside]
+        assert isinstance(other, Plan)
+        show(found, other, beside)
+        runs = found.joint is not None or found.scenario.arm is None
+        commands = commands if runs else commands[1:]
+    else:
+        _show_legs(found)
+        commands = commands[:1]
+    say(f"Written to {directory}; next: {', or '.join(commands)}")
+
+
+def _show_legs(plan: MultiLegPlan) -> None:
+    """A plan of several legs for a person, on standard output."""
+    from rich.table import Table
+
+    console, scenario = result_console(), plan.scenario
+    console.print(headed(scenario.name, scenario.summary) if scenario.summary else scenario.name)
+    warn(plan.warnings)
+    table = Table(box=None, padding=(0, 3, 0, 0))
+    for column in ("leg", "on the tray", "then", "duration", "left, worst case", "friction needed / sure", "arm"):
+        table.add_column(column)
+    for k, (leg, asked) in enumerate(zip(plan.legs, scenario.legs, strict=True), 1):
+        table.add_row(
+            str(k),
+            ", ".join(item.name for item in leg.scenario.objects),
+            ", ".join([*(f"- {name}" for name in asked.taken), *(f"+ {name}" for name in asked.added)]),
+            f"{leg.duration:.4g} s",
+            f"{100 * leg.left:.1f} %",
+            _friction(leg),
+            "yes" if leg.arm_status is not None and leg.arm_status.ok else "NO",
+        )
+    console.print(table)
+    console.print(f"Not checked: {'; '.join(plan.unchecked)}.")
+    console.print(headed("all", plan.status))
+    for k, leg in enumerate(plan.legs, 1):
+        console.print(headed(f"leg {k}", leg.status))
+        console.print(f"  arm: {leg.arm_status}")
+        console.print(f"  {leg.verification.sentence}")
+        console.print(f"  {leg.speeds.sentence}")
+        console.print(f"  {leg.extent.sentence}")
+        if leg.stops is not None:
+            console.print(f"  {leg.stops.sentence}")
+    console.print(f"Solved in {1e3 * float(plan.solver['seconds']):.1f} ms by {plan.solver['name']}.")
+
+
+def warn(warnings: Iterable[str]) -> None:
+    """Say on standard output what of a scenario is probably not meant."""
+    for sentence in warnings:
+        result_console().print(headed("Warning", sentence))
+
+
+def options_of(effort: Effort | None) -> FastestOptions | None:
+    """The options of the search for an effort; None, the normal ones, loads no search."""
+    if effort is None:
+        return None
+    from salver.planning.fastest import EFFORTS
+
+    return EFFORTS[effort]
+
+
+def show(plan: Plan, other: Plan, beside: str) -> None:
+    """The plan and what it is compared with, for a person, on standard output."""
+    from rich.table import Table
+
+    console = result_console()
+    scenario = plan.scenario
+    console.print(headed(scenario.name, scenario.summary) if scenario.summary else scenario.name)
+    warn(plan.warnings)
+    uncertain = ", ".join(
+        f"{name} ±{half:.3g}" for name, half in zip(plan.uncertain.names, plan.uncertain.half_range, strict=True)
+    )
+    console.print(
+        f"Uncertain ({plan.uncertain.kind}, SI units): {uncertain or 'nothing'}; duration {plan.duration:.4g} s"
+    )
+    console.print(plan.speeds.sentence)
+    table = Table(box=None, padding=(0, 3, 0, 0))
+    table.add_column("")
+    names = (plan.method, beside)
+    for name in names:
+        table.add_column(name, justify="right")
+    lines: dict[str, Callable[[Plan], str]] = {"sensitivity cost, eq (13)": lambda p: f"{p.cost:.4g}"}
+    if scenario.contact.condition == "paper":
+        lines |= {
+            "least cone coefficient, nominal": lambda p: f"{1e3 * p.cone_coefficients.min():.1f} mN",
+            "least cone coefficient, in its tube": lambda p: (
+                f"{1e3 * (p.cone_coefficients - p.cone_radius).min():.1f} mN"
+            ),
+        }
+    lines |= {
+        "exact margin of the weight, worst case": lambda p: f"{100 * p.left:.1f} %",
+        "friction needed / sure, worst case": _friction,
+        "distance to tipping, worst case": lambda p: millimetres(
+            min(m.tip_over_worst.min() for m in p.margins.interfaces)
+        ),
+        **({"room under the brim, worst case": _room} if scenario.payload.liquids else {}),
+        "contact condition kept everywhere": lambda p: "yes" if p.verification.violation == 0 else "NO",
+        "arm can follow, as far as checked": lambda p: (
+            "-" if p.arm_status is None else "yes" if p.arm_status.ok else "NO"
+        ),
+    }
+    for label, value in lines.items():
+        table.add_row(label, value(plan), value(other))
+    console.print(table)
+    # What is not checked of the arm, its own sentence says.
+    blind = plan.unchecked if plan.arm_status is None else (*plan.scenario.payload.unmodelled, *plan.unshaken)
+    if blind:
+        console.print(f"Not checked: {'; '.join(blind)}.")
+    for name, item in zip(names, (plan, other), strict=True):
+        console.print(headed(name, item.status))
+        if item.arm_status is not None:
+            console.print(f"  arm: {item.arm_status}")
+    if plan.method == "robust" and plan.status.ok and plan.arm_status is not None and not plan.arm_status.ok:
+        console.print("This plan is of the object alone; --least-sensitive seeks the same within the arm's limits.")
+    console.print(plan.verification.sentence)
+    console.print(plan.extent.sentence)
+    if plan.stops is not None:
+        console.print(plan.stops.sentence)
+    if plan.solver:
+        seconds = 1e3 * float(plan.solver["seconds"])
+        console.print(f"Solved in {seconds:.1f} ms by {plan.solver['name']}.")
+
+
+def _room(plan: Plan) -> str:
+    """The least that a liquid leaves under its brim, during the motion and after it."""
+    spills = plan.margins.spills(worst=True)
+    return millimetres(min(min(float(spill.left.min()), spill.after) for spill in spills), "no brim")
+
+
+def _friction(plan: Plan) -> str:
+    """Of the interface that needs most of what it surely has."""
+    tight = max(plan.margins.interfaces, key=lambda m: m.friction_needed_worst / m.least_friction)
+    needed = tight.friction_needed_worst
+    return f"{f'{needed:.3f}' if needed < float('inf') else 'none suffices'} / {tight.least_friction:.3f}"

@@ -1,0 +1,109 @@
+"""`salver tradeoff`: what robustness costs in time."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from salver.cli.common import NO_SAFE_PLAN, Json, ScenarioName, headed, print_json, result_console, say
+from salver.cli.progress import step
+from salver.errors import ScenarioError
+
+if TYPE_CHECKING:
+    from salver.planning.fastest.tradeoff import TradeoffPoint
+
+
+def tradeoff(
+    scenario: ScenarioName,
+    out: Annotated[Path | None, typer.Option("-o", "--out", help="Directory; default runs/NAME-tradeoff.")] = None,
+    scales: Annotated[
+        str, typer.Option(help="Sizes of the uncertainty, in multiples of the scenario's, separated by commas.")
+    ] = "0,0.25,0.5,0.75,1,1.25,1.5,2",
+    file_format: Annotated[str, typer.Option("--format", help="Of the figure: pdf, svg or png.")] = "svg",
+    json: Json = False,
+) -> None:
+    """Shortest safe duration for ever larger uncertainty: a table and a figure.
+
+    Read off what being slower buys. Needs a scenario with an arm. At the scenario's own uncertainty it asks what
+    `salver plan --fastest` asks: the duration is left open, and the tray may tilt unless motion.orientation is "fixed".
+
+    Example: `salver tradeoff panda-cube --scales 0,0.5,1,2`
+
+    Ends with 0 when at least the smallest uncertainty has a safe motion, with 3 otherwise.
+    """
+    from salver import scenario as scenarios
+    from salver.files import provenance
+    from salver.planning.fastest.tradeoff import TradeoffTask
+    from salver.planning.fastest.tradeoff import tradeoff as curve
+    from salver.reports.pictures.figures import check_format
+
+    wanted = _scales(scales)
+    check_format(file_format)
+    chosen = scenarios.load(scenario)
+    asked, points = TradeoffTask.of(chosen), []
+    if not json:
+        say(asked.sentence)
+    for point in curve(chosen, wanted):
+        points.append(point)
+        step(len(points), len(wanted))
+        if not json:
+            say(f"{point.scale:g} times the uncertainty: {point.status}")
+    directory = out if out is not None else Path("runs") / f"{chosen.name}-tradeoff"
+    told = {"asked": asked.sentence, "points": [point.record() for point in points]}
+    _write(directory, {**told, "provenance": provenance(chosen)}, points, file_format)
+    if json:
+        print_json({"directory": directory, **told})
+    else:
+        show(chosen.name, points)
+        say(f"Written to {directory}")
+    if not any(point.status.ok for point in points):
+        raise typer.Exit(NO_SAFE_PLAN)
+
+
+def _scales(text: str) -> list[float]:
+    try:
+        scales = [float(word) for word in text.split(",")]
+    except ValueError:
+        scales = [-1.0]
+    if not all(0 <= scale <= 100 for scale in scales) or len(scales) > 100:
+        raise ScenarioError(f'--scales = "{text[:80]}" must be at most 100 numbers from 0 to 100, separated by commas.')
+    return scales
+
+
+def _write(directory: Path, document: dict[str, Any], points: list[TradeoffPoint], file_format: str) -> None:
+    """The points, and a picture of those at which a motion was found."""
+    from salver.files import to_json, write_atomic
+    from salver.reports.pictures.figures import render, tradeoff_curve
+    from salver.reports.style import paper_style
+
+    write_atomic(directory / "tradeoff.json", to_json(document), keep=True)
+    if solved := [point for point in points if point.status.ok]:
+        with paper_style():
+            picture = render(tradeoff_curve(solved), file_format)
+        write_atomic(directory / f"tradeoff.{file_format}", picture, keep=True)
+
+
+def show(name: str, points: list[TradeoffPoint]) -> None:
+    """The curve as a table, on standard output."""
+    from rich.table import Table
+
+    table = Table(box=None, padding=(0, 3, 0, 0))
+    for head in ("uncertainty", "duration", "longer by", "friction needed", "nominal margin"):
+        table.add_column(head, justify="right")
+    first = points[0].duration
+    for point in points:
+        if point.status.ok:
+            table.add_row(
+                f"{point.scale:g} x",
+                f"{point.duration:.3f} s",
+                f"{100 * (point.duration / first - 1):.1f} %",
+                f"{point.friction_needed:.3f}",
+                f"{100 * point.margin:.1f} % of the weight",
+            )
+        else:
+            table.add_row(f"{point.scale:g} x", "none", "", "", "")
+    console = result_console()
+    console.print(headed(name, "fastest motion that is safe for so much uncertainty"))
+    console.print(table)

@@ -1,0 +1,89 @@
+"""`salver export`: a plan for other programs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from salver.cli.checks.audit import Topic, Units
+from salver.cli.common import Json, Unsafe, print_json, say
+from salver.errors import SalverError
+
+
+def export(
+    directory: Annotated[Path, typer.Argument(help="A run directory, as `salver plan` makes it; or a motion file.")],
+    file_format: Annotated[str, typer.Option("--format", help="csv, json, ros2, yaml, moveit, mujoco or urscript.")],
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="File to write (ros2, mujoco: new directory).")
+    ] = None,
+    stem: Annotated[
+        str, typer.Option(help="Which motion: plan (all its legs), baseline or nominal; or a leg: leg1, leg2 ...")
+    ] = "plan",
+    rate: Annotated[float | None, typer.Option(help="Samples per second; the plan's own instants by default.")] = None,
+    pause: Annotated[
+        float | None, typer.Option(help="Of a plan of several legs: seconds at rest between two; 5 by default.")
+    ] = None,
+    scenario: Annotated[
+        str | None,
+        typer.Option("-s", "--scenario", help="Whose arm names the joints of a motion file that only numbers them."),
+    ] = None,
+    topic: Topic = None,
+    units: Units = None,
+    stop_input: Annotated[
+        int, typer.Option(help="urscript: the standard digital input, 0 to 7, that stops a plan with stops when low.")
+    ] = 0,
+    unsafe: Unsafe = False,
+    json: Json = False,
+) -> None:
+    """Write a planned motion for other programs: CSV, JSON, ROS 2 bag (mcap), ROS 2 messages as YAML
+    (moveit: a RobotTrajectory), MuJoCo scene, URScript program.
+
+    Numbers keep all their digits; times are whole nanoseconds. Or write a motion file (CSV, JSON, YAML, ROS bag, log of
+    a run) in another of these formats: its joints, where it tells them, and in a table the tray's poses.
+
+    A motion that fails its verdict (its plan, its check, its arm) is written with --unsafe only, and then says UNSAFE
+    first and in its name: cube-UNSAFE.csv.
+
+    Example: `salver export runs/panda-cube --format ros2 -o cube_bag`
+
+    Ends with 3 when the motion is unsafe and --unsafe was not given.
+    """
+    from salver.export import convert, write_export
+    from salver.motion_files import is_motion_file
+
+    if is_motion_file(directory):
+        from salver import scenario as scenarios
+
+        if rate is not None or stem != "plan" or pause is not None:
+            raise SalverError(
+                "--rate, --stem and --pause are for run directories; a motion file keeps its own instants."
+            )
+        chosen = None if scenario is None else scenarios.load(scenario)
+        paths, notes = convert(directory, file_format, output, chosen, topic, units, unsafe=unsafe)
+        for note in notes:
+            say(f"salver: {note}")
+    else:
+        if (scenario, topic, units) != (None, None, None):
+            raise SalverError(f"--scenario, --topic and --units are for motion files; {directory} is none.")
+        from salver.export.motion import PAUSE
+        from salver.planning.round import has_legs
+
+        legs = stem == "plan" and has_legs(directory)
+        if pause is not None and not legs:
+            raise SalverError(f"--pause is for all legs of a plan of several; {directory}, {stem}, is one motion.")
+        paths = write_export(
+            directory, file_format, output, stem, rate, pause=pause, unsafe=unsafe, stop_input=stop_input
+        )
+        if legs:
+            say(f"salver: the arm rests for {PAUSE if pause is None else pause:g} s between two legs (--pause).")
+    if json:
+        print_json({"files": [str(path) for path in paths]})
+    else:
+        meshes = [path for path in paths if path.parent.name == "meshes"]
+        for path in paths:
+            if path not in meshes:
+                say(f"Wrote {path}")
+        if meshes:
+            say(f"Wrote {len(meshes)} files in {meshes[0].parent}")

@@ -1,0 +1,55 @@
+"""`salver render`: a film of a run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from salver.cli.common import Json, print_json, say
+
+
+def render(
+    directory: Annotated[Path, typer.Argument(help="A run directory with a simulation (`salver simulate`).")],
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="Film to write: .mp4, .mkv, .webm, .gif or .webp.")
+    ] = None,
+    stem: Annotated[
+        str,
+        typer.Option(help="plan (all its legs), baseline, nominal, or both side by side; or a leg: leg1, leg2 ..."),
+    ] = "both",
+    rate: Annotated[float, typer.Option(help="Pictures a second.")] = 30.0,
+    speed: Annotated[float, typer.Option(help="Speed of time; 0.25 is four times slower.")] = 1.0,
+    width: Annotated[int, typer.Option(help="Width of each picture, pixels.")] = 960,
+    height: Annotated[int, typer.Option(help="Height of each picture, pixels.")] = 720,
+    json: Json = False,
+) -> None:
+    """Film the simulated runs of a directory, without a display.
+
+    Pictures by MuJoCo where OpenGL works, a plain drawing where it does not; the film by ffmpeg (gif, webp: without).
+
+    Example: `salver render runs/panda-cube -o cube.mp4`
+    """
+    from salver.motion_files.verdict import UNSAFE
+    from salver.reports.pictures.film import write_film
+
+    path = output if output is not None else directory / "film.mp4"
+    film = write_film(directory, path, stem, rate=rate, speed=speed, width=width, height=height)
+    if film.note:
+        say(film.note)
+    for name, verdict in film.verdicts.items():
+        if verdict.startswith(UNSAFE):
+            say(f"salver: {name}: {verdict}")
+    if json:
+        print_json(
+            {
+                "film": film.path,
+                "frames": film.frames,
+                "renderer": film.renderer,
+                "note": film.note,
+                "verdicts": film.verdicts,
+            }
+        )
+    else:
+        say(f"Wrote {film.path}: {film.frames} pictures, {film.path.stat().st_size / 1e6:.1f} MB.")

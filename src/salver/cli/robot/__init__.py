@@ -1,0 +1,1 @@
+"""Commands that drive: a plan on an arm, a motion steered by hand."""

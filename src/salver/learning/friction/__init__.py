@@ -1,0 +1,1 @@
+"""Friction from logs, and tilts that test it."""

@@ -1,0 +1,306 @@
+"""Friction, never as a point: what a run without a slip proves of it, what a slip does, and a test that tilts slowly.
+
+A load whose centre of mass stands at c on the tray needs, of each kilogram, f(c) = f + alpha x c + omega x (omega x c),
+whatever its mass. While it does not slide, the friction coefficient, as the mean over its base weighted by pressure, is
+at least |f_t| / f_n; where c and the level of the robot's base are known as ranges, at least the smallest such ratio,
+
+    min over c of |f_t(c)| / f_n(c) = max over unit u of min over corners c of u . f_t(c) / f_n(c)
+
+(both are quasi-linear in c and linear in u: Sion 1958). Any u gives a bound, so few directions are never optimistic. It
+is said of that base and that pressure, not of each of its points, nor of how it resists being turned.
+
+If a load begins to slide on a slowly tilted tray, where nothing twists it, its friction is at most the friction needed
+there. On a short tilt (`salver.learning.friction.tilts`) a load with less friction slides farther: a displacement
+below d implies at least the friction with which the load would have moved by d.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from salver.errors import SalverError, ScenarioError
+from salver.geometry import GRAVITY_S, Array
+from salver.learning.tracking.executed import executed
+from salver.models.arm.arm import load_arm, with_load
+from salver.models.bodies import Body
+from salver.models.uncertain.parameters import TILT, Parameter
+from salver.motion_files import JointSamples
+from salver.planning.plan import Plan
+from salver.scenario import Scenario
+from salver.sensitivity.arm.terms import motion_terms
+
+GRAVITY = float(np.linalg.norm(GRAVITY_S))
+METHOD, SHORT = "tilt", "short tilt"
+
+
+@dataclass(frozen=True)
+class FrictionOptions:
+    """Options of a friction test: its errors and its motion. All of it is on the safe side of what is proven.
+
+    Attributes:
+        level: deg by which a robot's base may lean; doubled, a slow tilt proves 0.01 less.
+        levelled: deg, the same of a base that was levelled for short tilts; doubled, each proves 0.004 less.
+        unseen: deg by which a tray may be off what was planned, when there is no log.
+        shakes: share of gravity that may shake a tray beyond what the joints tell, and start a slip.
+        unnoticed: m that a load may have moved beyond what was seen, against a mark on the tray; doubled, a short tilt
+            proves 0.003 less.
+        farthest: m that a short tilt may move a load; doubled, it proves more and the load needs more room.
+        speed: deg/s at which a tray is tilted slowly; doubled, the test is shorter and shakes more.
+        hold: s that a slow tilt stays at its angle.
+        bends: rad/s^2 tried, of a short tilt where it is steepest: the more, the shorter, and the nearer to tipping.
+            Without the least, the first tilt of a tall bottle shows less than is known, and none is made.
+        spare: share of the weight by which a test stays from tipping, and of friction that it asks for beyond.
+    """
+
+    level: float = 0.5
+    levelled: float = 0.1
+    unseen: float = 0.2
+    shakes: float = 0.02
+    unnoticed: float = 1e-3
+    farthest: float = 0.02
+    speed: float = 4.0
+    hold: float = 1.0
+    bends: tuple[float, ...] = (2.0, 4.0, 8.0)
+    spare: float = 0.02
+
+
+USUAL = FrictionOptions()
+
+
+@dataclass(frozen=True)
+class Friction:
+    """Range of one load's friction from a run.
+
+    low: proven by not having slid, at `low_time`; None when nothing is. high: by having slid, at `high_time`, or
+    None. plan: what was carried out.
+    """
+
+    plan: Plan
+    low: float | None
+    low_time: float
+    high: float | None
+    high_time: float
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """The result in sentences: contact, range, and what is unknown."""
+        where = f"the base of {self.plan.scenario.payload.first.name} on the tray, as a mean weighted by pressure"
+        under = "for every centre of mass and place within the ranges"
+        found = (("least", self.low, self.low_time), ("most", self.high, self.high_time))
+        values = tuple(
+            f"Friction is at {which} {value:.3f} ({where}; {under}): needed at t = {time:.2f} s."
+            for which, value, time in found
+            if value is not None
+        )
+        area, mass = _area(self.plan.scenario.payload.first), self.plan.scenario.payload.first.inertial.mass
+        pressure = (
+            f"The mean pressure was {mass * GRAVITY / area:.0f} Pa ({mass:.3g} kg on {1e4 * area:.3g} cm^2): "
+            "soft or sticky surfaces have another friction under another; test again with more weight on the load."
+        )
+        return (*values, pressure) if values and area else values
+
+    def learnt_scenario(self, scenario: Scenario | None = None) -> Scenario:
+        """A scenario of this load (the plan's own, unless given) with what is left of its range of friction.
+
+        Raises SalverError when nothing is, ScenarioError when its centre of mass may be where it was not in the plan.
+        """
+        scenario = self.plan.scenario if scenario is None else scenario
+        body, tested = lone_load(scenario), self.plan.scenario.payload.first
+        further = np.abs(body.p_EB - tested.p_EB) + _reach(scenario, body) - _reach(self.plan.scenario, tested)
+        if (further > 1e-9).any():
+            raise ScenarioError(
+                f"In {scenario.name} the centre of mass may be {1e3 * further.max():.2g} mm from where it is in the "
+                "plan of the test; test with the wider ranges."
+            )
+        half = _half(scenario, Parameter(body.name, "friction", lone=True))
+        before = body.friction - half, body.friction + half
+        low, high = max(before[0], self.low or 0.0), min(before[1], np.inf if self.high is None else self.high)
+        if low > high:
+            shown = (
+                f"at least {self.low:.3f}" if self.low is not None and self.low > before[1] else f"at most {high:.3f}"
+            )
+            raise SalverError(
+                f"The run shows a friction of {shown}, and {scenario.name} says {before[0]:.3f} to {before[1]:.3f}: "
+                "one of them is wrong; no range is widened."
+            )
+        changes = {"objects__0__friction": 0.5 * (low + high), "objects__0__uncertainty__friction": 0.5 * (high - low)}
+        return scenario.with_changes(**changes)
+
+
+def needed(w: Array, com_E: Array, reach: Array, off: float) -> tuple[Array, Array]:
+    """(T,) friction that a load needs at least, and at most, for any centre of mass in a box com_E +- reach (3,), m.
+
+    w: (T, 12) of the tray frame E. off: m/s^2 by which the specific force may be another, in any direction.
+    """
+    force = _forces(w, com_E, reach)
+    along, normal = np.linalg.norm(force[..., :2], axis=2), force[..., 2]
+    angle = np.linspace(0.0, 2 * np.pi, 72, endpoint=False)
+    round_ = np.broadcast_to(np.column_stack([np.cos(angle), np.sin(angle)]), (len(w), len(angle), 2))
+    middle = force[..., :2].mean(axis=1)
+    own = middle / np.maximum(np.linalg.norm(middle, axis=1), 1e-12)[:, None]
+    pushed = np.einsum("tuk,tck->tuc", np.concatenate([round_, own[:, None]], axis=1), force[..., :2]) - off
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = np.where((pushed > 0) & (normal > off)[:, None], pushed / (normal + off)[:, None], 0.0)
+        most = np.where(normal > off, (along + off) / (normal - off), np.inf)
+    return ratio.min(axis=2).max(axis=1), most.max(axis=1)
+
+
+def _forces(w: Array, com_E: Array, reach: Array) -> Array:
+    """(T, 8, 3) m/s^2 that a load's centre of mass needs in E, in the corners of a box."""
+    corner = com_E + np.array(list(product((-1.0, 1.0), repeat=3))) * reach
+    omega = w[:, [6, 7, 9, 7, 8, 10, 9, 10, 11]].reshape(-1, 3, 3)  # omega omega^T
+    spin = omega - np.trace(omega, axis1=1, axis2=2)[:, None, None] * np.eye(3)
+    return np.asarray(w[:, None, :3] + np.cross(w[:, None, 3:6], corner) + np.einsum("tij,cj->tci", spin, corner))
+
+
+def ways(t: Array, w: Array, scenario: Scenario, lean: float) -> Callable[[float], tuple[float, float]]:
+    """By how many m a load of a friction slides on a tray that tilts in one direction: at least, and at most, for any
+    centre of mass and place within the ranges.
+
+    t (T,), w (T, 12) of the tray frame E. lean: rad by which the tray may tilt otherwise.
+    """
+    body = scenario.payload.first
+    box = body.p_EB, _reach(scenario, body)
+    off, normal = GRAVITY * lean, _forces(w, *box)[..., 2]
+    ratios = needed(w, *box, off)
+    lowest, highest, steps = np.maximum(normal.min(axis=1) - off, 0.0), normal.max(axis=1) + off, np.diff(t).tolist()
+
+    def far(beyond: Array, faster: Array, slower: Array) -> float:
+        pull = (np.where(beyond > 0, faster, slower) * beyond).tolist()
+        speed, way = 0.0, 0.0
+        for step, before, after in zip(steps, pull[:-1], pull[1:], strict=True):
+            then = max(0.0, speed + 0.5 * step * (before + after))
+            way, speed = way + 0.5 * step * (speed + then), then
+        return way
+
+    def both(coefficient: float) -> tuple[float, float]:
+        least, most = (ratio - coefficient for ratio in ratios)
+        return far(least, lowest, highest), far(most, highest, lowest)
+
+    return both
+
+
+def friction(
+    plan: Plan,
+    samples: JointSamples | None = None,
+    *,
+    held: float | None = None,
+    slid: float | None = None,
+    moved: float | None = None,
+    level: float | None = None,
+    options: FrictionOptions = USUAL,
+) -> Friction:
+    """Friction of the load from a run of a plan.
+
+    samples: what the joints did, from rest to rest; None: what was planned, within `options.unseen`. held: s after the
+    motion began until which the load surely did not slide; unless given, to the end when `slid` is not given either.
+    slid: by when it surely had begun to. moved: m by which it was seen to have moved on a short tilt (0 unless given),
+    to `options.unnoticed`. level: deg by which the robot's base may lean; unless given `options.levelled` on a short
+    tilt, `options.level` on others.
+
+    Raises ScenarioError for what this cannot be asked of, FileFormatError for a log that is not of the plan.
+    """
+    scenario = plan.scenario
+    body = lone_load(scenario)
+    if plan.joint is None:
+        raise ScenarioError(f"{scenario.name}: this plan has no arm that moves; friction is shown by the arm's motion.")
+    short = plan.method == SHORT
+    _can_be_seen(plan, held, slid, moved)
+    level = level if level is not None else options.levelled if short else options.level
+    arm = load_arm(plan.scenario.arm, scenario.tray)  # type: ignore[arg-type]
+    if samples is None:
+        t = np.linspace(0.0, plan.duration, 1 + int(np.ceil(plan.duration / 0.02)))
+        motion, lean = plan.joint.sample(t)[:3], level + options.unseen
+    else:
+        done = executed(plan.joint, samples)
+        t, motion, lean = done.t, (done.q, done.dq, done.ddq), level
+    terms = motion_terms(with_load(arm, scenario.payload.bodies).pin_model, arm.tray_id, *motion)
+    lean = leaning(scenario, lean)
+    least, most = needed(terms.w, body.p_EB, _reach(scenario, body), GRAVITY * lean)
+    if short:
+        at = int(np.argmax(least))
+        known = proves(t, terms.w, scenario, lean, (moved or 0.0) + options.unnoticed)
+        return Friction(plan, known or None, float(t[at]), None, 0.0)
+    high = most + options.shakes * (1 + most)
+    until = plan.duration if held is None else held
+    before = (t >= 0) & (t <= until) & (held is not None or slid is None)
+    low_at = int(np.argmax(np.where(before, least, 0.0)))
+    high_at = int(np.argmax(np.where(t <= (slid or 0.0), high, 0.0)))
+    return Friction(
+        plan,
+        float(least[low_at]) if before.any() and least[low_at] > 0 else None,
+        float(t[low_at]),
+        None if slid is None else float(high[high_at]),
+        float(t[high_at]),
+    )
+
+
+def _can_be_seen(plan: Plan, held: float | None, slid: float | None, moved: float | None) -> None:
+    """Raise ScenarioError for what nobody can have seen in a run of the plan, or what would show nothing."""
+    if slid is not None and plan.method != METHOD:
+        raise ScenarioError(
+            f"slid = {slid:g} s: a slip shows friction only where nothing twists the load; make the test with salver "
+            "calibrate friction."
+        )
+    for name, value in (("held", held), ("slid", slid)):
+        if value is not None and not 0 <= value <= plan.duration:
+            raise ScenarioError(f"{name} = {value:g} s is not within the {plan.duration:.3g} s of the motion.")
+    if held is not None and slid is not None and held >= slid:
+        raise ScenarioError(f"held = {held:g} s must be before slid = {slid:g} s.")
+    if moved is not None and not (plan.method == SHORT and 0 <= moved < 1):
+        raise ScenarioError(
+            f"moved = {moved:g} m must be from 0 to 1 m, and tells friction on a short tilt only (salver calibrate "
+            "friction SCENARIO --short)."
+        )
+    if plan.method == SHORT and (held is not None or slid is not None):
+        raise ScenarioError("A short tilt is over before anybody can tell when a load slid: give by how much it moved.")
+
+
+def proves(
+    t: Array, w: Array, scenario: Scenario, lean: float, moved: float = 0.0, unnoticed: float = USUAL.unnoticed
+) -> float:
+    """The friction that a short tilt shows: with less, a load slides farther than `moved` (m)."""
+    slides, low, high = ways(t, w, scenario, lean), 0.0, 2.0
+    for _ in range(24):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if slides(middle)[0] > moved else (low, middle)
+    return low
+
+
+def leaning(scenario: Scenario, level: float) -> float:
+    """rad by which a tray may lean when the robot's base does by `level` deg, and as the scenario's ranges say."""
+    return float(np.deg2rad(level) + np.linalg.norm([_half(scenario, p) for p in TILT]))
+
+
+def lone_load(scenario: Scenario) -> Body:
+    """The one load, which stands on the tray."""
+    if scenario.arm is None:
+        raise ScenarioError(f"{scenario.name} has no arm; friction is shown by an arm that carries the load.")
+    if len(scenario.objects) > 1 or scenario.payload.liquids:
+        raise ScenarioError(
+            f"{scenario.name} carries several objects or a liquid, and what one contact needs is known for one rigid "
+            "load on the tray; calibrate each alone."
+        )
+    return scenario.payload.first
+
+
+def _area(body: Body) -> float:
+    """m^2 of the base."""
+    x, y = body.base_polygon_B[:, :2].T
+    return float(0.5 * abs(x @ np.roll(y, 1) - y @ np.roll(x, 1)))
+
+
+def _half(scenario: Scenario, parameter: Parameter) -> float:
+    return scenario.payload.uncertain.ranges.get(parameter, 0.0)
+
+
+def _reach(scenario: Scenario, body: Body) -> Array:
+    """(3,) m: how far the centre of mass may be from the nominal one, in E, along each axis."""
+    half = {p.quantity: h for p, h in scenario.payload.uncertain.ranges.items()}
+    own = np.abs(body.R_EB) @ np.array([half.get(f"com_{axis}", 0.0) for axis in "xyz"])
+    place = np.array([half.get("position_x", 0.0), half.get("position_y", 0.0), 0.0])
+    return np.asarray(own + place)

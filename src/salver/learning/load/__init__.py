@@ -1,0 +1,1 @@
+"""The parameters of a load from logs: sensors, excitation trajectories, estimates, ranges."""

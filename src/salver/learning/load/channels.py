@@ -1,0 +1,91 @@
+"""Sensor channels of a load: the loaded run less the empty one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from salver.errors import FileFormatError
+from salver.geometry import Array
+from salver.learning.load.noise import BlockNoise, ChannelNoise, SensorNoise
+from salver.learning.logs import Log
+
+
+@dataclass(frozen=True, eq=False)
+class SensedMotion:
+    """A log at N instants: torques and wrench beyond those of the model of arm and empty tray, and the contribution
+    of a load per unit of phi. links (k, N, n): what joint torques need for each link."""
+
+    t: Array
+    samples: int
+    q: Array
+    dq: Array
+    tau: Array | None
+    wrench: Array | None
+    model: Array
+    tray: Array
+    to_tau: Array | None
+    to_wrench: Array
+    links: Array | None
+
+    @cached_property
+    def noise(self) -> BlockNoise:
+        return BlockNoise.of(self.t, self.samples)
+
+
+@dataclass(frozen=True, eq=False)
+class ChannelReading:
+    """A sensor of m channels at N instants: values (N, m) that the load makes, rows (N, m, 10) per unit of phi.
+
+    names, told (m): of each channel, and its noise as far as known beforehand. nuisance (m): (N, .) other effects, per
+    standard deviation. links: as in `SensedMotion`, of joint torques.
+    """
+
+    names: tuple[str, ...]
+    values: Array
+    rows: Array
+    told: tuple[ChannelNoise, ...]
+    nuisance: tuple[Array, ...]
+    motion: SensedMotion
+    links: Array | None = None
+
+
+def differences(motion: SensedMotion, without: SensedMotion, log: Log, empty: Log) -> list[ChannelReading]:
+    """Readings of every sensor less those of the empty run."""
+    found, sensors = list[ChannelReading](), SensorNoise()
+
+    def more(values: Array, before: Array) -> Array:
+        """(N, m) than the empty run at the loaded run's instants."""
+        return np.stack(
+            [x - np.interp(motion.t, without.t, y) for x, y in zip(values.T, before.T, strict=True)], axis=1
+        )
+
+    def unlike(own: Array) -> Array:
+        """(N, 3) by how much what arm and tray themselves need otherwise than in the empty run (N,) may be wrong: in
+        size and in time, as deviations from the plan are smoothed."""
+        (share, time), rate = sensors.unlike, np.gradient(own, motion.t)
+        return np.column_stack([share * own, time * rate, time**2 * np.gradient(rate, motion.t)])
+
+    if motion.tau is not None and motion.to_tau is not None and without.tau is not None:
+        (coulomb, viscous), dq, n = sensors.friction, motion.dq, motion.tau.shape[1]
+        changed = [coulomb * np.tanh(dq / 0.03), viscous * dq]
+        other = [more(np.tanh(dq / v), np.tanh(without.dq / v)) for v in sensors.standstill]
+        of_each = np.stack([*changed, *(sensors.all_friction * x for x in (*other, more(dq, without.dq)))])
+        own = more(motion.model, without.model)
+        nuisance = tuple(np.hstack([of_each[:, :, j].T, unlike(own[:, j])]) for j in range(n))
+        names, told = ("joint torques",) * n, (sensors.torque,) * n
+        values = more(motion.tau, without.tau)
+        found.append(ChannelReading(names, values, motion.to_tau, told, nuisance, motion, motion.links))
+    if motion.wrench is not None and without.wrench is not None:
+        names = ("wrist forces",) * 3 + ("wrist torques",) * 3
+        told = (sensors.force,) * 3 + (sensors.moment,) * 3
+        nuisance = tuple(map(unlike, more(motion.tray, without.tray).T))
+        values = more(motion.wrench, without.wrench)
+        found.append(ChannelReading(names, values, motion.to_wrench, told, nuisance, motion))
+    if not found:
+        raise FileFormatError(
+            f"{log.source} and {empty.source} share no sensor; both must hold tau, or both wrench_F (fx to tz)."
+        )
+    return found

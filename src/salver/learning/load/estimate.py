@@ -1,0 +1,169 @@
+"""The load and the systematic errors of its sensors, from all runs at once, by generalised least squares.
+
+Unknowns are phi, with the scenario's ranges as its prior, and every systematic error e in units of its bound, with a
+standard deviation of 1 as its prior. With C = (H + P)^-1 the estimate of phi errs by -C_phi,e e besides its noise: so
+much is added to its ranges for |e| <= 1. The covariance of its noise is C_phi,phi - C_phi,e C_e,phi. Of an error that
+the runs show, C_phi,e is small.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.interpolate import make_interp_spline
+from scipy.linalg import solve_triangular
+
+from salver.geometry import Array
+from salver.learning.load.channels import ChannelReading
+from salver.learning.load.noise import RUNS
+from salver.learning.load.ranges import WIDTH, Estimate
+from salver.learning.load.systematic import Felt, SensorBounds, SystematicError, torque_errors, wrist_errors
+from salver.models.rigid_body import inertia_entries, parallel_axis
+
+SEEN = 4.0  # standard deviations beyond its bound at which a systematic error is taken to be there
+Key = tuple[str, int]  # an error's name, and the number of its run or -1
+
+
+@dataclass(frozen=True, eq=False)
+class LoadSolution:
+    """noisiest, residual: the channel that is most noisier than was told, by how many times. denied: which systematic
+    error is surely beyond its bound. shares: kg of the mass's half-range by noise and by each kind of error."""
+
+    estimate: Estimate
+    noisiest: str
+    residual: float
+    denied: str | None
+    shares: dict[str, float]
+    sensors: set[str]
+
+
+def solve(
+    runs: Sequence[Sequence[ChannelReading]], weights: Sequence[float], prior: tuple[Array, Array], bounds: SensorBounds
+) -> LoadSolution:
+    """From what sensors felt in each run, which weighs so much."""
+    phi, spread = prior
+    delays = dict[str, float]()
+    for _ in range(3):  # linearised about the prior, then about what was found
+        errors, channels, information, pull = _normal(runs, weights, prior, phi, delays, bounds)
+        known = np.diag(np.concatenate([1 / spread**2, np.ones(len(errors))]))
+        covariance = np.asarray(np.linalg.inv(information + known), dtype=float)
+        found = covariance @ pull
+        phi, seen = prior[0] + found[:10], found[10:]
+        if phi[0] <= 0:  # nothing to linearise about
+            break
+        late = [(e.of, float(np.clip(x, -5, 5))) for e, x in zip(errors, seen, strict=True) if e.kind == "delay"]
+        delays = {sensor: x * bounds.delay for sensor, x in late}
+    variance = np.diag(covariance)[10:]
+    systematic = covariance[:10, 10:]
+    noise = covariance[:10, :10] - systematic @ systematic.T
+    shift = np.zeros(3)
+    for error, value, v in zip(errors, seen, variance, strict=True):
+        if error.kind == "slip":
+            axis = "xy".index(error.of)
+            shift[axis] = max(shift[axis], 0.5 * error.bound * min(1.0, abs(value) + WIDTH * np.sqrt(v)))
+    residual, noisiest = max(channels)
+    shares = defaultdict[str, float](float, {"noise": WIDTH * float(np.sqrt(noise[0, 0]))})
+    for error, part in zip(errors, systematic[0], strict=True):
+        shares[error.kind] += abs(float(part))
+    return LoadSolution(
+        Estimate(phi, noise, systematic, shift),
+        noisiest,
+        residual,
+        _denied(errors, seen, variance),
+        dict(shares),
+        {name for _, name in channels},
+    )
+
+
+def _normal(
+    runs: Sequence[Sequence[ChannelReading]],
+    weights: Sequence[float],
+    prior: tuple[Array, Array],
+    phi: Array,
+    delays: dict[str, float],
+    bounds: SensorBounds,
+) -> tuple[list[SystematicError], list[tuple[float, str]], Array, Array]:
+    """Systematic errors; by how much each channel is noisier than told, and its name; the normal equations of phi and
+    of these, linearised about a load and delays of sensors (s)."""
+    index, errors, parts, noisier = dict[Key, int](), list[SystematicError](), [], list[tuple[float, str]]()
+    slid = _slid(phi)
+    for number, (readings, weight) in enumerate(zip(runs, weights, strict=True)):
+        for reading in readings:
+            motion, links = reading.motion, reading.links
+            delay = delays.get("wrist" if links is None else "joint torques", 0.0)
+            reading = replace(reading, rows=_later(motion.t, reading.rows, delay))
+            felt = Felt(motion.t, motion.q, reading.rows @ phi, np.stack([reading.rows @ x for x in slid]))
+            own = list(wrist_errors(bounds, felt) if links is None else torque_errors(bounds, felt, links))
+            late = next(error.effect for error in own if error.kind == "delay")  # which the rows have already
+            reading = replace(reading, values=reading.values + late * delay / bounds.delay)
+            keys = [(error.name, number if error.run else -1) for error in own]
+            for key, error in zip(keys, own, strict=True):
+                if key not in index:
+                    index[key] = len(errors)
+                    errors.append(error)
+            columns = [*range(10), *(10 + index[key] for key in keys)]
+            effects = np.stack([error.effect for error in own], axis=2)
+            for j, name in enumerate(reading.names):
+                rows, values, times = _whitened(reading, j, effects[:, j], prior)
+                parts.append((columns, weight * rows.T @ rows, weight * rows.T @ values))
+                noisier.append((times, name))
+    information, pull = np.zeros((10 + len(errors), 10 + len(errors))), np.zeros(10 + len(errors))
+    for columns, square, values in parts:
+        information[np.ix_(columns, columns)] += square
+        pull[columns] += values
+    return errors, noisier, information, pull
+
+
+def _later(t: Array, rows: Array, delay: float) -> Array:
+    """Rows (N, ...) at times that are earlier by a delay."""
+    return np.asarray(make_interp_spline(t, rows, k=1)(np.clip(t - delay, t[0], t[-1])) if delay else rows)
+
+
+def _whitened(
+    reading: ChannelReading, j: int, effects: Array, prior: tuple[Array, Array]
+) -> tuple[Array, Array, float]:
+    """Rows (N, 10 + K) per unit of phi and of systematic errors per bound, and values (N,), over the noise of a channel
+    that was found, or more where more is left than it explains; by how much it is noisier than told."""
+    noise, rows, nuisance, told = reading.motion.noise, reading.rows[:, j], reading.nuisance[j], reading.told[j]
+    left = reading.values[:, j] - rows @ prior[0]
+    here = effects[:, np.any(effects, axis=0)]
+    # Errors up to ten times their bounds are not taken for noise.
+    level = noise.found(told, left, np.hstack([3 * prior[1] * rows, nuisance, 10 * here]), RUNS)
+    root = np.linalg.cholesky(RUNS * noise.covariance(level) + nuisance @ nuisance.T)
+    both = solve_triangular(root, np.column_stack([left, rows, effects]), lower=True, check_finite=False)
+    values, white = both[:, 0], both[:, 1:]
+    solution, _, rank, _ = np.linalg.lstsq(white, values, rcond=1e-8)
+    rest = values - white @ solution
+    size = max(1.0, float(np.sqrt(np.sum(rest**2) / max(1, len(values) - rank))))
+    return white / size, values / size, size * level.share(told, noise.samples)
+
+
+def _denied(errors: Sequence[SystematicError], seen: Array, variance: Array) -> str | None:
+    """The systematic error that surely exceeds its bound most, in a sentence: by the runs alone, without its prior,
+    it is m / (1 - v) +- (v / (1 - v))^.5 bounds."""
+    left = np.maximum(1 - variance, 1e-12)
+    beyond = (np.abs(seen) / left - 1) / np.sqrt(variance / left)
+    beyond[[error.kind == "filter_time" for error in errors]] = -np.inf  # deviations that are smoothed look like it
+    worst = int(np.argmax(beyond))
+    if beyond[worst] <= SEEN:
+        return None
+    error, times = errors[worst], abs(seen[worst]) / left[worst]
+    return (
+        f"{error.name} looks {times:.1f} times as large as its bound of {error.bound:g}: that bound is wrong, "
+        "something slid, the empty run is of another arm or tray, or the sensor is not where it is said to be."
+    )
+
+
+def _slid(phi: Array) -> Array:
+    """(2, 10) by how much phi changes per m along x and y."""
+    if phi[0] <= 0:
+        return np.zeros((2, 10))
+    m, c = phi[0], phi[1:4] / phi[0]
+    out = np.zeros((2, 10))
+    for k, e in enumerate(np.eye(3)[:2]):
+        out[k, 1:4] = m * e
+        out[k, 4:] = inertia_entries(parallel_axis(m, c + e / 2) - parallel_axis(m, c - e / 2))
+    return out

@@ -1,0 +1,219 @@
+"""Logs as an arm's sensors would write them, of a plan carried with any load or none, or of what an engine's arm did.
+
+Errors are made as sensors make them, not as `salver.learning.load.noise` has them: noise through a second-order
+filter, a bias, a drift that wanders, links that are heavier than the model says, joint friction that differs from run
+to run.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+
+from salver.geometry import Array
+from salver.learning.load.systematic import SensorBounds
+from salver.learning.logs import Log
+from salver.models.interfaces import to_tray
+from salver.models.rigid_body import inertia_entries
+from salver.models.tray_motion import frame_map, wrench_map
+from salver.models.uncertain.parameters import inertial_vector, phi_of
+from salver.planning.plan import Plan
+from salver.sensitivity.arm.terms import motion_terms
+
+RESTS = 0.2  # s that a log begins before the motion, and ends after it
+COLOURED = 10.0  # Hz, of the second-order filter through which slow noise went: it forgets in 34 ms
+LEVER = 0.05  # m: a moment of a wrist sensor's range over a force of it
+Done = tuple[Array, Array, Array, Array]  # t (K,), q, dq, ddq (K, n)
+
+
+@dataclass(frozen=True)
+class Sensors:
+    """Sizes (standard deviations unless said), in N, N m, rad.
+
+    torque, force, moment: of noise, of which a share of the variance (`coloured`, `wrist_coloured`) is not white;
+    _bias: of a channel in a run, at most; torque_drift: in a second; that of a wrist sensor is as large as its bias.
+    links: share by which each link's mass is wrong, in all runs. friction: (low, high) N m of joints, of which a share
+    `friction_change` is new in each run. rate: samples a second. times: of all noises.
+    """
+
+    torque: float = 0.08
+    torque_bias: float = 0.075
+    torque_drift: float = 0.03
+    force: float = 0.05
+    force_bias: float = 0.01
+    moment: float = 0.002
+    moment_bias: float = 0.0004
+    encoder: float = 2e-5
+    links: float = 0.02
+    friction: tuple[float, float] = (0.1, 0.5)
+    friction_change: float = 0.1
+    rate: float = 200.0
+    times: float = 1.0
+    coloured: float = 0.5
+    wrist_coloured: float = 0.5
+
+    def errors(
+        self, count: int, noise: Array, bias: Array, drift: Array, share: float, rng: np.random.Generator
+    ) -> Array:
+        """(count, m) of m channels: white noise, slower noise (`share` of the variance), a bias, a random walk that
+        leads `drift` away in a second."""
+        from scipy.signal import lfilter
+
+        m = len(noise)
+        white = rng.standard_normal((count, m))
+        pole = np.exp(-2 * np.pi * COLOURED / self.rate)
+        driven = rng.standard_normal((count + round(self.rate), m))
+        coloured = lfilter([1.0], [1.0, -2 * pole, pole**2], driven, axis=0)[-count:]
+        coloured *= np.sqrt((1 - pole**2) ** 3 / (1 + pole**2))
+        walk = np.cumsum(rng.standard_normal((count, m)), axis=0) / np.sqrt(self.rate)
+        out = (
+            noise * (np.sqrt(1 - share) * white + np.sqrt(share) * coloured)
+            + bias * rng.uniform(-1, 1, m)
+            + drift * walk
+        )
+        return np.asarray(self.times * out)
+
+    def torque_errors(self, count: int, joints: int, rng: np.random.Generator) -> Array:
+        """(count, joints) N m."""
+        noise, bias, drift = (np.full(joints, x) for x in (self.torque, self.torque_bias, self.torque_drift))
+        return self.errors(count, noise, bias, drift, self.coloured, rng)
+
+
+@dataclass(frozen=True)
+class Defects:
+    """Systematic errors of a sensor: sizes, each with a random sign in every channel.
+
+    In all runs: scale: share. cross_talk: share of every other channel, through `LEVER` between forces and torques.
+    position (m), tilt (rad): of a wrist sensor from the flange, about each axis. delay: s. bandwidth: Hz of a
+    first-order filter. With the load only: force_bias, moment_bias, torque_bias: N, N m, N m. cable: N, by which a hose
+    pulls otherwise, as it bends. links: share by which the links of the arm are heavier or lighter. seed: of the signs.
+    """
+
+    force_bias: float = 0.0
+    moment_bias: float = 0.0
+    torque_bias: float = 0.0
+    scale: float = 0.0
+    cross_talk: float = 0.0
+    position: float = 0.0
+    tilt: float = 0.0
+    delay: float = 0.0
+    bandwidth: float = np.inf
+    cable: float = 0.0
+    links: float = 0.0
+    seed: int = 0
+
+    @classmethod
+    def usual(cls, bounds: SensorBounds, seed: int) -> Defects:
+        """Half as large as the bounds."""
+        alike = {f.name: 0.5 * getattr(bounds, f.name) for f in fields(cls) if hasattr(bounds, f.name)}
+        return cls(**alike, seed=seed)
+
+    def late(self, t: Array, values: Array) -> Array:
+        """Values (K, m) at times (K,), delayed and filtered."""
+        if self.delay:
+            values = np.stack([np.interp(t - self.delay, t, column) for column in values.T], axis=1)
+        if np.isfinite(self.bandwidth):
+            from scipy.signal import lfilter
+
+            pole = np.exp(-2 * np.pi * self.bandwidth * np.median(np.diff(t)))
+            values = values[0] + lfilter([1 - pole], [1, -pole], values - values[0], axis=0)
+        return values
+
+
+class SensedArm:
+    """One arm with its own errors, which carries loads. wrist, joints: whether it has these sensors."""
+
+    def __init__(
+        self,
+        plan: Plan,
+        seed: int,
+        sensors: Sensors | None = None,
+        *,
+        wrist: bool = True,
+        joints: bool = True,
+        defects: Defects | None = None,
+    ) -> None:
+        from salver.models.arm.arm import load_arm
+
+        assert plan.scenario.arm is not None
+        assert plan.joint is not None
+        self.plan, self.joint, self.sensors = plan, plan.joint, sensors or Sensors()
+        self.wrist, self.joints = wrist, joints
+        self.rng = np.random.default_rng(seed)
+        self.defects = defects or Defects()
+        self.signs = np.random.default_rng([self.defects.seed, 1]).choice([-1.0, 1.0], (12, 12))
+        self.arm = load_arm(plan.scenario.arm, plan.scenario.tray)
+        low, high = self.sensors.friction
+        self.friction = self.rng.uniform(low, high, self.arm.n)
+        self.model = self.arm.pin_model.copy()
+        links = range(1, self.model.njoints - 1)  # the last carries the tray, which was weighed
+        _heavier(self.model, {k: 1 + self.sensors.links * self.rng.standard_normal() for k in links})
+        self.other = self.model.copy()  # of the arm with a load, if it is not the same
+        _heavier(self.other, {k: 1 + self.defects.links * self.signs[11, k] for k in links})
+
+    def log(self, inertial: Array | None, source: str = "log", done: Done | None = None) -> Log:
+        """A run with a load of values (10,) of `parameters.INERTIAL` in B, or with the empty tray.
+
+        done: what the arm did; unless given, the plan itself and `RESTS` around it, `Sensors.rate` times a second.
+        """
+        s, rng, n = self.sensors, self.rng, self.arm.n
+        if done is None:
+            t = np.arange(-RESTS, self.plan.duration + RESTS, 1 / s.rate)
+            done = (t, *self.joint.sample(t)[:3])
+        t, q, dq, ddq = done
+        model = self.model if inertial is None else self.other
+        terms = motion_terms(model, self.arm.tray_id, q, dq, ddq)
+        tau, body, tray = terms.torque.copy(), self.plan.scenario.payload.first, self.plan.scenario.tray
+        com_E = self.arm.tray_com_F - self.arm.p_FE
+        phi_tray = phi_of(np.concatenate([[tray.mass], com_E, inertia_entries(np.diag(tray.inertia))]))
+        at_E = terms.w @ wrench_map(phi_tray).T
+        if inertial is not None:
+            of_load = to_tray(body.p_EB, body.R_EB) @ wrench_map(phi_of(inertial)) @ frame_map(body.p_EB, body.R_EB)
+            load_E = terms.w @ of_load.T
+            tau += np.einsum("tij,ti->tj", terms.jacobian, load_E)
+            at_E = at_E + load_E
+        change = 1 + s.friction_change * rng.standard_normal(n)
+        tau += self.friction * change * np.tanh(dq / 0.02) + 0.1 * s.friction_change * rng.standard_normal(n) * dq
+        wrench = at_E.copy()
+        wrench[:, 3:] += np.cross(self.arm.p_FE, at_E[:, :3])
+        tau, wrench = self._as_sensed(t, q, tau, wrench, inertial is not None)
+        each = np.array([s.force] * 3 + [s.moment] * 3)
+        bias = np.array([s.force_bias] * 3 + [s.moment_bias] * 3)
+        tau += s.torque_errors(len(t), n, rng)
+        wrench += s.errors(len(t), each, bias, bias, s.wrist_coloured, rng)
+        seen = q + s.times * s.encoder * rng.standard_normal(q.shape)
+        return Log(source, t, seen, tau if self.joints else None, wrench if self.wrist else None)
+
+    def _as_sensed(self, t: Array, q: Array, tau: Array, wrench: Array, loaded: bool) -> tuple[Array, Array]:
+        """Joint torques (K, n) and wrenches (K, 6) at the flange as sensors with these defects say them."""
+        from scipy.spatial.transform import Rotation
+
+        d, signs = self.defects, self.signs
+        turn = Rotation.from_rotvec(d.tilt * signs[0, :3])
+        force, moment = wrench[:, :3], wrench[:, 3:] - np.cross(d.position * signs[1, :3], wrench[:, :3])
+        wrench = np.hstack([turn.inv().apply(force), turn.inv().apply(moment)])
+        unit = np.array([1.0] * 3 + [LEVER] * 3)
+        mixed = np.diag(1 + d.scale * signs[2, :6]) + d.cross_talk * (signs[3:9, :6] * (1 - np.eye(6)))
+        wrench = d.late(t, wrench @ (unit[:, None] * mixed / unit).T)
+        tau = d.late(t, tau * (1 + d.scale * signs[9, : self.arm.n]))
+        if loaded:
+            bent = np.linalg.norm(q - q[0], axis=1)
+            pull = d.cable * (1 - np.cos(np.pi * bent / bent.max())) / 2
+            bias = np.array([d.force_bias] * 3 + [d.moment_bias] * 3)
+            wrench = wrench + signs[10, :6] * (bias + unit * pull[:, None])
+            tau = tau + d.torque_bias * signs[10, 6:][np.arange(self.arm.n) % 6]
+        return tau, wrench
+
+
+def _heavier(model: Any, shares: dict[int, float]) -> None:
+    for k, share in shares.items():
+        body = model.inertias[k]
+        body.mass, body.inertia = share * body.mass, share * body.inertia
+        model.inertias[k] = body
+
+
+def nominal_load(plan: Plan) -> Array:
+    """(10,) of the plan's own load."""
+    return inertial_vector(plan.scenario.payload.first.inertial)

@@ -1,0 +1,223 @@
+"""The executed joint motion on the plan's clock: a log without its time shift and its noise.
+
+Two differentiations of a joint angle turn 20 micro-radians of noise at 1 kHz into tens of rad/s^2. So not the angle is
+smoothed, but the *deviation* from the plan, and of that only what no known reason explains
+(`salver.learning.tracking.deviations`), whose derivatives are exact. What is left is smoothed in the cosine transform
+by 1 / (1 + (f / f_c)^6) (Garcia 2010, "Robust smoothing of gridded data"). Each joint's deviation itself selects
+the reason and f_c: those under which a deviation with this spectrum plus white noise is most likely (Patterson and
+Thompson 1971; Schwarz 1978). The residual is the noise.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from scipy.fft import dct, dst, idct
+from scipy.interpolate import make_interp_spline
+from scipy.optimize import minimize_scalar
+
+from salver.errors import FileFormatError
+from salver.geometry import Array
+from salver.learning.logs import check_times
+from salver.learning.tracking.deviations import DeviationFit, Fitted, of_lags
+from salver.models.arm.arm import ArmModel
+from salver.motion_files import JointSamples, read
+from salver.motion_files.samples import reordered
+from salver.trajectory import JointMotion
+
+
+@dataclass(frozen=True)
+class TrackingOptions:
+    """Options of reading a log of a plan.
+
+    Attributes:
+        astray: share of its way (of 0.3 rad at least) that a joint may be off the plan; doubled, logs of other motions
+            pass.
+        pace: share by which a run may be slower than planned; doubled, a speed override of 5 % passes.
+        rest: rad/s at which the arm counts as at rest at the end of the log; doubled, its last motion is cut off.
+        sparsest: samples a second that a log must have; halved, what shakes a load at 20 Hz is missed.
+        before, after: s around the motion that are checked.
+        rate: samples a second that are enough; of more, means are taken. Doubled, twice the time.
+        slowest, fastest: Hz, between which the cut-off of the smoother is looked for. What is faster than 80 Hz moves a
+            joint, and the load, by next to nothing; doubled, noise takes part of it.
+    """
+
+    astray: float = 0.3
+    pace: float = 0.03
+    rest: float = 0.06
+    sparsest: float = 90.0
+    before: float = 0.3
+    after: float = 0.6
+    rate: float = 400.0
+    slowest: float = 2.0
+    fastest: float = 80.0
+
+
+@dataclass(frozen=True, eq=False)
+class Executed:
+    """K instants t (K,), s on the plan's clock. q, dq, ddq (K, n): smoothed. off (K, n): smoothed deviation from the
+    plan, rad. noise (n,): standard deviation of a sample of noisy, rad.
+
+    shift: s by which the log is later than the plan. noisy (K, n): the deviation as it was logged, means of `each`
+    samples where there were more than are needed. fastest: Hz, above which nothing was looked for.
+    """
+
+    t: Array
+    q: Array
+    dq: Array
+    ddq: Array
+    off: Array
+    noise: Array
+    shift: float
+    noisy: Array
+    plan: JointMotion
+    fits: list[DeviationFit]
+    each: int
+    fastest: float
+    slowest: float
+
+    @property
+    def step(self) -> float:
+        return float(self.t[1] - self.t[0])
+
+    def again(self, noisy: Array) -> Executed:
+        """The executed motion for another logged deviation (K, n), smoothed anew."""
+        off, noise = _most_likely(noisy, self.fits, self.step, (self.slowest, self.fastest))
+        q, dq, ddq = self.plan.sample(self.t) + off
+        return replace(self, q=q, dq=dq, ddq=ddq, off=off[0], noise=noise, noisy=noisy)
+
+
+def read_joints(path: str | Path, arm: ArmModel, topic: str | None = None) -> JointSamples:
+    """A log of an arm's joints from any motion file. Raises FileFormatError."""
+    samples = read(path, lambda: arm.joint_names, topic)
+    if not isinstance(samples, JointSamples):  # a table may have the tray and the joints
+        samples = read(path, lambda: arm.joint_names, topic, as_path=True)
+    if not isinstance(samples, JointSamples):
+        raise FileFormatError(
+            f"{path} holds a motion of the tray; give one of the joints: columns q1 to q{arm.n}, rad."
+        )
+    if samples.q.shape[1] < arm.n:
+        raise FileFormatError(f"{path} has {samples.q.shape[1]} joints; {arm.name} has {arm.n}.")
+    return reordered(samples, tuple(arm.joint_names))
+
+
+def executed(
+    plan: JointMotion, samples: JointSamples, fitted: Fitted = of_lags, options: TrackingOptions | None = None
+) -> Executed:
+    """The executed motion of a plan from its log (in the arm's order of joints). Raises FileFormatError, one
+    sentence."""
+    options = options or TrackingOptions()
+    t, q, source = samples.t, samples.q, samples.source
+    check_times(t, q, source, plan.q)
+    if (len(t) - 1) / t[-1] < options.sparsest:
+        raise FileFormatError(
+            f"{source} has {(len(t) - 1) / t[-1]:.0f} samples a second; at least {options.sparsest:.0f} are needed to "
+            "see what shakes a load."
+        )
+    shift, step = lateness(t, q, plan), float(np.median(np.diff(t)))
+    t = t - shift
+    off = q - plan.sample(t)[0]
+    moving = (t >= 0) & (t <= plan.duration)
+    _is_of(plan, t[moving], off[moving], source, options)
+    seen = plan.sample(np.array([0.0, t[0], t[-1], plan.duration]))[0]
+    for k, missing in ((0, f"begins {t[0]:.3f} s after"), (2, f"ends {plan.duration - t[-1]:.3f} s before")):
+        if np.abs(seen[k + 1] - seen[k]).max() > 1e-3:
+            raise FileFormatError(
+                f"{source} {missing} the motion does; it must hold the whole motion, with rest around it."
+            )
+    kept = (t >= -options.before) & (t <= plan.duration + options.after)
+    every = max(1, int(1 / (options.rate * step)))
+    even = t[kept][0] + step * np.arange(int(np.ptp(t[kept]) / step + 1e-6) + 1)
+    even = even[: len(even) // every * every]
+    off = np.asarray(make_interp_spline(t, off, k=1)(even))
+    speed = np.abs(np.polyfit(even[even > even[-1] - 0.04], (off + plan.sample(even)[0])[even > even[-1] - 0.04], 1)[0])
+    if speed.max() > options.rest:
+        raise FileFormatError(
+            f"{source} ends while a joint still moves at {speed.max():.2g} rad/s; record until the arm rests, some "
+            "0.3 s on."
+        )
+    t, off = even.reshape(-1, every).mean(axis=1), off.reshape(-1, every, off.shape[1]).mean(axis=1)
+    fits = [DeviationFit.known(np.zeros((3, *off.shape))), *fitted(t, plan, off)]
+    fastest = min(0.4 / (every * step), options.fastest)
+    found = Executed(t, off, off, off, off, off[0], shift, off, plan, fits, every, fastest, options.slowest)
+    return found.again(off)
+
+
+def _is_of(plan: JointMotion, t: Array, off: Array, source: str, options: TrackingOptions) -> None:
+    """Raise FileFormatError where a deviation (K, n) is not that of a robot which did the plan, as planned."""
+    each = np.abs(off).max(axis=0) / np.maximum(np.ptp(plan.q, axis=0), 0.3)
+    if each.max() > options.astray:
+        raise FileFormatError(
+            f"{source}: a joint is {100 * each.max():.0f} % of its way from the plan, and at most "
+            f"{100 * options.astray:.0f} % are accepted: another motion, another speed, another order of joints, or a "
+            "robot that is not controlled."
+        )
+    if np.abs(off).max() < 1e-7:
+        raise FileFormatError(
+            f"{source} is the plan itself to {np.abs(off).max():.1g} rad: these are joints as commanded; they must be "
+            "as measured."
+        )
+    dq = plan.sample(t)[1]  # a slower run is later the longer it lasts
+    rows = np.stack([dq.ravel(), ((t - t.mean())[:, None] * dq).ravel()], axis=1)
+    slower = -float(np.linalg.lstsq(rows, off.ravel(), rcond=None)[0][1])
+    if abs(slower) > options.pace:
+        raise FileFormatError(
+            f"{source} is of a run {100 * abs(slower):.0f} % {'slower' if slower > 0 else 'quicker'} than planned; "
+            "carry the plan out at its own speed (no speed override)."
+        )
+
+
+def lateness(t: Array, q: Array, plan: JointMotion) -> float:
+    """By how much the log is later, least squares of all joints; the arm is held still beyond both ends."""
+    at, log = np.linspace(0.0, plan.duration, 60), make_interp_spline(t, q, k=1)
+    wanted = plan.sample(at)[0]
+
+    def miss(shift: float) -> float:
+        return float(np.sum((log(np.clip(at + shift, t[0], t[-1])) - wanted) ** 2))
+
+    best = min(np.arange(t[0] - 0.5 * plan.duration, t[-1] - 0.5 * plan.duration, 0.005), key=miss)
+    return float(minimize_scalar(miss, bounds=(best - 0.01, best + 0.01), method="bounded").x)
+
+
+def low_passed(values: Array, step: float, cut: float) -> Array:
+    """(3, K, n) values (K, n), not shifted, without what is faster than `cut` (Hz), and two derivatives."""
+    f = np.arange(len(values)) / (2 * len(values) * step)
+    return _rates(dct(values, axis=0, norm="ortho") / (1 + (f / cut) ** 6)[:, None], step)
+
+
+def _rates(coefficients: Array, step: float) -> Array:
+    """(3, K, n) of a cosine transform (K, n): the values and two derivatives."""
+    omega = np.pi * np.arange(len(coefficients))[:, None] / (len(coefficients) * step)
+    rate = np.append(-(omega * coefficients)[1:], np.zeros_like(coefficients[:1]), axis=0)
+    return np.stack(
+        [
+            idct(coefficients, axis=0, norm="ortho"),
+            dst(rate, type=3, axis=0) / np.sqrt(2 * len(coefficients)),
+            idct(-(omega**2) * coefficients, axis=0, norm="ortho"),
+        ]
+    )
+
+
+def _most_likely(noisy: Array, fits: list[DeviationFit], step: float, band: tuple[float, float]) -> tuple[Array, Array]:
+    """(3, K, n) a deviation (K, n) without its noise, the mean over all fits and cut-offs as likely as they are; (n,)
+    its noise."""
+    count = len(noisy)
+    cuts = np.geomspace(*band, 40)
+    known, taken = (
+        np.stack([fit.to(noisy) for fit in fits]),
+        np.array([fit.tangent.shape[3] for fit in fits])[:, None, None],
+    )
+    coefficients = dct(noisy - known[:, 0], axis=1, norm="ortho")
+    f = np.arange(count) / (2 * count * step)
+    slow = (f[1:] / cuts[:, None]) ** 6
+    lost = slow / (1 + slow)  # of the filter; the constant is free
+    left = np.maximum(lost @ coefficients[:, 1:] ** 2, np.finfo(float).tiny)  # (fits, cuts, n)
+    free = count - 1 - taken
+    unlikely = free * np.log(left / free) - np.log(lost).sum(axis=1)[:, None] + taken * np.log(count)
+    likely = np.exp(0.5 * (unlikely.min(axis=(0, 1)) - unlikely))
+    likely /= likely.sum(axis=(0, 1))
+    kept = np.einsum("mcj,cf,mfj->fj", likely, 1 / (1 + (f / cuts[:, None]) ** 6), coefficients, optimize=True)
+    explained = np.einsum("mcj,mdkj->dkj", likely, known, optimize=True)
+    return explained + _rates(kept, step), np.sqrt(np.sum(likely * left / free, axis=(0, 1)))

@@ -1,0 +1,1 @@
+"""Pages: sections, charts, tables and the 3-D replay, as HTML."""

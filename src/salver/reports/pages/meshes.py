@@ -1,0 +1,117 @@
+"""Meshes of links and obstacles small enough to embed: decimated, quantised to 16 bits."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from salver.geometry import Array
+from salver.models.shapes.obstacle_shapes import obstacle_shapes
+from salver.models.shapes.surfaces import Surface, surface
+
+if TYPE_CHECKING:
+    from salver.models.arm.arm import ArmModel
+    from salver.scenario import Obstacle
+
+# Below this many triangles a link of the Panda visibly loses its shape; above it only the file grows.
+TRIANGLES_PER_LINK = 2200
+
+
+@dataclass(frozen=True)
+class LinkMesh:
+    """One rigid piece of the arm, in the frame of its joint.
+
+    joint: index of the joint it moves with; 0 is the fixed base, whose frame is the world's.
+    vertices: (n, 3) m. triangles: (k, 3) indices. colour: (3,) 0 to 1.
+    """
+
+    name: str
+    joint: int
+    vertices: Array
+    triangles: np.ndarray
+    colour: tuple[float, float, float]
+
+
+def link_meshes(arm: ArmModel, target: int = TRIANGLES_PER_LINK) -> list[LinkMesh]:
+    """Meshes of the links from base to flange, about `target` triangles each."""
+    import pinocchio as pin
+    from scipy.spatial import cKDTree
+
+    from salver.simulation.scene.meshes import arm_meshes
+
+    meshes = []
+    for link, parts in arm_meshes(arm).items():
+        frame = arm.pin_model.frames[arm.pin_model.getFrameId(link, pin.FrameType.BODY)]
+        fine = merge_vertices(*joined((part.vertices, part.faces) for part in parts))
+        vertices, triangles = decimate(*fine, target)  # all colours together, so that no seam opens
+        colours = [part.colour for part in parts]
+        which = np.repeat(np.arange(len(parts)), [len(part.faces) for part in parts])
+        middles = np.vstack([part.vertices[part.faces].mean(axis=1) for part in parts])
+        nearest = which[cKDTree(middles).query(vertices[triangles].mean(axis=1))[1]]
+        placed = vertices @ frame.placement.rotation.T + frame.placement.translation
+        for colour in dict.fromkeys(colours):
+            own = triangles[np.isin(nearest, [k for k, other in enumerate(colours) if other == colour])]
+            used, renumbered = np.unique(own, return_inverse=True)
+            if len(own):
+                meshes.append(LinkMesh(link, int(frame.parentJoint), placed[used], renumbered.reshape(-1, 3), colour))
+    return meshes
+
+
+def obstacle_meshes(obstacles: Iterable[Obstacle], colour: tuple[float, float, float]) -> list[LinkMesh]:
+    """Obstacles as they are compared with the arm, in the world."""
+    meshes = []
+    for obstacle in obstacles:
+        pieces = [surface(shape, placement) for shape, placement in obstacle_shapes(obstacle)]
+        vertices, triangles = decimate(*joined(pieces), TRIANGLES_PER_LINK)
+        meshes.append(LinkMesh(obstacle.name, 0, vertices, triangles, colour))
+    return meshes
+
+
+def joined(surfaces: Iterable[Surface]) -> Surface:
+    """Several surfaces as one."""
+    vertices, triangles, count = [], [], 0
+    for points, faces in surfaces:
+        vertices.append(points)
+        triangles.append(np.asarray(faces) + count)
+        count += len(points)
+    return np.vstack(vertices), np.vstack(triangles)
+
+
+def merge_vertices(vertices: Array, triangles: np.ndarray) -> tuple[Array, np.ndarray]:
+    """Vertices within a micrometre made one, and triangles that lose a corner by it left out."""
+    _, first, merged = np.unique(np.round(vertices, 6), axis=0, return_index=True, return_inverse=True)
+    triangles = merged.reshape(-1)[triangles]
+    a, b, c = triangles.T
+    return vertices[first], triangles[(a != b) & (b != c) & (c != a)]
+
+
+def decimate(vertices: Array, triangles: np.ndarray, target: int) -> tuple[Array, np.ndarray]:
+    """At most about `target` triangles, by quadric edge collapse."""
+    import fast_simplification
+
+    if len(triangles) <= target:
+        return vertices, triangles
+    points, faces = fast_simplification.simplify(  # agg of 7, its default, leaves spikes of a millimetre on links
+        vertices.astype(np.float32), triangles.astype(np.int32), target_count=target, agg=3
+    )
+    return np.asarray(points, dtype=float), np.asarray(faces)
+
+
+def pack(mesh: LinkMesh) -> dict[str, Any]:
+    """For the page: positions in 16 bits over the bounding box, indices in 16 bits, both base64, little-endian."""
+    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+    span = np.where(high > low, high - low, 1.0)
+    quantised = np.round((mesh.vertices - low) / span * 65535).astype("<u2")
+    return {
+        "name": mesh.name,
+        "joint": mesh.joint,
+        "low": [round(float(x), 6) for x in low],
+        "span": [round(float(x), 6) for x in span],
+        "vertices": base64.b64encode(quantised.tobytes()).decode(),
+        "triangles": base64.b64encode(mesh.triangles.astype("<u2").tobytes()).decode(),
+        "colour": [round(c, 3) for c in mesh.colour],
+    }

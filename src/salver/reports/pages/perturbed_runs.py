@@ -1,0 +1,136 @@
+"""The page's section on a campaign: outcomes with intervals, histograms, worst runs, how the tubes did."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from markupsafe import Markup
+
+from salver.campaigns.summary import LEFT_TUBES
+from salver.reports.pages.cells import joined, motion_cell, outcome_cell, percent, table
+from salver.reports.pages.charts import Spec
+from salver.reports.pages.words import length
+from salver.reports.style import ROLE_COLOURS
+from salver.statistics import clopper_pearson
+
+if TYPE_CHECKING:
+    from salver.reports.run import ReportedMotion, ReportedRun
+
+# What the runs are told apart by: the first two that there are. Column, title, axis, units from coarse to fine.
+HISTOGRAMS = (
+    ("peak_slip", "Largest slip in each run", "slip", (("mm", 1e3), ("µm", 1e6))),
+    ("e_p_peak", "Largest position error in each run", "e_p", (("mm", 1e3), ("µm", 1e6))),
+    ("cone_least", "Least cone coefficient in each run", "min Λ", (("N", 1.0),)),
+)
+
+
+def section(run: ReportedRun, campaign: dict[str, Any]) -> tuple[str, list[Spec], Markup]:
+    """Introduction, charts, and HTML below them."""
+    plans = campaign["plans"]
+    total = max(int(own["runs"]) for own in plans.values())
+    definition = campaign.get("definition", {})
+    engine = {"physics": "in the physics engine", "closed-loop": "of the closed loop without contact"}
+    intro = (
+        f"{total} runs {engine.get(definition.get('engine'), '')} with true parameters drawn from the uncertain set "
+        f"({definition.get('method', 'uniform')}, seed {definition.get('seed', 0)}), the same draws for each motion."
+    )
+    if not campaign.get("complete", True):
+        intro += f" So far: {definition.get('n')} were asked for; the same command goes on."
+    specs = [spec for spec in (_histogram(run, *wanted) for wanted in HISTOGRAMS) if spec is not None][:2]
+    remarks = joined(_remarks(run, m, plans[m.stem]) for m in run.motions if m.stem in plans)
+    extra = Markup('<div class="columns" style="margin-top:14px"><div>{}{}</div><div>{}</div></div>').format(
+        _outcomes(run, plans), _paired(run, campaign), remarks
+    )
+    return intro, specs, extra
+
+
+def _outcomes(run: ReportedRun, plans: dict[str, Any]) -> Markup:
+    rows = []
+    for m in run.motions:
+        for i, (word, rate) in enumerate(plans.get(m.stem, {}).get("outcomes", {}).items()):
+            interval = clopper_pearson(int(rate["count"]), int(rate["of"]))
+            rows.append(
+                [
+                    motion_cell(m.stem, m.label) if i == 0 else "",
+                    outcome_cell(word),
+                    f"{interval.count} of {interval.total}",
+                    percent(interval.value),
+                    f"{percent(interval.low)} to {percent(interval.high)}",
+                ]
+            )
+    return table(["", "outcome", "runs", "rate", "95 % interval (Clopper–Pearson)"], rows, numeric=(2, 3))
+
+
+def _remarks(run: ReportedRun, m: ReportedMotion, own: dict[str, Any]) -> Markup:
+    """Worst run, how to repeat it, and how the tubes did, in sentences."""
+    worst, label = own["worst_run"], m.label
+    slip = f", slip {length(worst['peak_slip'])}" if worst.get("peak_slip") is not None else ""
+    least = f", least coefficient {worst['cone_least']:.3g} N" if worst.get("cone_least") is not None else ""
+    text = Markup("<p><b>{}, worst run:</b> number {}, {}{}{}; again with <code>{}</code></p>").format(
+        label, worst["run"], worst["outcome"], slip, least, worst.get("replay", "")
+    )
+    tube = own.get("tube")
+    if tube:
+        left = tube["left"]
+        text += Markup(
+            "<p><b>{}, tubes:</b> in {} of {} runs a coefficient left its first-order tube, at most by {:.3g} N "
+            "(run {}){}. {}</p>"
+        ).format(
+            label,
+            left["count"],
+            left["of"],
+            tube["worst_excess"],
+            tube["worst_run"],
+            _at_start(run, m),
+            LEFT_TUBES if left["count"] else "",
+        )
+    return text
+
+
+def _at_start(run: ReportedRun, m: ReportedMotion) -> str:
+    """Why tubes are left in the engine at the very start, if they are and only there."""
+    if "tube_excess_time" not in run.runs:
+        return ""
+    out = (run.runs["stem"] == m.stem) & (run.runs["tube_excess"].astype(float) > 0)
+    if not np.any(out) or np.max(run.runs["tube_excess_time"][out].astype(float)) > 0.02 * m.duration:
+        return ""
+    return ", all at the very start"
+
+
+def _paired(run: ReportedRun, campaign: dict[str, Any]) -> Markup:
+    text = Markup("")
+    label = {m.stem: m.label.lower() for m in run.motions}
+    for pair in campaign.get("paired", []):
+        held = pair["holds"]
+        first, second = (label.get(pair[key], pair[key]) for key in ("first", "second"))
+        text += Markup(
+            "<p>On the same draws: both held {} times, only {} {}, only {} {}, neither {} "
+            "(McNemar’s exact p = {:.3g}).</p>"
+        ).format(held["both"], first, held["only_first"], second, held["only_second"], held["neither"], held["p_value"])
+    return text
+
+
+def _histogram(
+    run: ReportedRun, column: str, title: str, label: str, units: tuple[tuple[str, float], ...]
+) -> Spec | None:
+    if column not in run.runs:
+        return None
+    values = run.runs[column].astype(float)
+    finite = values[np.isfinite(values)]
+    if not len(finite):
+        return None
+    largest = float(np.abs(finite).max())
+    unit, factor = next(((u, f) for u, f in units if f * largest >= 0.1), units[-1])
+    values, low, high = factor * values, factor * float(finite.min()), factor * float(finite.max())
+    if low > 0 and low < 0.5 * high:
+        low = 0.0
+    edges = np.linspace(low, high if high > low else low + max(abs(low), 1e-6), 25)
+    groups = []
+    for m in run.motions:
+        own = (run.runs["stem"] == m.stem) & np.isfinite(values)
+        if np.any(own):
+            counts = np.histogram(values[own], edges)[0].tolist()
+            groups.append({"name": m.label, "colour": ROLE_COLOURS[m.stem], "counts": counts})
+    rounded = [float(f"{e:.6g}") for e in edges]
+    return {"title": title, "x": f"{label}, {unit}", "y": "runs", "edges": rounded, "groups": groups, "series": []}

@@ -1,0 +1,267 @@
+"""Data of the 3-D replay: poses of links, tray and objects over time, contact points and forces."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from salver.geometry import GRAVITY_S, Array, matrix_from_quat_wxyz, quat_wxyz_from_matrix
+from salver.models.bodies import Body
+from salver.models.shapes import hulls
+from salver.models.uncertain.parameters import Parameter
+from salver.reports.pages.meshes import LinkMesh, decimate, link_meshes, obstacle_meshes, pack
+from salver.reports.style import OBJECT_COLOURS, ROLE_COLOURS, TRAY_COLOUR, rgb
+from salver.simulation.pictures.drawing import OBSTACLE_COLOUR
+from salver.simulation.scene import liquid_surface
+from salver.simulation.scene.liquid_surface import DrawnSurface
+from salver.simulation.scene.loads import true_world
+
+if TYPE_CHECKING:
+    from salver.models.arm.arm import ArmModel
+    from salver.reports.run import ReportedMotion, ReportedRun
+    from salver.scenario import Scenario
+
+
+def stage(scenario: Scenario, bodies: Sequence[Body], arm: ArmModel | None) -> dict[str, Any]:
+    """Arm, tray, objects and obstacles for the viewer before anything moves, ready for JSON."""
+    first = bodies[0]
+    return {
+        "meshes": [pack(mesh) for mesh in link_meshes(arm)] if arm else [],
+        "obstacles": [pack(mesh) for mesh in _obstacles(scenario)],
+        "joints": arm.n + 1 if arm else 1,
+        "tray": {
+            "size": list(scenario.tray.size),
+            "thickness": scenario.tray.thickness,
+            "height": scenario.tray.height,
+            "colour": rgb(TRAY_COLOUR),
+        },
+        "objects": [
+            _outline(body, item.shape, OBJECT_COLOURS[i % len(OBJECT_COLOURS)])
+            for i, (body, item) in enumerate(zip(bodies, scenario.objects, strict=True))
+        ],
+        "contacts": {
+            "normal": first.contacts.R_BC[0, :, 2].tolist(),
+            "owner": first.name,
+            "coneHeight": 0.03,  # m
+        },
+        "brim": {"dry": liquid_surface.BRIM_COLOUR, "spilt": liquid_surface.SPILT_COLOUR},
+        "wallOpacity": liquid_surface.WALL_OPACITY,
+        "loadHeight": max(float(b.p_EB[2] - b.com_G[2] + b.solid.base_z + b.solid.height) for b in bodies),
+    }
+
+
+def replay_scene(run: ReportedRun, arm: ArmModel | None) -> dict[str, Any]:
+    """Everything that the viewer draws, ready for JSON; arrays are float32 in base64, time first."""
+    variants = [_variant(motion, run, arm) for motion in run.motions]
+    return {
+        **stage(run.scenario, run.bodies, arm),
+        "variants": variants,
+        "bounds": _bounds(run, arm),
+        "azimuth": _azimuth(run, arm),
+        "floor": _floor(run, arm),
+        "start": min(float(v["t"][0]) for v in variants),
+        "duration": max(float(v["t"][-1]) for v in variants),
+    }
+
+
+def _obstacles(scenario: Scenario) -> list[LinkMesh]:
+    red, green, blue = rgb(OBSTACLE_COLOUR)
+    return obstacle_meshes(scenario.obstacles, (red, green, blue))
+
+
+def _variant(motion: ReportedMotion, run: ReportedRun, arm: ArmModel | None) -> dict[str, Any]:
+    body, record = run.bodies[0], motion.seen
+    source = record.arrays if record else motion.arrays
+    t = source["t"]
+    keep = _frames(t)
+    if record:
+        tray = np.hstack([source["p_SE"], source["quat_SE_wxyz"]])[keep]
+        objects = _on_tray(tray[:, :3], matrix_from_quat_wxyz(tray[:, 3:]), run.bodies)
+        if "p_SB" in source:  # seen, if only now and then and not all of them
+            seen = np.concatenate([source["p_SB"], source["quat_SB_wxyz"]], axis=2)[keep]
+            m = seen.shape[1]
+            objects[:, :m] = np.where(np.isfinite(seen), seen, objects[:, :m])
+    else:
+        R_SE = motion.R_SB[keep] @ body.R_EB.T
+        p_SE = motion.arrays["p_SB"][keep] - R_SE @ body.p_EB
+        tray = np.hstack([p_SE, quat_wxyz_from_matrix(R_SE)])
+        objects = _on_tray(p_SE, R_SE, run.bodies)
+    p, R = objects[:, 0, :3], matrix_from_quat_wxyz(objects[:, 0, 3:])
+    if "contact_forces_B" in source:
+        points_B, forces_B = source["contact_points_B"], source["contact_forces_B"][keep]
+    else:
+        points_B, forces_B = body.contacts.p_BC, _at(t[keep], motion.t, contact_forces_B(motion, body))
+    contacts = p[:, None] + np.einsum("tij,cj->tci", R, points_B)
+    return {
+        "key": motion.stem,
+        "label": motion.label,
+        "about": motion.planned_for(ranges=run.scenario.payload.uncertain.size > 0),
+        "colour": rgb(ROLE_COLOURS[motion.stem]),
+        "source": "plan" if record is None else "run",
+        "t": np.round(t[keep], 5).tolist(),
+        "joints": _pack(joint_poses(source["q"][keep], arm)) if arm else _pack(np.tile(_IDENTITY, (len(keep), 1))),
+        "tray": _pack(tray),
+        "objects": _pack(objects),
+        "contactCount": len(points_B),
+        "friction": _true_friction(motion, body, lone=len(run.bodies) == 1),
+        # An arrow of 24 mm at rest.
+        "metresPerNewton": 0.024 * len(points_B) / (body.inertial.mass * abs(GRAVITY_S[2])),
+        "contacts": _pack(contacts),
+        "forces": _pack(np.einsum("tij,tcj->tci", R, forces_B)),
+        "liquids": [s and liquid(s, keep) for s in surfaces(motion, run)],
+        "path": np.round(p[_spread(len(p), 90)], 5).tolist(),
+    }
+
+
+def surfaces(motion: ReportedMotion, run: ReportedRun) -> list[DrawnSurface | None]:
+    """The liquid of each object as the engine saw it, as planned where nothing was run; a real arm sees none.
+    Of a given motion whose samples were thinned waves are not known, which are quicker than what is left of them."""
+    out: list[DrawnSurface | None] = [None] * len(run.bodies)
+    if not run.scenario.payload.liquids or motion.summary.get("thinned"):
+        return out
+    if motion.seen is not None:
+        arrays, summary = motion.seen.arrays, motion.seen.summary
+        if not np.size(arrays.get("surface", ())):
+            return out
+        return liquid_surface.of_run(
+            true_world(run.scenario, summary.get("parameters")).loads, arrays["surface"], summary
+        )
+    planned = run.waves(motion)
+    assert planned is not None
+    for k, body in enumerate(run.bodies):
+        if body.liquid is not None:
+            waves = planned.nominal[body.name][0].waves
+            over = waves.crest[0] > (np.inf if body.liquid.sealed else body.liquid.brim - body.liquid.fill)
+            spilt = float(motion.t[np.argmax(over)]) if np.any(over) else None
+            out[k] = DrawnSurface.of_heights(body, body.liquid.fill, waves.eta_B[0], spilt)
+    return out
+
+
+def liquid(surface: DrawnSurface, keep: np.ndarray) -> dict[str, Any]:
+    """In B: corners of the bottom and of the brim, centre and slope of the surface; when it came over the brim, s."""
+    return {
+        "bottom": np.round(surface.bottom_B, 6).tolist(),
+        "brim": np.round(surface.brim_B, 6).tolist(),
+        "level": surface.level_B.tolist(),
+        "slope": _pack(surface.slope[keep]),
+        "spilt": surface.spilt,
+        "colour": surface.colour,
+    }
+
+
+def _true_friction(motion: ReportedMotion, body: Body, lone: bool) -> float:
+    """Friction of the run that is shown, which may differ from the plan's."""
+    changed = (motion.seen.summary.get("parameters") or {}) if motion.seen else {}
+    return float(changed.get(Parameter(body.name, "friction", lone=lone).name, body.friction))
+
+
+def _at(wanted: Array, t: Array, values: Array) -> Array:
+    """values (T, ...) at times `wanted`, by straight lines; held before the first and after the last."""
+    flat = values.reshape(len(t), -1)
+    return np.stack([np.interp(wanted, t, column) for column in flat.T], axis=1).reshape(len(wanted), *values.shape[1:])
+
+
+_IDENTITY = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+
+
+def contact_forces_B(motion: ReportedMotion, body: Body) -> Array:
+    """(T, n_c, 3) planned force of each contact on the object, in B: Lambda through the cone edges, eqs (4), (5)."""
+    edges = body.contacts.edges
+    coefficients = motion.arrays["cone_coefficients"][:, : edges * body.contacts.count]
+    forces_C = (coefficients @ body.contacts.cone_edges.T).reshape(len(coefficients), -1, 3)
+    return np.einsum("cij,tcj->tci", body.contacts.R_BC, forces_C)
+
+
+def _on_tray(p_SE: Array, R_SE: Array, objects: Sequence[Body]) -> Array:
+    """Poses (T, m, 7) of objects that stay where they stand on a tray with poses (T, 3), (T, 3, 3)."""
+    poses = [np.hstack([p_SE + R_SE @ b.p_EB, quat_wxyz_from_matrix(R_SE @ b.R_EB)]) for b in objects]
+    return np.stack(poses, axis=1)
+
+
+def joint_poses(q: Array, arm: ArmModel) -> Array:
+    """(T, n + 1, 7) poses in S of the frames that the link meshes are given in; the first is the world."""
+    import pinocchio as pin
+
+    poses = np.tile(_IDENTITY, (len(q), arm.n + 1, 1))
+    for k, joints in enumerate(q):
+        pin.forwardKinematics(arm.pin_model, arm.data, joints)
+        for j in range(1, arm.n + 1):
+            placement = arm.data.oMi[j]
+            poses[k, j, :3] = placement.translation
+            poses[k, j, 3:] = quat_wxyz_from_matrix(placement.rotation)
+    return poses
+
+
+def _outline(body: Body, shape: object, colour: str) -> dict[str, Any]:
+    """Outline of an object in B: an upright prism, a mesh, or the hull of anything else."""
+    kind = shape.type  # type: ignore[attr-defined]
+    offset = -body.com_G
+    if kind in ("box", "cylinder", "prism"):
+        polygon = shape.solid().base_polygon  # type: ignore[attr-defined]
+        if kind == "cylinder":
+            angle = np.linspace(0, 2 * np.pi, 48, endpoint=False)
+            polygon = shape.radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)  # type: ignore[attr-defined]
+        low = body.solid.base_z + offset[2]
+        return {
+            "polygon": np.round(polygon + offset[:2], 6).tolist(),
+            "low": float(low),
+            "high": float(low + body.solid.height),
+            "open": body.liquid is not None and not body.liquid.sealed,
+            "colour": rgb(colour),
+        }
+    points, triangles = body.solid.bounding_points_G, hulls.triangles(body.solid.bounding_points_G)
+    if body.solid.surface is not None:
+        points, triangles = decimate(*body.solid.surface, 3000)
+    return {"points": np.round(points + offset, 6).tolist(), "triangles": triangles.tolist(), "colour": rgb(colour)}
+
+
+def _bounds(run: ReportedRun, arm: ArmModel | None) -> list[list[float]]:
+    """Corners of a box around the whole motion, m, for the camera."""
+    paths = [m.arrays["p_SB"] for m in run.motions]
+    points = np.vstack(paths)
+    low, high = points.min(axis=0) - 0.12, points.max(axis=0) + 0.12
+    if arm:
+        low = np.minimum(low, arm.base_position)
+        joints = np.vstack(
+            [joint_poses(m.arrays["q"][:: max(1, len(m.t) // 8)], arm)[..., :3].reshape(-1, 3) for m in run.motions]
+        )
+        low, high = np.minimum(low, joints.min(axis=0)), np.maximum(high, joints.max(axis=0))
+    around = [mesh.vertices for mesh in _obstacles(run.scenario)]
+    if around:  # as much of them as is within 0.3 m
+        corners = np.vstack(around)
+        low = np.minimum(low, np.maximum(corners.min(axis=0), low - 0.3))
+        high = np.maximum(high, np.minimum(corners.max(axis=0), high + 0.3))
+    return [low.tolist(), high.tolist()]
+
+
+def _floor(run: ReportedRun, arm: ArmModel | None) -> float:
+    """Height of the ground, m: the scenario's floor, or, where there is none, a little below all that is drawn."""
+    return _bounds(run, arm)[0][2] - 0.3 if run.scenario.floor is None else run.scenario.floor
+
+
+def _azimuth(run: ReportedRun, arm: ArmModel | None) -> float:
+    """Azimuth of the camera, rad: the motion runs across the picture, the arm behind it, seen a little obliquely."""
+    path = run.plan.arrays["p_SB"]
+    along = path[-1, :2] - path[0, :2]
+    base = arm.base_position[:2] if arm else path[:, :2].mean(axis=0) - [1.0, 0.0]
+    outward = path[:, :2].mean(axis=0) - base
+    across = np.array([-along[1], along[0]]) if np.linalg.norm(along) > 0.05 else outward
+    across = across if across @ outward >= 0 else -across
+    return float(np.arctan2(across[1], across[0])) + 0.45  # rad
+
+
+def _frames(t: Array) -> np.ndarray:
+    """Indices of about 60 samples per second, between which the viewer interpolates, both ends included."""
+    return _spread(len(t), int(np.ceil((t[-1] - t[0]) * 60.0)) + 1)
+
+
+def _spread(count: int, wanted: int) -> np.ndarray:
+    return np.unique(np.round(np.linspace(0, count - 1, min(count, wanted))).astype(int))
+
+
+def _pack(values: npt.ArrayLike) -> str:
+    return base64.b64encode(np.ascontiguousarray(values, dtype="<f4").tobytes()).decode()

@@ -1,0 +1,317 @@
+"""The page's sections: headings, tables and places for charts. What has no data is left out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+from markupsafe import Markup
+
+from salver.models.arm.arm_limits import LIMITS
+from salver.reports.pages import charts, perturbed_runs
+from salver.reports.pages.cells import NOTHING, joined, motion_cell, number, outcome_cell, table
+from salver.reports.pages.speed_bar import speed_bar
+from salver.reports.pages.words import length, true_parameters
+from salver.reports.tables import arm_usage, scenario_rows, solver_rows
+from salver.wording import listed
+
+if TYPE_CHECKING:
+    from salver.models.arm.arm import ArmModel
+from salver.reports.run import Record, ReportedMotion, ReportedRun
+
+NAVIGATION = {
+    "replay": "Replay",
+    "margins": "Margins",
+    "known": "How it is known",
+    "liquid": "Liquid",
+    "campaign": "Perturbed runs",
+    "simulation": "Simulation",
+    "what_if": "What if",
+    "execution": "On the arm",
+    "forces": "Contact forces",
+    "sensitivity": "Sensitivity",
+    "motion": "Motion",
+    "arm": "Arm",
+    "provenance": "Task and provenance",
+}
+
+
+@dataclass
+class Sections:
+    """Sections that `build` gathers: HTML, (anchor, title) of each, chart specs by key."""
+
+    html: Markup = NOTHING
+    titles: list[tuple[str, str]] = field(default_factory=lambda: [("replay", NAVIGATION["replay"])])
+    specs: dict[str, charts.Spec] = field(default_factory=dict)
+
+    def add(
+        self,
+        key: str,
+        title: str,
+        intro: str,
+        specs: Iterable[charts.Spec] = (),
+        extra: Markup = NOTHING,
+        grid: str = "",
+    ) -> None:
+        figures = joined(self._figure(key, i, spec) for i, spec in enumerate(specs))
+        if not figures and not extra:
+            return
+        self.titles.append((key, NAVIGATION[key]))
+        self.html += Markup('<section id="{}"><h2>{}</h2>').format(key, title)
+        self.html += Markup("<p>{}</p>").format(intro) if intro else ""
+        self.html += Markup('<div class="charts {}">{}</div>').format(grid, figures) if figures else ""
+        self.html += extra + Markup("</section>\n")
+
+    def _figure(self, key: str, number: int, spec: charts.Spec) -> Markup:
+        name = f"{key}-{number}"
+        self.specs[name] = spec
+        return Markup(
+            '<figure><figcaption>{}</figcaption><p class="note">{}</p><div class="legend"></div>'
+            '<div class="plot" data-chart="{}"></div></figure>'
+        ).format(spec["title"], spec.get("note", ""), name)
+
+
+def build(run: ReportedRun, arm: ArmModel | None) -> Sections:
+    """All sections for what the run directory has."""
+    page = Sections()
+    stops = charts.braking_charts(run)
+    stopping = "and what a stop of the robot does" if stops else "without a chart of braking, which needs a dry load"
+    page.add(
+        "margins",
+        "Margins",
+        f"How far {run.load} is from sliding, tipping or lifting, {stopping}.",
+        charts.margin_charts(run) + stops,
+        speed_bar(run.plan.summary.get("speeds")),
+    )
+    if run.scenario.payload.liquids:
+        page.add("liquid", "Liquid", "How near it comes to its brim.", charts.liquid_charts(run))
+    if run.campaign is not None:
+        found, specs, extra = perturbed_runs.section(run, run.campaign)
+        page.add("campaign", "Perturbed runs", found, specs, extra)
+    for kind in RUNS:
+        _run_section(page, run, kind)
+    page.add(
+        "forces",
+        "Contact forces and their tubes",
+        "Every friction cone is spanned by its edges; Λ are the coefficients along them, in newtons. Lines: nominal. "
+        "Shaded: the tube in which they stay, to first order, for every body in the uncertain set.",
+        charts.cone_charts(run),
+    )
+    sensitivity = charts.sensitivity_charts(run)
+    page.add(
+        "sensitivity",
+        "Sensitivity to what is not known",
+        "What the assumed ranges do to the closed loop of plant and controller. Smaller is more robust.",
+        sensitivity,
+        grid="three" if len(sensitivity) == 3 else "",
+    )
+    motion = charts.reference_charts(run)
+    page.add("motion", "The motion", "Where the object is taken.", motion, grid="three")
+    if arm is not None:
+        page.add(
+            "arm",
+            "Joint motion against limits",
+            _limits_in_words(arm),
+            charts.joint_charts(run, arm.limits) + charts.clearance_charts(run, arm),
+            _usage_table(run, arm),
+        )
+    page.add("provenance", "What was asked, and what made this", "", extra=_provenance(run))
+    return page
+
+
+def tiles(run: ReportedRun) -> Markup:
+    """Key numbers below the verdict."""
+    plan = run.plan
+    base = run.compared
+    curves = [run.contact[m.stem] for m in run.motions]
+    floor = [float(m.cone_floor.min()) for m in run.motions]
+    tip = [1e3 * float(c.tip_worst.min()) for c in curves]
+    worst = [100 * float(c.worst.min()) for c in curves]
+
+    def versus(values: list[float], digits: int, unit: str = "", otherwise: str = "–") -> str:
+        return f"{base.stem} {number(values[1], digits, unit, otherwise)}" if base is not None else ""
+
+    shown = [
+        ("Duration", f"{plan.duration:.2f} s", versus([m.duration for m in run.motions], 2, " s")),
+        _friction_tile(run),
+    ]
+    shown.append(
+        ("Left in the worst case", f"{number(worst[0], 1)} %", f"of the weight · {versus(worst, 1, ' %')}".rstrip(" ·"))
+    )
+    if run.scenario.contact.condition == "paper":
+        shown.append(("Least coefficient in its tube", f"{number(floor[0], 3)} N", versus(floor, 3, " N")))
+    shown.append(("Tip-over margin, worst case", number(tip[0], 1, " mm", "lifts"), versus(tip, 1, " mm", "lifts")))
+    slips = [charts.record_curve(m.simulation, "slip") for m in run.motions]
+    if slips[0] is not None:
+        moved = [length(float(np.max(s))) if s is not None else "not run" for s in slips]
+        shown.append(("Slip in simulation", moved[0], f"{base.stem} {moved[1]}" if base is not None else ""))
+    if run.campaign is not None:
+        held = run.campaign["plans"].get(plan.stem, {}).get("outcomes", {}).get("holds")
+        if held:
+            shown.append(
+                (
+                    "Perturbed runs that held",
+                    f"{held['count']} of {held['of']}",
+                    f"95 % interval {100 * held['low']:.0f} to {100 * held['high']:.0f} %",
+                )
+            )
+    solver = plan.summary.get("solver") or {}
+    seconds = solver.get("seconds")
+    if isinstance(seconds, int | float):
+        shown.append(
+            (
+                "Planned in",
+                f"{1e3 * seconds:.3g} ms" if seconds < 1 else f"{seconds:.3g} s",
+                str(solver.get("name", "")),
+            )
+        )
+    return tile_list(shown)
+
+
+def tile_list(shown: Iterable[tuple[str, str, str]]) -> Markup:
+    """Label, figure, and what is said below it."""
+    return joined(Markup("<div><dt>{}</dt><dd>{}<small>{}</small></dd></div>").format(*tile) for tile in shown)
+
+
+RUNS = {
+    "simulation": (
+        "In simulation",
+        "The whole arm with its controller, tray and object in the physics engine; peak values.",
+    ),
+    "what_if": (
+        "What if",
+        "A run in the physics engine with values outside the ranges that the plan was made for. It says nothing for or "
+        "against the plan.",
+    ),
+    "execution": (
+        "On the arm",
+        "The control loop that drives the real arm: what it tracked, and how well it kept its period.",
+    ),
+}
+
+
+def _friction_tile(run: ReportedRun) -> tuple[str, str, str]:
+    curves = [run.contact[m.stem] for m in run.motions]
+    if curves[0].coefficient is None:
+        used = [number(100 * float(c.friction.max()), 0, " %", "more than any") for c in curves]
+        return (
+            "Friction in use",
+            used[0],
+            " · ".join(
+                ["of what there is", *(f"{m.stem} {x}" for m, x in zip(run.motions[1:], used[1:], strict=True))]
+            ),
+        )
+    needed = [
+        number(float(c.coefficient.max()), 3, otherwise="none suffices") for c in curves if c.coefficient is not None
+    ]
+    return (
+        "Friction needed",
+        needed[0],
+        " · ".join(
+            [
+                f"of {curves[0].available:g}",
+                *(f"{m.stem} {x}" for m, x in zip(run.motions[1:], needed[1:], strict=False)),
+            ]
+        ),
+    )
+
+
+def _run_section(page: Sections, run: ReportedRun, kind: str) -> None:
+    """The runs of one kind, in the physics engine or on an arm; left out when there are none."""
+    records = [(m, record) for m in run.motions if (record := getattr(m, kind)) is not None]
+    if not records:
+        return
+    rows = []
+    for m, record in records:
+        rows.append(
+            [
+                motion_cell(m.stem, m.label),
+                outcome_cell(record.summary.get("outcome", "unknown")),
+                *(_peak(record, key, factor) for key, factor in _PEAKS),
+                true_parameters(run, record.summary) or "nominal" if kind != "execution" else _source(record),
+            ]
+        )
+    last = "true parameters" if kind != "execution" else "arm"
+    head = ["", "outcome", "slip, mm", "lift, mm", "tip, °", "e_p, mm", "e_o, mrad", last]
+    extra = table(head, rows, numeric=range(2, 7))
+    if kind == "execution":
+        extra += _clocks(records)
+    title, intro = RUNS[kind]
+    page.add(kind, title, intro, charts.run_charts(records), extra)
+
+
+def _source(record: Record) -> str:
+    return str(record.summary.get("source", ""))
+
+
+_PEAKS = (("slip", 1e3), ("lift", 1e3), ("tip_angle", 180 / np.pi), ("e_p", 1e3), ("e_o", 1e3))
+
+
+def _clocks(records: list[tuple[ReportedMotion, Record]]) -> Markup:
+    """Statistics of the control loop's period, and why it stopped if it did."""
+    rows, stops = [], NOTHING
+    for m, record in records:
+        clock = record.summary.get("timing", {})
+        if "jitter_median" in clock:
+            rows.append(
+                [
+                    motion_cell(m.stem, m.label),
+                    clock["periods"],
+                    clock["missed"],
+                    *(number(1e3 * clock[key], 3) for key in ("jitter_median", "jitter_p999", "jitter_max")),
+                    *(number(1e3 * clock[key], 3) for key in ("step_median", "step_p999")),
+                ]
+            )
+        if record.summary.get("stopped"):
+            stops += Markup("<p><b>{} was stopped:</b> {}</p>").format(m.label, record.summary["stopped"])
+    head = ["", "periods", "missed", "jitter, ms", "at 99.9 %", "at most", "step, ms", "at 99.9 %"]
+    if rows:
+        stops += Markup('<div style="margin-top:14px">{}</div>').format(table(head, rows, numeric=range(1, 8)))
+    return stops
+
+
+def _usage_table(run: ReportedRun, arm: ArmModel) -> Markup:
+    usage = {m.stem: arm_usage(m, arm) for m in run.motions}
+    kinds = list(next(iter(usage.values())))
+    rows = []
+    for j in range(arm.n):
+        bars = [joined(_bar(usage[m.stem][kind][j], m.stem) for m in run.motions) for kind in kinds]
+        rows.append([arm.joint_names[j], *bars])
+    head = ["joint", *(f"{kind}, % of limit" for kind in kinds)]
+    return Markup('<div style="margin-top:16px">{}</div>').format(table(head, rows))
+
+
+def _bar(share: float, stem: str) -> Markup:
+    if not np.isfinite(share):
+        return Markup('<div class="bar {}"><span>–</span></div>').format(stem)
+    near = " near" if share > 0.95 else ""
+    return Markup('<div class="bar {}{}"><i><b style="width:{:.1f}%"></b></i><span>{:.0f}</span></div>').format(
+        stem, near, 100 * min(share, 1.0), 100 * share
+    )
+
+
+def _limits_in_words(arm: ArmModel) -> str:
+    """Whose limits these are, and which nobody gave."""
+    given: dict[str, list[str]] = {}
+    for kind in LIMITS:
+        for source in dict.fromkeys(arm.limit_sources[kind.key]):
+            given.setdefault(source or "", []).append(kind.name)
+    nobody = given.pop("", [])
+    text = f"Peak use of the limits: {'; '.join(f'{listed(kinds)} from {source}' for source, kinds in given.items())}."
+    return text + (f" Nobody gave limits for {listed(nobody)}: not checked." if nobody else "")
+
+
+def _provenance(run: ReportedRun) -> Markup:
+    left, right = table(["asked", ""], scenario_rows(run)), table(["computed", ""], solver_rows(run))
+    details = NOTHING
+    for name in ("scenario.toml", *(f"{m.stem}.json" for m in run.motions)):
+        text = (run.directory / name).read_text(encoding="utf-8")
+        details += Markup("<details><summary>{}</summary><pre>{}</pre></details>").format(name, text)
+    return Markup('<div class="columns"><div>{}</div><div>{}</div></div>{}').format(left, right, details)
+
+
+def _peak(record: Record, key: str, factor: float) -> str:
+    values = charts.record_curve(record, key)
+    return "" if values is None else number(factor * float(np.nanmax(values)), 2)

@@ -1,0 +1,1 @@
+"""Pictures: figures for a paper, a film."""

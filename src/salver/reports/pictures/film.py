@@ -1,0 +1,284 @@
+"""`salver render`: a film of a run in the physics engine, made without a display."""
+
+from __future__ import annotations
+
+import io
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from itertools import chain
+from pathlib import Path
+from shlex import quote
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from salver.errors import MissingDependencyError, SalverError
+from salver.files import put_in_place, write_atomic, writing
+from salver.motion_files.verdict import UNSAFE
+from salver.planning.plan import load_plan
+from salver.planning.round import has_legs, load_round
+from salver.run_directory import STEMS, leg_number, scenario_of
+from salver.simulation.record import FOLDER, SimulationRecord, load_record
+
+if TYPE_CHECKING:
+    from salver.scenario import Scenario
+
+FILMS = (".mp4", ".mkv", ".webm")  # by ffmpeg
+MOST_PICTURES = 10_000  # a few minutes of film
+STILLS = (".gif", ".webp")  # by pillow
+LABELS = {"plan": "planned", "baseline": "straight line", "nominal": "planned for nominal values"}
+_GAP = 4  # pixels between two pictures
+
+
+@dataclass(frozen=True)
+class Film:
+    """path: the file. frames: how many. renderer: "mujoco", or "matplotlib" when `note` says why.
+    verdicts: on the plans of the runs, by stem."""
+
+    path: Path
+    frames: int
+    renderer: str
+    note: str
+    verdicts: Mapping[str, str]
+
+
+def write_film(
+    directory: str | Path,
+    path: str | Path,
+    stem: str = "both",
+    *,
+    rate: float = 30.0,
+    speed: float = 1.0,
+    width: int = 960,
+    height: int = 720,
+) -> Film:
+    """Film of the simulations that a run directory holds; "both" shows plan and comparison side by side. The legs of a
+    plan of several follow one another, as far as they were run.
+
+    rate: pictures a second. speed: of time in the film; 0.25 shows it four times slower. width, height: of a picture.
+    Formats by the ending of `path`: mp4, mkv, webm through ffmpeg; gif, webp without it. Raises SalverError for
+    what cannot be, MissingDependencyError when there is no encoder.
+    """
+    path = Path(path)
+    if path.suffix not in (*FILMS, *STILLS):
+        raise SalverError(f"{path} ends in none of {', '.join((*FILMS, *STILLS))}; a film needs one of them.")
+    if not (0.1 <= rate <= 120 and 1e-3 <= speed <= 10):
+        raise SalverError(
+            f"{rate:g} pictures a second at {speed:g} times the speed: it must be 0.1 to 120 pictures a second, "
+            "at 0.001 to 10 times."
+        )
+    if min(width, height) < 16 or max(width, height) > 4096:
+        raise SalverError(f"A picture of {width} x {height} pixels was asked for; each side must be from 16 to 4096.")
+    width, height = width - width % 2, height - height % 2  # the encoder halves both
+    save = _ffmpeg(path) if path.suffix in FILMS else _pillow(path)
+    scenes = _scenes(Path(directory), stem)
+    seconds = sum(scene.seconds for scene in scenes)
+    if seconds * rate / speed > MOST_PICTURES:
+        raise SalverError(
+            f"{rate:g} pictures a second at {speed:g} times the speed make {seconds * rate / speed:.2g} pictures; at "
+            f"most {MOST_PICTURES} are drawn."
+        )
+    times = [np.arange(0.0, scene.seconds + 1e-9, speed / rate) for scene in scenes]
+    note = _no_opengl(scenes[0])
+    save(chain(*(_pictures(*each, note, width, height) for each in zip(scenes, times, strict=True))), rate)
+    verdicts = {stem: verdict for scene in scenes for stem, verdict in scene.verdicts.items()}
+    return Film(path, sum(map(len, times)), "matplotlib" if note else "mujoco", note, verdicts)
+
+
+@dataclass(frozen=True)
+class _Scene:
+    """Runs that are shown side by side, by stem, and the verdicts on their plans."""
+
+    scenario: Scenario
+    records: Mapping[str, SimulationRecord]
+    verdicts: Mapping[str, str]
+
+    @property
+    def seconds(self) -> float:
+        return max(float(record.t[-1]) for record in self.records.values())
+
+
+def _scenes(directory: Path, stem: str) -> list[_Scene]:
+    """The scenes of the film, one after the other."""
+    if stem not in (*STEMS, "both") and leg_number(stem) is None:
+        raise SalverError(f'There is no motion "{stem}" to show; known are {", ".join(STEMS)} and both.')
+    scenario_of(directory)
+    legs = stem in ("plan", "both") and has_legs(directory)
+    plans = load_round(directory).by_stem if legs else {}
+    asked = plans or (STEMS if stem == "both" else (stem,))
+    wanted = [s for s in asked if (directory / FOLDER / f"{s}.npz").is_file()]
+    if not wanted:
+        name = "plan" if stem == "both" else stem
+        raise SalverError(
+            f"{directory} holds no simulation of {name}; make one with `salver simulate "
+            f"{quote(str(directory))} --stem {name}`."
+        )
+    plans = plans or {s: load_plan(directory, s) for s in wanted}
+    records = {s: load_record(directory, s) for s in wanted}
+    verdicts = {s: plans[s].verdict for s in wanted}
+    if legs:
+        return [_Scene(plans[s].scenario, {s: records[s]}, {s: verdicts[s]}) for s in wanted]
+    return [_Scene(plans[wanted[0]].scenario, records, verdicts)]
+
+
+def _no_opengl(scene: _Scene) -> str:
+    """Why MuJoCo cannot draw here; empty where it can."""
+    from salver.simulation.pictures.render import NoOpenGLError, painter
+
+    try:
+        with painter(next(iter(scene.records.values())), scene.scenario, 16, 16) as paint:
+            paint(0)
+    except NoOpenGLError as error:
+        return str(error)
+    return ""
+
+
+def _pictures(scene: _Scene, times: np.ndarray, note: str, width: int, height: int) -> Iterator[np.ndarray]:
+    """Pictures at `times`, the records side by side; by MuJoCo, or the plain drawing where `note` says why not."""
+    from salver.simulation.pictures.render import frames_at, painter, snapshots
+
+    records, verdicts, scenario = scene.records, scene.verdicts, scene.scenario
+
+    def film(record: SimulationRecord) -> Iterator[np.ndarray]:
+        if note:
+            for t in times:
+                yield snapshots(record, scenario, [t], width=width, height=height, plain=True).images[0]
+            return
+        with painter(record, scenario, width, height, path=record.p_SB[:, 0]) as paint:
+            for k in frames_at(record, times):
+                yield paint(int(k))
+
+    # One renderer at a time: two OpenGL contexts would have to take turns at every picture.
+    *before, last = records.values()
+    parts = [*(_spooled(film(record)) for record in before), film(last)]
+    for row in zip(*parts, strict=True):
+        titles = [
+            f"{f'{UNSAFE}, ' if verdicts[stem].startswith(UNSAFE) else ''}{LABELS.get(stem, stem)}: {found.outcome}"
+            for stem, found in records.items()
+        ]
+        yield _side_by_side([_titled(p, t) for p, t in zip(row, titles, strict=True)])
+
+
+def _spooled(pictures: Iterator[np.ndarray]) -> Iterator[np.ndarray]:
+    """Pictures made at once and kept on disk, because a film does not fit into memory."""
+    first = next(pictures)
+    store = tempfile.TemporaryFile()  # noqa: SIM115  (closed by the reader below)
+    store.write(first.tobytes())
+    for picture in pictures:
+        store.write(picture.tobytes())
+    store.seek(0)
+
+    def again() -> Iterator[np.ndarray]:
+        with store:
+            while content := store.read(first.nbytes):
+                yield np.frombuffer(content, dtype=np.uint8).reshape(first.shape)
+
+    return again()
+
+
+def _titled(picture: np.ndarray, title: str) -> np.ndarray:
+    from PIL import Image, ImageDraw, ImageFont
+
+    image = Image.fromarray(np.ascontiguousarray(picture))
+    size = max(12, picture.shape[0] // 28)
+    font = ImageFont.load_default(size)
+    ImageDraw.Draw(image).text(
+        (size, size // 2), title, font=font, fill="white", stroke_width=2, stroke_fill=(40, 45, 52)
+    )
+    return np.asarray(image)
+
+
+def _side_by_side(pictures: list[np.ndarray]) -> np.ndarray:
+    gap = np.full((pictures[0].shape[0], _GAP, 3), 255, dtype=np.uint8)
+    row = [pictures[0]]
+    for picture in pictures[1:]:
+        row += [gap, picture]
+    return np.concatenate(row, axis=1)
+
+
+Save = Callable[[Iterator[np.ndarray], float], None]
+
+
+def find_ffmpeg() -> str | None:
+    """The program ffmpeg: on the path, or the one that the package imageio-ffmpeg brings."""
+    found = shutil.which("ffmpeg")
+    if found:
+        return found
+    try:
+        import imageio_ffmpeg
+    except ImportError:
+        return None
+    return str(imageio_ffmpeg.get_ffmpeg_exe())
+
+
+def _ffmpeg(path: Path) -> Save:
+    program = find_ffmpeg()
+    if program is None:
+        raise MissingDependencyError(
+            f"{path.suffix} needs ffmpeg, which is not here; install ffmpeg, or pip install 'salver[video]', or name a "
+            f"file that ends in {' or '.join(STILLS)}."
+        )
+
+    def save(pictures: Iterator[np.ndarray], rate: float) -> None:
+        first = next(pictures)
+        height, width = first.shape[:2]
+        with writing(path):
+            path.parent.mkdir(parents=True, exist_ok=True)
+        temporary = path.with_name(f".{path.stem}.tmp{path.suffix}")
+        codec = (
+            ["-c:v", "libvpx-vp9", "-b:v", "0", "-crf", "33"]
+            if path.suffix == ".webm"
+            else ["-c:v", "libx264", "-crf", "20"]
+        )
+        command = [
+            program,
+            "-y",
+            "-loglevel",
+            "error",
+            "-f",
+            "rawvideo",
+            "-pix_fmt",
+            "rgb24",
+            "-s",
+            f"{width}x{height}",
+        ]
+        command += ["-r", f"{rate:g}", "-i", "-", *codec, "-pix_fmt", "yuv420p", "-movflags", "+faststart"]
+        command = command[:-2] if path.suffix != ".mp4" else command
+        with subprocess.Popen([*command, str(temporary)], stdin=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+            assert process.stdin is not None
+            assert process.stderr is not None
+            try:
+                for picture in (first, *pictures):
+                    process.stdin.write(np.ascontiguousarray(picture).tobytes())
+                process.stdin.close()
+            except BrokenPipeError:
+                pass
+            said = process.stderr.read().decode(errors="replace").strip()
+        if process.returncode:
+            temporary.unlink(missing_ok=True)
+            raise SalverError(f"ffmpeg could not write {path}: {said.splitlines()[-1] if said else 'no reason given'}.")
+        with writing(path):
+            put_in_place(temporary, path, keep=True)
+
+    return save
+
+
+def _pillow(path: Path) -> Save:
+    def save(pictures: Iterator[np.ndarray], rate: float) -> None:
+        from PIL import Image
+
+        images = [Image.fromarray(np.ascontiguousarray(p)) for p in pictures]
+        if path.suffix == ".gif":
+            images = [image.quantize(96) for image in images]
+        content = io.BytesIO()
+        options: dict[str, Any] = {"quality": 80} if path.suffix == ".webp" else {"optimize": True}
+        milliseconds = max(20, round(1e3 / rate))  # browsers slow down what is quicker
+        images[0].save(
+            content, path.suffix[1:], save_all=True, append_images=images[1:], duration=milliseconds, loop=0, **options
+        )
+        write_atomic(path, content.getvalue(), keep=True)
+
+    return save

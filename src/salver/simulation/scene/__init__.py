@@ -1,0 +1,1 @@
+"""The scene in the physics engine: arm, tray, true loads, obstacles, liquids."""

@@ -1,0 +1,251 @@
+"""The scene in MuJoCo: an arm with a tray, or a tray alone, loose objects on it, obstacles around.
+
+What each of them is made of, and how they meet, is in `salver.simulation.scene.elements`.
+
+Without an arm the tray is at rest in the engine and the world moves: frame E is the engine's world, and what
+the tray's acceleration does is applied as forces (see salver.simulation.tray_frame).
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from salver.errors import ScenarioError
+from salver.geometry import Array, Indices, quat_wxyz_from_matrix
+from salver.models.arm.arm import ArmModel
+from salver.models.bodies import TRAY
+from salver.scenario import Scenario
+from salver.simulation.scene.elements import (
+    ARM_PREFIX,
+    FLOOR,
+    OBSTACLE,
+    TRAY_BODY,
+    add_arm,
+    add_floor,
+    add_load,
+    add_obstacle,
+    add_pairs,
+    add_surroundings,
+    add_tray,
+    foot_name,
+    foot_supports,
+    lent,
+    rod_name,
+    set_inertia,
+    set_options,
+    strap,
+    swing_name,
+)
+from salver.simulation.scene.engine import mujoco
+from salver.simulation.scene.loads import Load, TrueWorld
+from salver.simulation.scene.robots import each_joint
+from salver.simulation.scene.shaking import Shaking
+
+DOWN = np.array([0.0, 0.0, -1.0])
+HINGE = (-1.0, 1.0)  # about y and x: which way a mass that hangs goes along x and y when the angle grows
+_REFUSED_LINK = re.compile(f"Element name '{ARM_PREFIX}([^']*)'")  # in the engine's sentence
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A compiled scene and where things are in it.
+
+    model: mujoco.MjModel. arm: the arm, or None when the tray is the engine's world.
+    world: the objects as they truly are. tray_id, object_ids: MuJoCo bodies. n: joints of the arm.
+    qpos_ids, qvel_ids: (m,) first index of each object's free joint. contact_time: solref[0], s.
+    foot_object, foot_support, foot_number: (n_geom,) per geom: index of the object whose foot it is (-1: no
+    foot), index of the object it rests on (-1: tray),
+    number of the foot in `Load.outline_B`. obstacle: (n_geom,) whether it is one, or the floor.
+    swings: what moves of the liquids, in the order of the objects that hold one. shaking: of the tray, or None.
+    """
+
+    model: Any
+    arm: ArmModel | None
+    world: TrueWorld
+    tray_id: int
+    object_ids: Array
+    qpos_ids: Array
+    qvel_ids: Array
+    contact_time: float
+    foot_object: Array
+    foot_support: Array
+    foot_number: Array
+    obstacle: Array
+    swings: tuple[Swing, ...] = ()
+    shaking: Shaking | None = None
+
+    @property
+    def n(self) -> int:
+        return 0 if self.arm is None else self.arm.n
+
+    @property
+    def point_ids(self) -> list[int]:
+        """MuJoCo bodies that are points: what swings in the liquids."""
+        return [int(i) for swing in self.swings for i in swing.body_ids]
+
+    @cached_property
+    def _loose_ids(self) -> Indices:
+        return np.array([*self.object_ids, *self.point_ids], dtype=np.intp)
+
+    def shake(self, data: Any, t: float) -> None:
+        """What stands on a tray that is held by an arm feels of its shaking at t, s."""
+        if self.shaking is not None:
+            self.shaking.push(self.model, data, self._loose_ids, data.xpos[self.tray_id], t)
+
+    @property
+    def loads(self) -> tuple[Load, ...]:
+        return self.world.loads
+
+    def place(self, data: Any, q: Array | None = None, down: Array = DOWN) -> None:
+        """Put the arm at q (n,) at rest, and every object at its place on the tray, at rest with it; liquids level.
+
+        down (3,): where gravity points in the world of the model, of any length: without an arm that is the tray's.
+        """
+        data.qvel[:] = 0
+        if q is not None:
+            data.qpos[: self.n] = q
+        mujoco.mj_kinematics(self.model, data)
+        p_SE, R_SE = self.tray_pose(data)
+        for load, i in zip(self.loads, self.qpos_ids, strict=True):
+            data.qpos[i : i + 3] = p_SE + R_SE @ load.p_EB
+            data.qpos[i + 3 : i + 7] = quat_wxyz_from_matrix(R_SE @ load.R_EB)
+        down_S = down / np.linalg.norm(down)
+        for swing in self.swings:
+            down_B, first, second = (R_SE @ self.loads[swing.load].R_EB).T @ down_S, swing.first, 1 - swing.first
+            data.qpos[swing.qpos_ids[:, first]] = HINGE[first] * np.arctan2(down_B[first], -down_B[2])
+            data.qpos[swing.qpos_ids[:, second]] = HINGE[second] * np.arcsin(np.clip(down_B[second], -1, 1))
+        mujoco.mj_forward(self.model, data)
+
+    def tray_pose(self, data: Any) -> tuple[Array, Array]:
+        """(p_SE, R_SE) of the real tray's surface, tilt included."""
+        return data.xpos[self.tray_id].copy(), data.xmat[self.tray_id].reshape(3, 3).copy()
+
+
+@dataclass(frozen=True)
+class Swing:
+    """The moving masses of one liquid (`salver.models.liquid.Modes.pendulums`).
+
+    load: which object it is in. first: along which axis of the container, 0 or 1, the first hinge of each lets swing.
+    qpos_ids: (n_modes, 2) of the angles that swing along x and y. body_ids: (n_points,) of the masses. sensor: first
+    of the six readings at the centre of the still surface: velocity, turning rate, in the container's axes.
+    """
+
+    load: int
+    first: int
+    qpos_ids: Array
+    body_ids: Array
+    sensor: int
+
+
+def build(
+    scenario: Scenario,
+    world: TrueWorld,
+    arm: ArmModel | None = None,
+    *,
+    visual: bool = False,
+    strapped: bool = False,
+    also: Callable[[Any], None] | None = None,
+    seed: int = 0,
+) -> Scene:
+    """Compile the scene of one run. visual: with meshes and light, for pictures; physics is the same. strapped:
+    objects are fixed to the tray, and touch nothing. also: adds to the mujoco.MjSpec what else there is. seed: of how
+    the tray shakes."""
+    spec = specify(scenario, world, arm, visual=visual, strapped=strapped)
+    if also is not None:
+        also(spec)
+    shake = scenario.uncertainty.shake
+    shaking = None if shake is None or strapped else Shaking.drawn(shake.vibration, seed)
+    return replace(_compiled(spec, arm, world, 2 * scenario.physics.timestep), shaking=shaking)
+
+
+def specify(
+    scenario: Scenario, world: TrueWorld, arm: ArmModel | None = None, *, visual: bool = False, strapped: bool = False
+) -> Any:
+    """The same, not yet compiled: a mujoco.MjSpec that can be changed or written as a file."""
+    spec = mujoco.MjSpec()
+    if visual:
+        add_surroundings(spec)
+    set_options(spec, scenario.physics.timestep, arm is not None, several=len(world.loads) > 1)
+    root = spec.worldbody
+    if arm is not None:
+        parent = add_arm(spec, arm, each_joint(scenario.physics.joint_friction, arm, "physics.joint_friction"), visual)
+        parent = parent.add_body(name=TRAY_BODY, pos=arm.p_FE, quat=quat_wxyz_from_matrix(world.R_tilt))
+        com_E = world.R_tilt.T @ (arm.tray_com_F - arm.p_FE)
+        inertia = world.R_tilt.T @ np.diag(scenario.tray.inertia) @ world.R_tilt
+        set_inertia(parent, scenario.tray.mass, com_E, inertia)
+    else:
+        parent = root.add_body(name=TRAY_BODY)
+    add_tray(parent, scenario.tray, -world.R_tilt.T @ arm.p_FE if visual and arm is not None else None)
+    for k, load in enumerate(world.loads):
+        add_load(spec, load, k)
+    obstacles: list[str] = []
+    if arm is not None:
+        for k, obstacle in enumerate(scenario.obstacles):
+            obstacles += add_obstacle(spec, obstacle, k)
+        if scenario.floor is not None:
+            obstacles.append(add_floor(spec, scenario.floor))
+    elif visual:
+        add_floor(spec, 0.0)
+    if strapped:
+        for k, load in enumerate(world.loads):
+            strap(spec, load, k, 2 * scenario.physics.timestep)
+    else:
+        add_pairs(spec, world.loads, obstacles, 2 * scenario.physics.timestep)
+    return spec
+
+
+def _compiled(spec: Any, arm: ArmModel | None, world: TrueWorld, contact_time: float) -> Scene:
+    """Raises ScenarioError: a link of the arm has no mass or inertia that the engine could move. One that is fixed to
+    another may be without: what is fixed together moves as one.
+    """
+    try:
+        model = spec.compile()
+    except ValueError as error:
+        reason, link = str(error).splitlines()[0].removeprefix("Error: "), _REFUSED_LINK.search(str(error))
+        if arm is None or link is None:
+            raise
+        raise ScenarioError(
+            f"The physics engine cannot move the link {link[1]} of {arm.urdf_path} ({reason}); a link that a joint "
+            "moves needs <inertial> with a mass above 0 and an inertia that a body can have."
+        ) from None
+    for k, load in enumerate(world.loads):
+        if inertia := lent(load.still):
+            model.body(f"salver:object:{k}").inertia -= inertia
+            mujoco.mj_setConst(model, mujoco.MjData(model))
+    foot = np.full((3, model.ngeom), -1)
+    index = {load.name: k for k, load in enumerate(world.loads)}
+    for k, load in enumerate(world.loads):
+        for number, support in foot_supports(load):
+            geom = model.geom(foot_name(k, number)).id
+            foot[:, geom] = k, -1 if support == TRAY else index[support], number
+    joints = [model.joint(f"salver:object:{k}").id for k in range(len(world.loads))]
+    return Scene(
+        model=model,
+        arm=arm,
+        world=world,
+        tray_id=model.body(TRAY_BODY).id,
+        object_ids=np.array([model.body(f"salver:object:{k}").id for k in range(len(world.loads))]),
+        qpos_ids=model.jnt_qposadr[joints],
+        qvel_ids=model.jnt_dofadr[joints],
+        contact_time=contact_time,
+        foot_object=foot[0],
+        foot_support=foot[1],
+        foot_number=foot[2],
+        obstacle=np.array([model.geom(i).name.startswith((OBSTACLE, FLOOR)) for i in range(model.ngeom)]),
+        swings=tuple(_found_swing(model, k, load) for k, load in enumerate(world.loads) if load.fill is not None),
+    )
+
+
+def _found_swing(model: Any, k: int, load: Load) -> Swing:
+    pendulums = load.modes.pendulums
+    names = [swing_name(k, n) for n in range(len(pendulums))]
+    joints = [[model.joint(f"{name}:{axis}").qposadr[0] for axis in "xy"] for name in names]
+    bodies = [model.body(rod_name(k, n, rod)).id for n, rods in enumerate(pendulums) for rod in rods]
+    sensor = int(model.sensor(f"salver:surface:{k}:velocity").adr[0])
+    return Swing(k, pendulums[0][0].along[0], np.array(joints), np.array(bodies), sensor)
