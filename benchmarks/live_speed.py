@@ -27,10 +27,10 @@ from live_arrivals import HIGHEST, LOWEST
 from live_runs import LEAD, PERIOD, drive, executed, in_turn, rows_of
 from salver.files import read_json, write_json
 from salver.live import Live
+from salver.live.committed.commit import verified
+from salver.live.committed.motion import Committed
 from salver.live.replanning.planner import Job
 from salver.live.replanning.wishes import Halt
-from salver.live.verdict.motion import Committed
-from salver.live.verdict.verify import verified
 from salver.trajectory import JointMotion
 
 DATA = Path(__file__).parent.parent / "docs" / "data" / "live-speed.json"

@@ -13,12 +13,13 @@ from salver.errors import ScenarioError, Status
 from salver.liquid.before import Past
 from salver.liquid.given_way import Sloshing
 from salver.live import Live
+from salver.live.committed.commit import verified
+from salver.live.committed.motion import between
 from salver.live.replanning.steer import HORIZON, TICK, Steering, TwistWanted
-from salver.live.verdict.motion import between
-from salver.live.verdict.verify import Judged, verified
 from salver.planning.fastest import evaluate, joint_plan
 from salver.planning.trajopt.constraints.brim import Brim
 from salver.planning.trajopt.evaluation import NOTHING
+from salver.planning.verdict.judged import Judged
 from transport import cup_and_jar
 
 FULL = {"fill": 0.065, "damping": 0.00168, "mass": 0.275, "friction": 0.36}

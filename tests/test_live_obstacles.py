@@ -10,18 +10,19 @@ import pytest
 
 from live_runs import drive, in_turn, rows_of
 from salver.live import Live, Moving
+from salver.live.committed.commit import verified
+from salver.live.committed.motion import resting
 from salver.live.replanning.lookout import Lookout, Sighting
 from salver.live.replanning.obstacles import Movable, MovingClearance, nearest, predicted
 from salver.live.replanning.planner import Job
 from salver.live.replanning.steer import TICK
 from salver.live.replanning.wishes import Evade
-from salver.live.verdict import verify
-from salver.live.verdict.motion import resting
-from salver.live.verdict.verify import STANDARD, Judged, subsample, verified
 from salver.models.arm.arm_geometry import arm_geometry
 from salver.planning.fastest import evaluate, transport_problem
 from salver.planning.trajopt.constraints.constraints import strayed
 from salver.planning.trajopt.constraints.obstacles import NEAR, SAFETY
+from salver.planning.verdict import verify
+from salver.planning.verdict.judged import STANDARD, Judged, subsample
 from salver.trajectory import JointMotion
 
 G = (0.0, 0.0, -9.81)

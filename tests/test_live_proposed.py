@@ -8,19 +8,20 @@ import pytest
 
 from live_runs import LEAD, drive, executed, place
 from salver.live import Live
+from salver.live.committed import seal
+from salver.live.committed.commit import verified
+from salver.live.committed.motion import between, joined, resting
+from salver.live.committed.seal import sealed
 from salver.live.replanning.planner import Job, Planner
 from salver.live.replanning.replan import Replanner, ReplanOptions
 from salver.live.replanning.wishes import Goal, Halt
-from salver.live.verdict import seal, verify
-from salver.live.verdict.motion import between, joined, resting
-from salver.live.verdict.seal import sealed
-from salver.live.verdict.verify import Judged, verified
 from salver.live.worker import _Process
 from salver.planning.fastest import AtPosture, fastest
 from salver.planning.trajopt.constraints.constraints import Clearance, ContactConstraint, evaluate
 from salver.planning.trajopt.constraints.obstacles import NEAR, KeepOut
 from salver.planning.trajopt.exchange import optimise
 from salver.planning.trajopt.sqp import minimise
+from salver.planning.verdict.judged import Judged, VerdictEvaluation
 from salver.trajectory import JointMotion
 
 
@@ -73,7 +74,7 @@ def test_a_verdict_ends_at_the_first_check_that_fails_unless_it_is_to_be_thoroug
     assert np.array_equal(short.committed.margins.row, whole.committed.margins.row)
     quick = JointMotion(0.8 * base.motion.t, base.motion.q, base.motion.dq / 0.8, base.motion.ddq / 0.64)
     thorough = verified(problem, quick, 3.0, None, thoroughly=True)
-    monkeypatch.setattr(verify.LiveEvaluation, "response", property(lambda _: pytest.fail("the deviation was sought")))
+    monkeypatch.setattr(VerdictEvaluation, "response", property(lambda _: pytest.fail("the deviation was sought")))
     found = verified(problem, quick, 3.0, None)
     assert found.committed is None
     assert 0.0 < found.excess <= thorough.excess
@@ -140,8 +141,8 @@ def test_distances_of_ones_own_are_looked_at_beside_those_that_are_kept_anyway(m
 def test_a_verdict_looks_at_the_distances_of_the_pairs_that_come_near(moving, monkeypatch):
     """To 5 cm or less; there are none that come just so near. It is what a verdict on what is far would cost most."""
     problem, motion, asked = moving.problem, moving.committed.motion, []
-    rows = verify.Judged.rows
-    monkeypatch.setattr(verify.Judged, "rows", lambda self, of, *given: asked.append(of) or rows(self, of, *given))
+    rows = Judged.rows
+    monkeypatch.setattr(Judged, "rows", lambda self, of, *given: asked.append(of) or rows(self, of, *given))
     assert verified(problem, motion, 3.0, None).committed is not None
     (looked,) = (x.keep_out.parts.pairs for x in asked if isinstance(x, Clearance))
     apart = problem.keep_out.parts.clearance(motion.sample(np.linspace(0.0, motion.duration, 150))[0]).min(axis=0)

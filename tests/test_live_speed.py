@@ -10,11 +10,11 @@ from live_runs import LEAD, PATIENCE, check, drive, executed, in_turn, place
 from salver.campaigns.summary import DROPPED, FAR
 from salver.errors import Status
 from salver.live import Live, Moving
+from salver.live.committed.profile import SpeedProfile
+from salver.live.committed.seal import sealed
 from salver.live.replanning.planner import Answer, Job, Planner
 from salver.live.replanning.wishes import Halt, Retime
 from salver.live.script import Prompter, script
-from salver.live.verdict.profile import SpeedProfile
-from salver.live.verdict.seal import sealed
 from salver.planning.fastest import joint_plan
 
 FIRST, SECOND = (0.45, 0.1, 0.45), (0.55, -0.2, 0.45)

@@ -9,14 +9,16 @@ import pytest
 import salver as sv
 from live_runs import JUST, Linear
 from salver.live import Live
-from salver.live.verdict.margins import ConstraintMargins
-from salver.live.verdict.motion import resting
-from salver.live.verdict.verify import STANDARD, Judged, _committed, clearance, torque_rate, verified
+from salver.live.committed.commit import committed_of, verified
+from salver.live.committed.motion import resting
 from salver.models.arm.arm_limits import LIMITS
 from salver.models.tray_motion import Speed
 from salver.models.uncertain.worst_case import Drift, WorstCase
 from salver.planning.fastest import fastest, transport_problem
 from salver.planning.trajopt.constraints.constraints import FINEST, Clearance, ContactConstraint, strayed
+from salver.planning.verdict.judged import STANDARD, Judged
+from salver.planning.verdict.margins import ConstraintMargins
+from salver.planning.verdict.verify import Verdict, clearance, torque_rate
 from salver.trajectory import JointMotion, extremes, hulls
 
 
@@ -132,7 +134,7 @@ def test_a_motion_keeps_as_clear_of_things_while_it_rests_as_before(motion):
     change = np.diff(block.values[at_rest[block.points]], axis=0)
     assert change == pytest.approx(np.repeat(10.0 * np.diff(off[at_rest])[:, None], change.shape[1], axis=1), abs=1e-9)
     assert np.ptp(off[at_rest]) > 1e-4  # m
-    assert _committed(judged, [], 0.0).off[-1] == off[at_rest].max() > off[at_rest][0]
+    assert judged.off[-1] == off[at_rest].max() > off[at_rest][0]
 
 
 def test_what_late_commands_do_is_known_where_the_jerk_jumps(motion):
@@ -163,7 +165,8 @@ def test_what_goes_on_from_a_deviation_strays_as_the_whole(motion, judged):
     at = 20
     cut = whole.t[at]
     rest = JointMotion(whole.t[at:] - cut, whole.q[at:], whole.dq[at:], whole.ddq[at:])
-    start = _committed(judged, [], 0.0).deviation_at(cut, problem)
+    found = Verdict("", judged=judged, margins=ConstraintMargins.of([], judged.t, problem))
+    start = committed_of(found, 0.0).deviation_at(cut, problem)
     later = Judged.of(replace(problem, tracking=problem.tracking.begun(start)), rest)
     first = int(np.searchsorted(judged.t, cut - 1e-9))
     assert np.abs(later.t + cut - judged.t[first:]).max() < 1e-9

@@ -20,8 +20,8 @@ from salver.driver.robots.simulated import SimulatedRobot
 from salver.driver.sensing import Sensed
 from salver.errors import ScenarioError
 from salver.geometry import GRAVITY_S, Array, invert
-from salver.live.verdict.motion import resting
-from salver.live.verdict.verify import verified
+from salver.live.committed.commit import verified
+from salver.live.committed.motion import resting
 from salver.models.contact_rows import contact_rows
 from salver.models.tray_motion import FULL_SPEED, at_rest
 from salver.models.uncertain.parameters import Vibration

@@ -33,9 +33,9 @@ from salver.errors import SalverError, Status
 from salver.files import provenance
 from salver.geometry import Array, quat_wxyz_from_matrix
 from salver.live import Live, LiveCourse, Worker
+from salver.live.committed.motion import SAME, between, joined
 from salver.live.script import Prompter, script
 from salver.live.standing import live_scenario
-from salver.live.verdict.motion import SAME, between, joined
 from salver.models.arm.arm import ArmModel, load_arm, with_load
 from salver.models.arm.arm_limits import JointLimits
 from salver.planning import plan_files

@@ -1,8 +1,9 @@
 """A motion that may be changed at any time, and never drops what it carries.
 
-At every moment a motion is committed that was verified (`salver.live.verdict.verify`) and ends at rest. It is only ever
-replaced by another such motion that goes on from it. So nothing that planners, users or networks do, or fail to do, can
-bring the load into danger: what is not verified is not committed, and when nothing new comes the arm comes to rest.
+At every moment a motion is committed that was verified (`salver.planning.verdict.verify`) and ends at rest. It is only
+ever replaced by another such motion that goes on from it. So nothing that planners, users or networks do, or fail to
+do, can bring the load into danger: what is not verified is not committed, and when nothing new comes the arm comes to
+rest.
 
 Requests have a source. While what a source of higher priority requested is carried out, others are refused. A stop
 latches: until it is lifted by `resume`, nothing but a motion to rest is committed, and every other request is refused.
@@ -27,6 +28,10 @@ import numpy.typing as npt
 
 from salver.errors import Status
 from salver.geometry import Array
+from salver.live.committed.commit import verified
+from salver.live.committed.motion import Committed, resting
+from salver.live.committed.profile import STANDARD as SPEED
+from salver.live.committed.seal import sealed
 from salver.live.reader import Reader
 from salver.live.ready import STOPS_EVERY, Ready
 from salver.live.replanning.lead import Lead
@@ -61,10 +66,6 @@ from salver.live.running import Running
 from salver.live.standing import live_scenario, standing
 from salver.live.state import State
 from salver.live.stopped import Hold, Stopped
-from salver.live.verdict.motion import Committed, resting
-from salver.live.verdict.profile import STANDARD as SPEED
-from salver.live.verdict.seal import sealed
-from salver.live.verdict.verify import verified
 from salver.models.arm.arm import with_load
 from salver.planning.fastest import TransportProblem, transport_problem
 from salver.scenario import Scenario, load
@@ -507,7 +508,7 @@ class Live:
         Args:
             budget: s that the step may take, roughly.
             answer: plans elsewhere; default: in this thread. Its proposal is verified here, unless it carries a valid
-                seal (`salver.live.verdict.seal`).
+                seal (`salver.live.committed.seal`).
         """
         if self._planning.acquire(blocking=False):
             try:

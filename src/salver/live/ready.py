@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from salver.live.committed.motion import Committed
 from salver.live.running import Running
-from salver.live.verdict.motion import Committed
 
 STOPS_EVERY = 0.1  # s between instants from which stops are kept ready
 EARLY = 2e-3  # s by which a stop that is ready must be ahead of the loop

@@ -7,10 +7,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from salver.geometry import Array
+from salver.live.committed.motion import Committed, between, joined
 from salver.live.reader import Pieces
 from salver.live.replanning.lookout import Outlook, Path, Sighting
 from salver.live.replanning.wishes import Wish
-from salver.live.verdict.motion import Committed, between, joined
 from salver.planning.fastest import TransportProblem
 from salver.trajectory import JointMotion
 

@@ -10,9 +10,9 @@ import numpy.typing as npt
 
 from salver.errors import ScenarioError, Status, UnreachableError
 from salver.geometry import Array
+from salver.live.committed.commit import verified
+from salver.live.committed.motion import Committed, resting
 from salver.live.replanning.wishes import numbers
-from salver.live.verdict.motion import Committed, resting
-from salver.live.verdict.verify import verified
 from salver.planning.fastest import AtPosture, TransportProblem
 from salver.planning.seeds.starts import standing_at
 from salver.planning.trajopt.constraints.obstacles import KeepOut

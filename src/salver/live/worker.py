@@ -13,10 +13,10 @@ from types import TracebackType
 from typing import Self
 
 from salver.errors import SalverError
+from salver.live.committed import seal
 from salver.live.live import Live
 from salver.live.replanning.planner import Answer, Job, Planner
 from salver.live.standing import live_scenario
-from salver.live.verdict import seal
 from salver.planning.fastest import transport_problem
 from salver.scenario import Scenario
 

@@ -25,7 +25,6 @@ from salver.geometry import Array
 from salver.liquid.before import Past
 from salver.liquid.given_way import Sloshing
 from salver.models.arm.arm import load_arm
-from salver.planning.fastest.after import stays
 from salver.planning.fastest.retiming import SplinePath
 from salver.planning.follow.forward import tray_motion
 from salver.planning.follow.limits import BETWEEN, verdict
@@ -38,6 +37,7 @@ from salver.planning.trajopt.ends import Anywhere, AtPosture
 from salver.planning.trajopt.exchange import CurveOf, optimise
 from salver.planning.trajopt.problem import SPARE, TransportProblem, transport_problem, with_missed_cases
 from salver.planning.trajopt.spline import RestSpline, SplineMotion, min_jerk_blend
+from salver.planning.verdict.after import stays
 from salver.sensitivity.arm.task import task_law
 from salver.sensitivity.arm.terms import motion_terms
 from salver.sensitivity.arm.tracking import Deviation, deviation, late

@@ -1,6 +1,6 @@
 """One step of planning: what is asked and what was found. It knows no clock and no thread, so it may be made anywhere.
 
-What it gives was verified (`salver.live.verdict.verify`); whoever asked decides whether it still comes in time.
+What it gives was verified (`salver.planning.verdict.verify`); whoever asked decides whether it still comes in time.
 """
 
 from __future__ import annotations
@@ -12,16 +12,16 @@ import numpy as np
 
 from salver.errors import Status
 from salver.geometry import Array
+from salver.live.committed.commit import verified
+from salver.live.committed.motion import Committed, resting
+from salver.live.committed.profile import STANDARD, SpeedOptions
 from salver.live.replanning.lookout import Near
 from salver.live.replanning.obstacles import Movable, MovingClearance, Predicted, nearest
 from salver.live.replanning.replan import Replanner, Sought
 from salver.live.replanning.steer import MOST_CAUTION, Caution, Steering, TwistWanted
 from salver.live.replanning.wishes import Evade, Follow, Goal, Halt, Retime, Wish, why_not
-from salver.live.verdict.motion import Committed, resting
-from salver.live.verdict.profile import STANDARD, SpeedOptions
-from salver.live.verdict.verify import STANDARD as EXACT
-from salver.live.verdict.verify import verified
 from salver.planning.fastest import Anywhere, AtPosture, TransportProblem
+from salver.planning.verdict.judged import STANDARD as EXACT
 
 ANOTHER = 0.5  # s by which what is seen again and is too near at another time is another threat
 THERE = 1e-5  # rad or m by which joints may miss a goal that they are at

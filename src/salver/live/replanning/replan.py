@@ -16,9 +16,9 @@ import numpy as np
 
 from salver.errors import Status
 from salver.geometry import GRAVITY_S, Array, Indices
-from salver.live.verdict.motion import Committed
-from salver.live.verdict.profile import SpeedProfile
-from salver.live.verdict.verify import STANDARD, Finding, verified
+from salver.live.committed.commit import Finding, verified
+from salver.live.committed.motion import Committed
+from salver.live.committed.profile import SpeedProfile
 from salver.models.arm.arm_limits import JointLimits
 from salver.models.tray_motion import Speed
 from salver.planning.fastest import (
@@ -43,6 +43,7 @@ from salver.planning.trajopt.exchange import Checked, ExchangeOptions, optimise,
 from salver.planning.trajopt.spline import RestSpline, SplineMotion, min_jerk_blend
 from salver.planning.trajopt.sqp import SqpOptions, SqpSolution, minimise
 from salver.planning.trajopt.watch import Watch
+from salver.planning.verdict.judged import STANDARD
 from salver.trajectory import JointMotion
 
 SPLINE = RestSpline(degree=5, spans=8)

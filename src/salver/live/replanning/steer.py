@@ -17,9 +17,9 @@ import numpy as np
 from salver.errors import Status
 from salver.geometry import Array, Indices, Mask, exp, hat, log
 from salver.liquid.wave_gradients import Unknowns
+from salver.live.committed.commit import Finding, verified
+from salver.live.committed.motion import SAME, Committed
 from salver.live.replanning.replan import Sought
-from salver.live.verdict.motion import SAME, Committed
-from salver.live.verdict.verify import Finding, verified
 from salver.planning import qp
 from salver.planning.fastest import Block, MotionEvaluation, TransportProblem, evaluate
 from salver.planning.trajopt.curves import Grid, united

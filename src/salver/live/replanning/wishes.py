@@ -12,8 +12,8 @@ import numpy.typing as npt
 
 from salver.errors import Status
 from salver.geometry import Array
+from salver.live.committed.profile import STANDARD
 from salver.live.replanning.steer import ChunkWanted, TwistWanted, Wanted
-from salver.live.verdict.profile import STANDARD
 from salver.planning.fastest import AtPose, AtPosture, End, TransportProblem
 from salver.planning.postures import PoseTarget
 from salver.planning.trajopt.constraints.constraints import LEVEL_TOLERANCE

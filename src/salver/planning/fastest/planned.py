@@ -10,7 +10,6 @@ import numpy as np
 
 from salver.errors import Status, UnreachableError
 from salver.geometry import Array
-from salver.planning.fastest.after import calmer
 from salver.planning.fastest.found import FastestMotion, FastestOptions, object_motion
 from salver.planning.fastest.search import fastest
 from salver.planning.fastest.speeds import at_every_speed
@@ -22,6 +21,7 @@ from salver.planning.trajopt.exchange import SHORTEST, reached
 from salver.planning.trajopt.problem import SPARE, TransportProblem, transport_problem, with_missed_cases
 from salver.planning.trajopt.spline import SplineMotion
 from salver.planning.trajopt.watch import Watch
+from salver.planning.verdict.after import calmer
 from salver.scenario import Scenario
 from salver.trajectory import JointMotion, SampledReference
 from salver.wording import listed

@@ -13,6 +13,8 @@ from salver.planning.trajopt.constraints.constraints import ContactConstraint, e
 from salver.planning.trajopt.evaluation import MotionEvaluation
 from salver.planning.trajopt.problem import TransportProblem
 
+HOLD_STEP = 1e-2  # s between nodes of an arm at rest
+
 
 def stays(problem: TransportProblem, t: Array, z: Array) -> bool:
     """Whether what is carried stays, and what is in it, to the edge of their rows: along a motion z (4, P, n) at t (P,)
@@ -21,6 +23,14 @@ def stays(problem: TransportProblem, t: Array, z: Array) -> bool:
     carried = [constraint for constraint in problem.constraints if isinstance(constraint, ContactConstraint | Brim)]
     blocks = evaluate(carried, _rested(problem, t, z), margins=False)
     return all(block.values.max() <= 0 for block in blocks if len(block.points) > 1)  # but for what is left for good
+
+
+def standing_still(problem: TransportProblem, q: Array, seconds: float) -> MotionEvaluation:
+    """The arm at rest in a posture (n,) for so long, s, from the deviation and the waves with which the problem
+    begins."""
+    z = np.zeros((4, max(5, int(np.ceil(seconds / HOLD_STEP)) + 1), problem.n))
+    z[0] = q
+    return problem.at(np.linspace(0.0, 1.0, z.shape[1]), z, seconds)
 
 
 def calmer(problem: TransportProblem, t: Array, z: Array) -> TransportProblem:

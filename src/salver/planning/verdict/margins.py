@@ -10,14 +10,15 @@ import numpy as np
 
 from salver.geometry import Array, Indices
 from salver.models.arm.arm_limits import LIMITS
-from salver.planning.fastest import Block, TransportProblem
 from salver.planning.trajopt.constraints.constraints import (
+    Block,
     Clearance,
     JointLimit,
     LevelConstraint,
     TorqueLimit,
     TorqueRateLimit,
 )
+from salver.planning.trajopt.problem import TransportProblem
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from salver.live.verdict.motion import Committed
+from salver.live.committed.motion import Committed
 
 _key = secrets.token_bytes(32)
 

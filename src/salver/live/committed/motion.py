@@ -12,13 +12,13 @@ import numpy as np
 
 from salver.geometry import Array
 from salver.liquid.before import Past
-from salver.live.verdict.margins import ConstraintMargins
-from salver.live.verdict.profile import SpeedProfile
-from salver.planning.fastest import MotionEvaluation, TransportProblem
+from salver.live.committed.profile import SpeedProfile
+from salver.planning.fastest import TransportProblem
+from salver.planning.verdict.after import standing_still
+from salver.planning.verdict.margins import ConstraintMargins
 from salver.trajectory import JointMotion
 
 SHORTEST = 1e-3  # s that the motion of an arm at rest is written to last
-HOLD_STEP = 1e-2  # s between nodes at which the deviation at rest is known
 SAME = 1e-9  # s; instants nearer than this are one
 SETTLED = 1.0  # s at rest after which what the load makes the arm sag by changes no more
 CALMED = 5.0  # s at rest after which waves are so low that the arm hardly gives way to them;
@@ -33,7 +33,7 @@ class Committed:
     first only when nothing moved before. nodes: (N,) live times at which the deviation is known. deviation:
     (N, 2, n, k) e and e' of each term, see `JointLoop.start`; None where nothing is uncertain. waves: of all liquids
     along it, None without. off: (N,) m by which what stands on the tray may be elsewhere. seal: that of the process
-    which found that it passes (`salver.live.verdict.seal`); empty while nothing did. profile: which motion it is at
+    which found that it passes (`salver.live.committed.seal`); empty while nothing did. profile: which motion it is at
     full speed; None where it is that itself.
     """
 
@@ -92,9 +92,9 @@ class Committed:
             u = (t - self.nodes[k]) / (self.nodes[k + 1] - self.nodes[k])
             return np.asarray((1 - u) * self.deviation[k] + u * self.deviation[k + 1])
         held = min(t - self.nodes[-1], SETTLED)
-        response = self._held(_astray(problem, self.deviation[-1]), held).response
-        assert response is not None
-        return response.state_at(np.linspace(0.0, held, _nodes(held)), held)
+        along = standing_still(_astray(problem, self.deviation[-1]), self.motion.q[-1], held)
+        assert along.response is not None
+        return along.response.state_at(along.shares * held, held)
 
     def _waves_at(self, t: float, problem: TransportProblem) -> Past:
         """The waves at live time t, of which there are some."""
@@ -111,7 +111,7 @@ class Committed:
         left = min(left, CALMED)
         while True:
             step = min(left, AT_ONCE)
-            held, left = self._held(rest, step), left - step
+            held, left = standing_still(rest, self.motion.q[-1], step), left - step
             if left <= 0.0:
                 return held.rested(swung) if swung else replace(held.left, now=step)
             rest = replace(rest, past=replace(held.left, now=step))
@@ -119,29 +119,12 @@ class Committed:
                 sagging = held.response.state_at(np.multiply(step, held.shares), step)
                 rest = replace(rest, tracking=rest.tracking.begun(sagging))
 
-    def settling(self, problem: TransportProblem) -> MotionEvaluation:
-        """The arm at rest after this motion, until the deviation that a parameter error caused has settled."""
-        assert problem.tracking is not None
-        astray = _astray(problem, None if self.deviation is None else self.deviation[-1])
-        return self._held(astray, problem.tracking.settling)
-
-    def _held(self, problem: TransportProblem, seconds: float) -> MotionEvaluation:
-        """The arm at rest after it, for so long, s; the problem is that of going on from its end."""
-        z = np.zeros((4, _nodes(seconds), problem.n))
-        z[0] = self.motion.q[-1]
-        return problem.at(np.linspace(0.0, 1.0, z.shape[1]), z, seconds)
-
 
 def _astray(problem: TransportProblem, deviation: Array | None) -> TransportProblem:
     """The problem of an arm that is off by a deviation (2, n, k) where it begins; by nothing that is known for None."""
     if problem.tracking is None or deviation is None:
         return problem
     return replace(problem, tracking=problem.tracking.begun(deviation))
-
-
-def _nodes(seconds: float) -> int:
-    """How many nodes a rest of so long has."""
-    return max(5, int(np.ceil(seconds / HOLD_STEP)) + 1)
 
 
 def between(motion: JointMotion, first: float, last: float) -> JointMotion:

@@ -1,0 +1,63 @@
+"""Commits a motion that passes the verdict (`salver.planning.verdict.verify`), from the state in which the committed
+motion is left."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from salver.live.committed.motion import Committed
+from salver.live.committed.profile import SpeedProfile
+from salver.live.committed.seal import seal_of
+from salver.planning.trajopt.problem import TransportProblem
+from salver.planning.verdict.judged import STANDARD, VerdictOptions
+from salver.planning.verdict.verify import Verdict, verify
+from salver.trajectory import JointMotion
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What became of a motion that was looked at: committed, or why not. excess, what, slower: as of `Verdict`."""
+
+    committed: Committed | None
+    excess: float
+    sentence: str
+    what: str = ""
+    slower: float = np.inf
+
+
+def verified(
+    problem: TransportProblem,
+    motion: JointMotion,
+    begins: float,
+    before: Committed | None,
+    options: VerdictOptions = STANDARD,
+    *,
+    thoroughly: bool = False,
+    profile: SpeedProfile | None = None,
+) -> Finding:
+    """The verdict on a motion from live time `begins`, s, on that goes on from the one before (None: a long rest).
+    thoroughly: as of `verify`. profile: the path that it is, at which speed, for whoever changes the speed later;
+    nothing here depends on it."""
+    if before is None:
+        found = verify(problem, motion, None, options, thoroughly=thoroughly)
+    else:
+        left = before.left(begins, problem)
+        found = verify(left, motion, before.state(begins), options, thoroughly=thoroughly)
+    if not found.ok:
+        return Finding(None, found.excess, found.sentence, found.what, found.slower)
+    committed = replace(committed_of(found, begins), profile=profile)
+    return Finding(replace(committed, seal=seal_of(committed, before)), found.excess, "")
+
+
+def committed_of(found: Verdict, begins: float) -> Committed:
+    """A motion that passed, with what goes on from it, in live time."""
+    judged, margins = found.judged, found.margins
+    assert judged is not None
+    assert margins is not None
+    t = begins + judged.t
+    waves = judged.along.left if judged.problem.liquids else None
+    nodes = t[: judged.last + 1]
+    margins = replace(margins, t=t)
+    return Committed(begins, judged.motion, nodes, judged.deviation, margins, waves, judged.off)

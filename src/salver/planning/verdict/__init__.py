@@ -1,0 +1,1 @@
+"""The verdict on a joint motion: whether it keeps every constraint of its problem, for the whole uncertain set."""
