@@ -140,21 +140,6 @@ except MissingDependencyError as error:
     assert "pip install 'salver[engine]'" in _run(code)
 
 
-@pytest.mark.slow
-def test_what_scipy_asks_numpy_for_by_name_alone_is_loaded_when_it_is_used():
-    code = """
-import json, sys
-from salver.cli.lazily import load_when_used
-load_when_used()
-import scipy.spatial
-import numpy
-before = [name in sys.modules for name in ("numpy.f2py.crackfortran", "unittest")]
-numpy.testing.assert_allclose([1.0], [1.0])
-print(json.dumps([before, "unittest" in sys.modules, numpy.f2py.__version__ is not None]))
-"""
-    assert _run(code) == [[False, False], True, True]
-
-
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="how other libraries keep what is freed is theirs")
 def test_freed_arrays_are_not_asked_of_the_system_again():
     """Three of a megabyte (more would be given back together), a hundred times: 256 pages of 4096 bytes in each."""

@@ -18,7 +18,6 @@ import typer
 
 from salver import __version__
 from salver.cli.common import INTERRUPTED, handled
-from salver.cli.lazily import load_when_used
 
 # In the order of use, each with its folder; it is the function of that name in the module of that name.
 COMMANDS = {
@@ -101,8 +100,6 @@ def main() -> None:
         os.environ.setdefault(name, "1")
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "1")  # it would look for some in every package that is installed
     asked = [name for name in sys.argv[1:2] if name in COMMANDS]
-    if asked and "--help" not in sys.argv:
-        load_when_used()
     try:
         (_gathered(asked) if asked else _whole())()
     except OSError as error:  # where help or the version cannot be printed; commands see to it themselves

@@ -8,7 +8,7 @@ import os
 import re
 import shlex
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
     from salver.planning.plan import Plan
     from salver.planning.round import MultiLegPlan
+    from salver.scenario import Scenario
 
 ACHIEVED = 0
 NOT_ACHIEVED = 1
@@ -206,6 +207,50 @@ def of_a_run(path: Path) -> None:
 def result_console() -> Console:
     """Console on standard output, for the result a person asked for (without --json)."""
     return _console(soft_wrap=not sys.stdout.isatty())
+
+
+def print_table(titles: Sequence[str], rows: Iterable[Sequence[str]], left: Collection[str] = ("",)) -> None:
+    """A table for a person, on standard output. left: titles of columns that are set left; others are set right."""
+    from rich.table import Table
+
+    table = Table(box=None, padding=(0, 3, 0, 0))
+    for title in titles:
+        table.add_column(title, justify="left" if title in left else "right")
+    for row in rows:
+        table.add_row(*row)
+    result_console().print(table)
+
+
+def check_no_plan(out: Path, stem: str = "plan") -> None:
+    """Raise ScenarioError where a run directory holds a plan already."""
+    from salver.run_directory import file_stem
+
+    if (out / f"{file_stem(out, stem)}.npz").exists():
+        raise ScenarioError(f"--out = {out} holds a plan already; give a directory that does not.")
+
+
+def check_new_toml(out: Path | None) -> None:
+    """Raise ScenarioError for what is no name for a new scenario file."""
+    if out is not None and (out.suffix != ".toml" or out.exists()):
+        raise ScenarioError(f"--out = {out} must be a .toml file that does not exist yet.")
+
+
+def save_scenario(scenario: Scenario, out: Path) -> None:
+    import tomli_w
+
+    from salver.files import write_atomic
+
+    write_atomic(out, tomli_w.dumps(scenario.model_dump(mode="json", exclude_none=True)))
+
+
+def save_test_motion(plan: Plan, out: Path, then: str, json: bool) -> None:
+    """Write a motion that measures something into a run directory. then: the commands that follow."""
+    plan.save(out)
+    if json:
+        print_json({"duration": plan.duration, "sentence": plan.status.sentence, "directory": str(out)})
+        return
+    result_console().print(plan.status.sentence)
+    say(f"Written to {out}; next: {then}.")
 
 
 def _console(**options: Any) -> Console:

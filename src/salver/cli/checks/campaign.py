@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from salver.cli.common import NOT_ACHIEVED, Json, print_json, result_console, say
+from salver.cli.common import NOT_ACHIEVED, Json, print_json, print_table, result_console, say
 from salver.cli.progress import step
 
 
@@ -80,36 +80,27 @@ def told(done: int, total: int, counts: Counter[tuple[str, str]]) -> None:
 
 def show(summary: dict[str, Any]) -> None:
     """The summary as a table for a person: a column for each plan."""
-    from rich.table import Table
-
     from salver.campaigns.summary import LEFT_TUBES
 
     plans = summary["plans"]
-    table = Table(box=None, padding=(0, 2, 0, 0))
-    table.add_column("")
-    for stem in plans:
-        table.add_column(stem)
-    outcomes = list(dict.fromkeys(name for plan in plans.values() for name in plan["outcomes"]))
-    for name in outcomes:
-        cells = [_rate(plan["outcomes"].get(name)) for plan in plans.values()]
-        table.add_row(name, *cells)
-    for name, (label, scale, unit) in _SHOWN.items():
-        if any(name in plan["quantiles"] for plan in plans.values()):
-            cells = [_range(plan["quantiles"].get(name), scale, unit) for plan in plans.values()]
-            table.add_row(label, *cells)
-    if any(plan["tube"] for plan in plans.values()):
-        table.add_row(
-            "coefficient left its tube",
-            *(_rate(plan["tube"] and plan["tube"]["left"]) for plan in plans.values()),
-        )
-        table.add_row("furthest out", *(_excess(plan["tube"]) for plan in plans.values()))
-    if any(plan.get("stops") for plan in plans.values()):
+    each = list(plans.values())
+    outcomes = dict.fromkeys(name for plan in each for name in plan["outcomes"])
+    rows = [[name, *(_rate(plan["outcomes"].get(name)) for plan in each)] for name in outcomes]
+    rows += [
+        [label, *(_range(plan["quantiles"].get(name), scale, unit) for plan in each)]
+        for name, (label, scale, unit) in _SHOWN.items()
+        if any(name in plan["quantiles"] for plan in each)
+    ]
+    if any(plan["tube"] for plan in each):
+        rows.append(["coefficient left its tube", *(_rate(plan["tube"] and plan["tube"]["left"]) for plan in each)])
+        rows.append(["furthest out", *(_excess(plan["tube"]) for plan in each)])
+    if any(plan.get("stops") for plan in each):
         for name, label in (("lost", "lost in a stop"), ("beyond_a_limit", "kept beyond a limit of the arm")):
-            table.add_row(label, *(_rate(plan["stops"] and plan["stops"][name]) for plan in plans.values()))
-        table.add_row("stop takes, median (max)", *(_range(plan["stops"]["takes"], 1, "s") for plan in plans.values()))
-        table.add_row("finished, as no stop is sooner", *(str(plan["stops"]["finished"]) for plan in plans.values()))
+            rows.append([label, *(_rate(plan["stops"] and plan["stops"][name]) for plan in each)])
+        rows.append(["stop takes, median (max)", *(_range(plan["stops"]["takes"], 1, "s") for plan in each)])
+        rows.append(["finished, as no stop is sooner", *(str(plan["stops"]["finished"]) for plan in each)])
+    print_table(titles := ["", *plans], rows, left=titles)
     out = result_console()
-    out.print(table)
     if any(plan["tube"] and plan["tube"]["left"]["count"] for plan in plans.values()):
         out.print(LEFT_TUBES)
     for pair in summary["paired"]:

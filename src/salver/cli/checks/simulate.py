@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from salver.cli.checks.audit import OnTray, Topic, Units
-from salver.cli.common import Json, headed, of_a_run, print_json, result_console, say
+from salver.cli.common import Json, headed, of_a_run, print_json, print_table, result_console, say
 from salver.errors import ScenarioError
 
 if TYPE_CHECKING:
@@ -252,8 +252,6 @@ def _warn(plan: Plan, stem: str) -> None:
 
 def show(results: dict[str, SimulationRecord], parameters: Mapping[str, float] | None = None) -> None:
     """Runs side by side, for a person, on standard output. parameters: of all, if not those of the first."""
-    from rich.table import Table
-
     console = result_console()
     true = next(iter(results.values())).parameters if parameters is None else parameters
     drawn = ", ".join(f"{name} = {value:.6g}" for name, value in true.items())
@@ -265,15 +263,10 @@ def show(results: dict[str, SimulationRecord], parameters: Mapping[str, float] |
             else ", which the plan takes as known exactly"
         )
         console.print(f"What if: {name} = {true[name]:.6g}{known}; this run says nothing for or against the plan.")
-    table = Table(box=None, padding=(0, 3, 0, 0))
-    table.add_column("")
-    for name in results:
-        table.add_column(name, justify="right")
     several = any(len(record.object_names) > 1 for record in results.values())
     columns = [_lines(record, several) for record in results.values()]
-    for label in dict.fromkeys(label for column in columns for label in column):
-        table.add_row(label, *(column.get(label, "") for column in columns))
-    console.print(table)
+    labels = dict.fromkeys(label for column in columns for label in column)
+    print_table(["", *results], ([label, *(column.get(label, "") for column in columns)] for label in labels))
     for name, record in results.items():
         for sentence in sentences(record):
             console.print(headed(name, sentence))

@@ -8,7 +8,16 @@ from typing import Annotated, Literal
 
 import typer
 
-from salver.cli.common import Json, print_json, result_console, say
+from salver.cli.common import (
+    Json,
+    check_new_toml,
+    check_no_plan,
+    print_json,
+    result_console,
+    save_scenario,
+    save_test_motion,
+    say,
+)
 from salver.errors import ScenarioError
 
 
@@ -74,19 +83,10 @@ def _plan(source: str, shows: float | None, short: bool, level: float | None, ou
 
     if (shows is None) != short or out is None:
         raise ScenarioError("To plan the test, give --shows FRICTION or --short, and --out DIRECTORY.")
-    if (out / "plan.npz").exists():
-        raise ScenarioError(f"--out = {out} holds a plan already; give a directory that does not.")
+    check_no_plan(out)
     known = scenarios.load(source)
-    if shows is None:
-        plan = short_tilt(known, level=level)
-    else:
-        plan = tilt_test(known, shows, level)
-    plan.save(out)
-    if json:
-        print_json({"duration": plan.duration, "sentence": plan.status.sentence, "directory": str(out)})
-        return
-    result_console().print(plan.status.sentence)
-    say(f"Written to {out}; next: salver execute {out}, then salver calibrate friction {out}.")
+    plan = short_tilt(known, level=level) if shows is None else tilt_test(known, shows, level)
+    save_test_motion(plan, out, f"salver execute {out}, then salver calibrate friction {out}", json)
 
 
 def _read(
@@ -98,17 +98,13 @@ def _read(
     out: Path | None,
     json: bool,
 ) -> None:
-    import tomli_w
-
     from salver import scenario as scenarios
-    from salver.files import write_atomic
     from salver.learning.friction.friction import friction
     from salver.learning.tracking.executed import read_joints
     from salver.models.arm.arm import load_arm
     from salver.planning.plan import load_plan
 
-    if out is not None and (out.suffix != ".toml" or out.exists()):
-        raise ScenarioError(f"--out = {out} must be a .toml file that does not exist yet.")
+    check_new_toml(out)
     plan = load_plan(directory)
     if log is not None and plan.scenario.arm is None:
         raise ScenarioError(f"{plan.scenario.name} has no arm; friction is shown by an arm that carries the load.")
@@ -116,8 +112,7 @@ def _read(
     samples = None if log is None or arm is None else read_joints(log, arm)
     found = friction(plan, samples, held=seen["held"], slid=seen["slid"], moved=seen["moved"], level=level)
     if out is not None:
-        learnt = found.learnt_scenario(None if scenario is None else scenarios.load(scenario))
-        write_atomic(out, tomli_w.dumps(learnt.model_dump(mode="json", exclude_none=True)))
+        save_scenario(found.learnt_scenario(None if scenario is None else scenarios.load(scenario)), out)
     if json:
         print_json({"low": found.low, "high": found.high, "sentences": list(found.sentences)})
         return

@@ -7,8 +7,7 @@ from typing import Annotated
 
 import typer
 
-from salver.cli.common import Json, print_json, result_console, say
-from salver.errors import ScenarioError
+from salver.cli.common import Json, check_no_plan, save_test_motion
 
 
 def excite(
@@ -30,12 +29,6 @@ def excite(
     from salver import scenario as scenarios
     from salver.learning.load.excite import plan_excite
 
-    if (out / "plan.npz").exists():
-        raise ScenarioError(f"--out = {out} holds a plan already; give a directory that does not.")
+    check_no_plan(out)
     plan = plan_excite(scenarios.load(scenario), duration)
-    plan.save(out)
-    if json:
-        print_json({"duration": plan.duration, "sentence": plan.status.sentence, "directory": str(out)})
-        return
-    result_console().print(plan.status.sentence)
-    say(f"Written to {out}; next: salver execute {out}, empty and loaded, then salver identify.")
+    save_test_motion(plan, out, f"salver execute {out}, empty and loaded, then salver identify", json)

@@ -8,7 +8,16 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from salver.cli.common import Json, headed, print_json, result_console, say
+from salver.cli.common import (
+    Json,
+    check_new_toml,
+    headed,
+    print_json,
+    print_table,
+    result_console,
+    save_scenario,
+    say,
+)
 from salver.errors import ScenarioError
 
 if TYPE_CHECKING:
@@ -47,16 +56,12 @@ def identify(
 
     Ends with 0 when the logs were used, whatever their result.
     """
-    import tomli_w
-
-    from salver.files import write_atomic
     from salver.learning import identify as learn
     from salver.learning import read_log
     from salver.models.arm.arm import load_arm
     from salver.planning.plan import load_plan
 
-    if out is not None and (out.suffix != ".toml" or out.exists()):
-        raise ScenarioError(f"--out = {out} must be a .toml file that does not exist yet.")
+    check_new_toml(out)
     bounds, carried = _bounds(bound or []), load_plan(plan, stem)
     if carried.joint is None:
         raise ScenarioError(
@@ -67,7 +72,7 @@ def identify(
     read = [read_log(path, len(names), names, topic) for path in (*logs, empty)]
     found = learn(carried, read[:-1], read[-1], bounds)
     if out is not None:
-        write_atomic(out, tomli_w.dumps(found.learnt_scenario().model_dump(mode="json", exclude_none=True)))
+        save_scenario(found.learnt_scenario(), out)
     if json:
         print_json(summary(found))
         return
@@ -110,19 +115,14 @@ def _bounds(given: list[str]) -> SensorBounds:
 
 
 def _show(found: Identified) -> None:
-    from rich.table import Table
-
-    console = result_console()
-    table = Table(box=None, padding=(0, 3, 0, 0))
-    for column in ("", "95 %", "low", "high", "before"):
-        table.add_column(column, justify="left" if not column else "right")
+    console, rows = result_console(), []
     for name, r in found.ranges.items():
         unit, scale = {"m": ("g", 1e3), "c": ("mm", 1e3), "i": ("kg mm^2", 1e6)}[name[0]]
         before = f"{scale * r.before[0]:.1f} to {scale * r.before[1]:.1f}"
         likely = f"{scale * r.likely[0]:.2f} to {scale * r.likely[1]:.2f}"
-        table.add_row(f"{name}, {unit}", likely, f"{scale * r.low:.2f}", f"{scale * r.high:.2f}", before)
+        rows.append((f"{name}, {unit}", likely, f"{scale * r.low:.2f}", f"{scale * r.high:.2f}", before))
     console.print(f"From {', '.join(found.sensors)} (centre of mass from the nominal one; plan with low to high):")
-    console.print(table)
+    print_table(("", "95 %", "low", "high", "before"), rows)
     largest = sorted(found.shares.items(), key=lambda share: -share[1])[:4]
     parts = ", ".join(f"{1e3 * x:.1f} g {name}" for name, x in largest)
     console.print(

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from salver.cli.common import NO_SAFE_PLAN, Json, print_json, result_console, say
-from salver.errors import ScenarioError
+from salver.cli.common import NO_SAFE_PLAN, Json, check_new_toml, print_json, print_table, save_scenario, say
 
 if TYPE_CHECKING:
     from salver.learning.trips import Trip
@@ -48,14 +47,10 @@ def learn(
 
     Ends with 0 when the load stayed on every trip, with 3 when it did not or when no safe motion was found.
     """
-    import tomli_w
-
     from salver import scenario as scenarios
-    from salver.files import write_atomic
     from salver.learning.trips import trips as carried
 
-    if out is not None and (out.suffix != ".toml" or out.exists()):
-        raise ScenarioError(f"--out = {out} must be a .toml file that does not exist yet.")
+    check_new_toml(out)
     made: list[Trip] = []
     for trip in carried(scenarios.load(scenario), trips, seed, sensor, tilts=tilts, level=level):
         made.append(trip)
@@ -65,7 +60,7 @@ def learn(
         if trip.tilts:
             say(_tilted(trip))
         if out is not None and trip.learnt is not None:
-            write_atomic(out, tomli_w.dumps(trip.known.model_dump(mode="json", exclude_none=True)))
+            save_scenario(trip.known, out)
     if json:
         print_json([_record(trip) for trip in made])
     else:
@@ -111,27 +106,16 @@ def _record(trip: Trip) -> dict[str, Any]:
 
 
 def _show(made: list[Trip]) -> None:
-    from rich.table import Table
-
-    table = Table(box=None, padding=(0, 3, 0, 0))
-    for title in (
-        "trip",
-        "duration",
-        "load",
-        "margin",
-        "mass after, g",
-        "centre of mass after, +- mm",
-        "friction after",
-    ):
-        table.add_column(title, justify="right")
+    titles = ("trip", "duration", "load", "margin", "mass after, g", "centre of mass after, +- mm", "friction after")
+    rows = []
     for trip in made:
         learnt = trip.learnt
         mass = "-" if learnt is None else "{:.1f} to {:.1f}".format(*(1e3 * x for x in _ends(trip)))
         half = "-" if learnt is None else ", ".join(f"{1e3 * learnt.ranges[f'com_{a}'].half:.2f}" for a in "xyz")
         known = "{:.3f} to {:.3f}".format(*_friction(trip))
         duration, margin = f"{trip.plan.duration:.3f} s", f"{100 * trip.margin:.1f} %"
-        table.add_row(str(trip.number), duration, trip.outcome, margin, mass, half, known)
-    result_console().print(table)
+        rows.append((str(trip.number), duration, trip.outcome, margin, mass, half, known))
+    print_table(titles, rows)
 
 
 def _ends(trip: Trip) -> tuple[float, float]:

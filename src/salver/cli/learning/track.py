@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from salver.cli.checks.audit import Topic
-from salver.cli.common import NO_SAFE_PLAN, Json, headed, print_json, result_console
+from salver.cli.common import NO_SAFE_PLAN, Json, headed, print_json, print_table, result_console
 
 if TYPE_CHECKING:
     from salver.learning.tracking.track import Tracking
@@ -92,8 +92,6 @@ def verdict(found: Tracking) -> str:
 
 
 def _show(found: Tracking, directory: Path) -> None:
-    from rich.table import Table
-
     console = result_console()
     console.print(headed("not checked", f"{unseen(found)}."))
     console.print(headed("executed", verdict(found)))
@@ -101,11 +99,8 @@ def _show(found: Tracking, directory: Path) -> None:
         f"The log's clock is {found.done.shift:.4f} s ahead of the plan's; the plan itself has a margin of "
         f"{-100 * found.planned:.1f} % of the weight."
     )
-    table = Table(box=None, padding=(0, 3, 0, 0))
-    for title in ("joint", "off the plan", "later than all", "friction", "noise", "alone"):
-        table.add_column(title, justify="left" if title == "joint" else "right")
-    for joint in found.joints:
-        table.add_row(
+    rows = [
+        (
             joint.name,
             f"{1e3 * joint.peak:.3f} m{joint.unit}",
             f"{1e3 * joint.lag:.2f} ms",
@@ -113,7 +108,9 @@ def _show(found: Tracking, directory: Path) -> None:
             f"{1e6 * joint.noise:.1f} u{joint.unit}",
             f"{100 * joint.row:.1f} %",
         )
-    console.print(table)
+        for joint in found.joints
+    ]
+    print_table(("joint", "off the plan", "later than all", "friction", "noise", "alone"), rows, left=("joint",))
     if found.ok:
         return
     console.print(headed("cause", f"{found.cause}."))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from salver.cli.checks.audit import Topic
-from salver.cli.common import NO_SAFE_PLAN, Json, headed, print_json, result_console, say
+from salver.cli.common import NO_SAFE_PLAN, Json, check_no_plan, headed, print_json, print_table, result_console, say
 from salver.cli.learning.track import record, unseen, verdict
 from salver.errors import ScenarioError
 
@@ -49,8 +49,7 @@ def tune(
     from salver.planning.plan_files import check_place
 
     plan = load_plan(directory, stem)
-    if out.resolve() == directory.resolve() or (out / f"{stem}.npz").exists():
-        raise ScenarioError(f"--out = {out} holds a plan already; give a directory that does not.")
+    check_no_plan(out, stem)
     check_place(plan.scenario, out)
     if log is None:
         made = []
@@ -88,16 +87,10 @@ def _record(done: TuningRun) -> dict[str, Any]:
 
 
 def _show(made: list[TuningRun], first: float) -> None:
-    from rich.table import Table
-
     console = result_console()
     console.print(headed("not checked", f"{unseen(made[-1].tracking)}; runs that differ from each other."))
-    table = Table(box=None, padding=(0, 3, 0, 0))
-    for title in ("round", "duration", "worst row", "of the plan", "late by", "then"):
-        table.add_column(title, justify="left" if title == "then" else "right")
-    for done in made:
-        seen = done.tracking
-        table.add_row(
+    rows = [
+        (
             str(done.number),
             f"{done.plan.duration:.3f} s",
             f"{100 * seen.row:+.2f} +- {100 * seen.uncertainty:.2f} %",
@@ -105,7 +98,10 @@ def _show(made: list[TuningRun], first: float) -> None:
             f"{1e3 * (seen.done.shift - made[0].tracking.done.shift):+.1f} ms",
             done.next,
         )
-    console.print(table)
+        for done in made
+        for seen in [done.tracking]
+    ]
+    print_table(("round", "duration", "worst row", "of the plan", "late by", "then"), rows, left=("then",))
     last = made[-1]
     price = f" Price: {100 * (last.plan.duration / first - 1):+.1f} % of the duration." if last.next == "done" else ""
     console.print(headed("result", last.sentence + price))

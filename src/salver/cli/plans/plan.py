@@ -18,6 +18,7 @@ from salver.cli.common import (
     Stops,
     headed,
     print_json,
+    print_table,
     result_console,
     save_plans,
     say,
@@ -223,16 +224,12 @@ def _tell(directory: Path, plans: dict[str, Plan | MultiLegPlan]) -> None:
 
 def _show_legs(plan: MultiLegPlan) -> None:
     """A plan of several legs for a person, on standard output."""
-    from rich.table import Table
-
     console, scenario = result_console(), plan.scenario
     console.print(headed(scenario.name, scenario.summary) if scenario.summary else scenario.name)
     warn(plan.warnings)
-    table = Table(box=None, padding=(0, 3, 0, 0))
-    for column in ("leg", "on the tray", "then", "duration", "left, worst case", "friction needed / sure", "arm"):
-        table.add_column(column)
-    for k, (leg, asked) in enumerate(zip(plan.legs, scenario.legs, strict=True), 1):
-        table.add_row(
+    titles = ("leg", "on the tray", "then", "duration", "left, worst case", "friction needed / sure", "arm")
+    rows = [
+        (
             str(k),
             ", ".join(item.name for item in leg.scenario.objects),
             ", ".join([*(f"- {name}" for name in asked.taken), *(f"+ {name}" for name in asked.added)]),
@@ -241,7 +238,9 @@ def _show_legs(plan: MultiLegPlan) -> None:
             _friction(leg),
             "yes" if leg.arm_status is not None and leg.arm_status.ok else "NO",
         )
-    console.print(table)
+        for k, (leg, asked) in enumerate(zip(plan.legs, scenario.legs, strict=True), 1)
+    ]
+    print_table(titles, rows, left=titles)
     console.print(f"Not checked: {'; '.join(plan.unchecked)}.")
     console.print(headed("all", plan.status))
     for k, leg in enumerate(plan.legs, 1):
@@ -272,10 +271,7 @@ def options_of(effort: Effort | None) -> FastestOptions | None:
 
 def show(plan: Plan, other: Plan, beside: str) -> None:
     """The plan and what it is compared with, for a person, on standard output."""
-    from rich.table import Table
-
-    console = result_console()
-    scenario = plan.scenario
+    console, scenario = result_console(), plan.scenario
     console.print(headed(scenario.name, scenario.summary) if scenario.summary else scenario.name)
     warn(plan.warnings)
     uncertain = ", ".join(
@@ -285,11 +281,6 @@ def show(plan: Plan, other: Plan, beside: str) -> None:
         f"Uncertain ({plan.uncertain.kind}, SI units): {uncertain or 'nothing'}; duration {plan.duration:.4g} s"
     )
     console.print(plan.speeds.sentence)
-    table = Table(box=None, padding=(0, 3, 0, 0))
-    table.add_column("")
-    names = (plan.method, beside)
-    for name in names:
-        table.add_column(name, justify="right")
     lines: dict[str, Callable[[Plan], str]] = {"sensitivity cost, eq (13)": lambda p: f"{p.cost:.4g}"}
     if scenario.contact.condition == "paper":
         lines |= {
@@ -310,9 +301,8 @@ def show(plan: Plan, other: Plan, beside: str) -> None:
             "-" if p.arm_status is None else "yes" if p.arm_status.ok else "NO"
         ),
     }
-    for label, value in lines.items():
-        table.add_row(label, value(plan), value(other))
-    console.print(table)
+    names = (plan.method, beside)
+    print_table(("", *names), ((label, value(plan), value(other)) for label, value in lines.items()))
     # What is not checked of the arm, its own sentence says.
     blind = plan.unchecked if plan.arm_status is None else (*plan.scenario.payload.unmodelled, *plan.unshaken)
     if blind:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from salver.cli.common import NO_SAFE_PLAN, Json, ScenarioName, headed, print_json, result_console, say
+from salver.cli.common import NO_SAFE_PLAN, Json, ScenarioName, headed, print_json, print_table, result_console, say
 from salver.cli.progress import step
 from salver.errors import ScenarioError
 
@@ -87,23 +87,18 @@ def _write(directory: Path, document: dict[str, Any], points: list[TradeoffPoint
 
 def show(name: str, points: list[TradeoffPoint]) -> None:
     """The curve as a table, on standard output."""
-    from rich.table import Table
-
-    table = Table(box=None, padding=(0, 3, 0, 0))
-    for head in ("uncertainty", "duration", "longer by", "friction needed", "nominal margin"):
-        table.add_column(head, justify="right")
     first = points[0].duration
-    for point in points:
-        if point.status.ok:
-            table.add_row(
-                f"{point.scale:g} x",
-                f"{point.duration:.3f} s",
-                f"{100 * (point.duration / first - 1):.1f} %",
-                f"{point.friction_needed:.3f}",
-                f"{100 * point.margin:.1f} % of the weight",
-            )
-        else:
-            table.add_row(f"{point.scale:g} x", "none", "", "", "")
-    console = result_console()
-    console.print(headed(name, "fastest motion that is safe for so much uncertainty"))
-    console.print(table)
+    rows = [
+        (
+            f"{point.scale:g} x",
+            f"{point.duration:.3f} s",
+            f"{100 * (point.duration / first - 1):.1f} %",
+            f"{point.friction_needed:.3f}",
+            f"{100 * point.margin:.1f} % of the weight",
+        )
+        if point.status.ok
+        else (f"{point.scale:g} x", "none", "", "", "")
+        for point in points
+    ]
+    result_console().print(headed(name, "fastest motion that is safe for so much uncertainty"))
+    print_table(("uncertainty", "duration", "longer by", "friction needed", "nominal margin"), rows)
