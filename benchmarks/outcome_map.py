@@ -19,12 +19,19 @@ import json
 import multiprocessing
 import os
 import time
+from collections.abc import Iterable, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from salver.reports.style import BLACK, COLUMN, GREY, OUTCOME_COLOURS
 from salver.scenario import Scenario, load
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 DOCS = Path(__file__).parent.parent / "docs"
 MOTIONS = {"baseline": "straight line", "plan": "robust, level", "tilting": "robust, tilting"}
@@ -118,8 +125,83 @@ def cells(which: str) -> list[Cell]:
     return [Cell(s, t, 0.5, h, 0.003) for s in MOTIONS for t in DURATIONS for h in HEIGHTS]
 
 
+OUTCOME_MARKS = {
+    "holds": "",
+    "slides": "s",
+    "spills": "w",
+    "tips": "t",
+    "lifts": "l",
+    "lost": "×",
+    "limit": "–",
+    "no plan": "",
+}
+
+
+def outcome_map(
+    table: Mapping[str, Any], columns: Iterable[tuple[str, str]], x: str = "duration", y: str = "friction"
+) -> Figure:
+    """Outcome of a motion over two quantities: one panel for each (stem, title) of `columns`.
+
+    table: columns `x`, `y`, "stem" and "outcome" of equal length, one row a run; several runs of one cell show the
+    worst. A cell where something happened carries a letter besides its colour; one without a plan is blank.
+    """
+    from matplotlib.figure import Figure as Drawing
+    from matplotlib.patches import Patch
+
+    columns = list(columns)
+    order = list(OUTCOME_MARKS)
+    colours = OUTCOME_COLOURS | {"holds": "#dcefe8", "no plan": "white"}
+    xs, ys = (np.unique(np.asarray(table[key], dtype=float)) for key in (x, y))
+    figure = Drawing(figsize=(COLUMN * len(columns), 2.5), layout="constrained")
+    axes = figure.subplots(1, len(columns), squeeze=False, sharey=True)
+    seen: set[str] = set()
+    for ax, (stem, title) in zip(axes[0], columns, strict=True):
+        worst: dict[tuple[int, int], str] = {}
+        for xv, yv, own, outcome in zip(table[x], table[y], table["stem"], table["outcome"], strict=True):
+            if own != stem:
+                continue
+            cell = (int(np.searchsorted(xs, xv)), int(np.searchsorted(ys, yv)))
+            if cell not in worst or order.index(str(outcome)) > order.index(worst[cell]):
+                worst[cell] = str(outcome)
+        edges_x, edges_y = _edges(xs), _edges(ys)
+        for (i, j), outcome in worst.items():
+            seen.add(outcome)
+            left, low = edges_x[i], edges_y[j]
+            wide, high = edges_x[i + 1] - left, edges_y[j + 1] - low
+            ax.add_patch(_cell(left, low, wide, high, colours[outcome]))
+            seen_on = "white" if colours[outcome] == BLACK else BLACK
+            ax.text(
+                left + wide / 2, low + high / 2, OUTCOME_MARKS[outcome], ha="center", va="center", size=7, color=seen_on
+            )
+        ax.set(xlim=(edges_x[0], edges_x[-1]), ylim=(edges_y[0], edges_y[-1]), xlabel=f"{x} [s]")
+        ax.set_title(title, loc="left")
+        ax.grid(visible=False)
+    axes[0, 0].set_ylabel(f"{y} coefficient" if y == "friction" else y)
+    handles = [
+        Patch(facecolor=colours[o], edgecolor=GREY, linewidth=0.4, label=f"{o} ({m})" if m else o)
+        for o, m in OUTCOME_MARKS.items()
+        if o in seen
+    ]
+    figure.legend(handles=handles, loc="outside lower center", ncols=len(handles))
+    return figure
+
+
+def _cell(left: float, low: float, wide: float, high: float, colour: str) -> Any:
+    from matplotlib.patches import Rectangle
+
+    return Rectangle((left, low), wide, high, facecolor=colour, edgecolor="white", linewidth=0.6)
+
+
+def _edges(centres: np.ndarray) -> np.ndarray:
+    """Borders of cells around increasing centres."""
+    if len(centres) == 1:
+        return np.array([centres[0] - 0.5, centres[0] + 0.5])
+    middle = 0.5 * (centres[1:] + centres[:-1])
+    return np.concatenate([[2 * centres[0] - middle[0]], middle, [2 * centres[-1] - middle[-1]]])
+
+
 def draw(which: str, rows: list[dict[str, Any]]) -> None:
-    from salver.reports.pictures.figures import outcome_map, render
+    from salver.reports.pictures.figures import render
     from salver.reports.style import paper_style
 
     columns = {key: [row[key] for row in rows] for key in rows[0]}

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from salver import scenario
-from salver.files import load_npz, read_json, save_npz
+from salver.files import load_npz, npz_bytes, read_json, write_atomic
 from salver.planning import certificate
 from salver.run_directory import CERTIFICATE
 
@@ -26,7 +26,7 @@ def rewrite(
     held, told = load_npz(directory / f"{stem}.npz"), read_json(directory / f"{stem}.json")
     arrays(held)
     record(told)
-    save_npz(directory / f"{stem}.npz", **held)
+    write_atomic(directory / f"{stem}.npz", npz_bytes(held))
     if certified:
         told[CERTIFICATE] = certificate.certificate(scenario.load(directory / "scenario.toml"), held, told)
     (directory / f"{stem}.json").write_text(json.dumps(told))

@@ -1,14 +1,11 @@
 """The chain of arm, controller and carried objects: against nonlinear forward dynamics, and the engine."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from arm_rollouts import T, case_of, relative
 from salver import scenario
 from salver.geometry import log, matrix_from_quat_wxyz
-from salver.models.contact.wrench_cone import cone_facets
 from salver.models.tray_motion import frame_map, wrench_map
 from salver.models.uncertain.parameters import INERTIAL, inertial_vector, phi_of
 from salver.planning.make import plan_baseline, with_arm
@@ -93,8 +90,8 @@ def test_tray_and_what_it_feels(panda, space):
 
 
 @pytest.mark.slow
-def test_wrench_and_contact_rows(panda):
-    """Contact wrench of the object as it truly is, and its facets, over rollouts; friction, place and tilt included."""
+def test_contact_wrench(panda):
+    """Contact wrench of the object as it truly is, over rollouts; its place included."""
     chain = arm_chain(panda.model, panda.joint, space="joint", t=T)
     body, uncertain = panda.body, chain.uncertain
 
@@ -103,20 +100,12 @@ def test_wrench_and_contact_rows(panda):
         inertial = inertial_vector(body.inertial) + [change.get(name, 0.0) for name in INERTIAL]
         (moved,) = panda.carried(change)
         need = wrench_map(phi_of(inertial)) @ frame_map(moved.p_EB, moved.R_EB)
-        wrench = panda.felt(run) @ need.T
-        friction = np.full(body.contacts.count, body.friction + change.get("friction", 0.0))
-        facets = cone_facets(replace(body.contacts, friction=friction)).rows
-        return wrench, -wrench @ facets.T / (9.81 * inertial[0])
+        return panda.felt(run) @ need.T
 
-    _, slack = true({})
-    assert slack == pytest.approx(chain.slack, abs=1e-5)
-    for name in ("mass", "com_x", "inertia_xx", "friction", "position_x"):
+    for name in ("mass", "com_x", "inertia_xx", "position_x"):
         j = uncertain.names.index(name)
         h = 0.05 * float(uncertain.half_range[j])
-        up, down = true({name: h}), true({name: -h})
-        if name != "friction":
-            assert relative(chain.wrench[:, :, j] * h, (up[0] - down[0]) / 2) < 1e-4, name
-        assert relative(chain.slack_p[:, :, j] * h, (up[1] - down[1]) / 2) < 1e-3, name
+        assert relative(chain.wrench[:, :, j] * h, (true({name: h}) - true({name: -h})) / 2) < 1e-4, name
 
 
 def test_products_carry_the_chain_to_the_corners(case):

@@ -18,7 +18,7 @@ from salver.planning.plan import load_plan
 from salver.reports import perturbed
 from salver.reports.pictures import figures, film
 from salver.reports.run import read_run
-from salver.reports.style import OUTCOME_COLOURS, RC, ROLE_COLOURS, paper_style, rgb
+from salver.reports.style import RC, ROLE_COLOURS, paper_style, rgb
 from salver.reports.tables import numbers_table, scenario_rows, write_table
 from salver.simulation.physics import simulate
 
@@ -163,27 +163,6 @@ def test_fig7_shows_the_same_instants_of_both(directory: Path) -> None:
     first, last = (np.asarray(figure.axes[k].get_images()[0].get_array()).astype(int) for k in (0, 3))
     assert (np.abs(first - last).max(axis=2) > 30).sum() > 1000  # the arm has moved
     assert note == "" or "OpenGL" in note
-
-
-def test_outcome_map_shows_the_worst_of_each_cell() -> None:
-    table = {
-        "duration": [0.5, 0.5, 1.0, 1.0, 0.5, 1.0, 1.0, 0.5],
-        "friction": [0.2, 0.2, 0.2, 0.4, 0.4, 0.2, 0.4, 0.2],
-        "stem": ["plan"] * 5 + ["baseline"] * 3,
-        "outcome": ["holds", "slides", "holds", "holds", "tips", "lost", "holds", "no plan"],
-    }
-    with paper_style():
-        figure = figures.outcome_map(table, [("plan", "Robust"), ("baseline", "Baseline")])
-    left, right = figure.axes
-    cells = {(round(c.get_x(), 6), round(c.get_y(), 6)): c.get_facecolor()[:3] for c in left.patches}
-    assert len(cells) == 4
-    assert cells[0.25, 0.1] == pytest.approx(rgb(OUTCOME_COLOURS["slides"]), abs=1e-3)
-    assert cells[0.25, 0.3] == pytest.approx(rgb(OUTCOME_COLOURS["tips"]), abs=1e-3)
-    assert sorted(t.get_text() for t in left.texts) == ["", "", "s", "t"]
-    assert [t.get_text() for t in right.texts] == ["×", "", ""]
-    assert left.get_xlabel() == "duration [s]"
-    names = [t.get_text() for t in figure.legends[0].get_texts()]
-    assert names == ["holds", "slides (s)", "tips (t)", "lost (×)", "no plan"]
 
 
 def test_tables(directory: Path, tmp_path: Path) -> None:

@@ -11,6 +11,10 @@ from salver.errors import FileFormatError, SalverError
 from salver.scenario import load
 
 
+def _saved(path, **arrays):
+    return files.write_atomic(path, files.npz_bytes(arrays))
+
+
 def test_arrays_come_back_identical(tmp_path):
     rng = np.random.default_rng(0)
     arrays = {
@@ -21,7 +25,7 @@ def test_arrays_come_back_identical(tmp_path):
         "nothing": np.zeros((0, 3)),
         "not_a_number": np.array([np.nan, -np.inf]),
     }
-    back = files.load_npz(files.save_npz(tmp_path / "plan.npz", **arrays))
+    back = files.load_npz(_saved(tmp_path / "plan.npz", **arrays))
     assert list(back) == list(arrays)
     for name, array in arrays.items():
         assert back[name].dtype == array.dtype
@@ -29,13 +33,13 @@ def test_arrays_come_back_identical(tmp_path):
 
 
 def test_same_arrays_same_bytes(tmp_path):
-    a = files.save_npz(tmp_path / "a.npz", x=np.arange(5.0)).read_bytes()
-    b = files.save_npz(tmp_path / "b.npz", x=np.arange(5.0)).read_bytes()
+    a = _saved(tmp_path / "a.npz", x=np.arange(5.0)).read_bytes()
+    b = _saved(tmp_path / "b.npz", x=np.arange(5.0)).read_bytes()
     assert a == b
 
 
 def test_every_truncation_of_an_array_file_is_noticed(tmp_path):
-    whole = files.save_npz(tmp_path / "plan.npz", x=np.arange(40.0), y=np.ones((3, 3))).read_bytes()
+    whole = _saved(tmp_path / "plan.npz", x=np.arange(40.0), y=np.ones((3, 3))).read_bytes()
     short = tmp_path / "short.npz"
     for length in [*range(0, len(whole), 23), len(whole) - 1]:
         short.write_bytes(whole[:length])
@@ -44,7 +48,7 @@ def test_every_truncation_of_an_array_file_is_noticed(tmp_path):
 
 
 def test_a_flipped_bit_in_the_data_is_noticed(tmp_path):
-    path = files.save_npz(tmp_path / "plan.npz", x=np.arange(100.0))
+    path = _saved(tmp_path / "plan.npz", x=np.arange(100.0))
     content = bytearray(path.read_bytes())
     content[content.find(np.arange(100.0).tobytes()[80:160])] ^= 1
     path.write_bytes(content)
@@ -69,7 +73,7 @@ def test_loading_never_unpickles(tmp_path):
         files.load_npz(tmp_path / "evil.npz")
     assert not trap.exists()
     with pytest.raises(TypeError, match="array x holds Python objects"):
-        files.save_npz(tmp_path / "mine.npz", x=np.array([_Booby(trap)], dtype=object))
+        _saved(tmp_path / "mine.npz", x=np.array([_Booby(trap)], dtype=object))
 
 
 @pytest.mark.parametrize(
@@ -79,7 +83,7 @@ def test_loading_never_unpickles(tmp_path):
         (lambda p: p.mkdir(), "cannot be read: is a directory"),
         (lambda p: p.write_text("t,x\n0,1\n"), "truncated or is not a file of arrays"),
         (lambda p: p.with_suffix(".npy").write_bytes(b"") or _save_npy(p), "truncated or is not a file of arrays"),
-        (lambda p: files.save_npz(p, x=np.zeros(2)), "has no array t; it holds x"),
+        (lambda p: _saved(p, x=np.zeros(2)), "has no array t; it holds x"),
     ],
     ids=["missing", "directory", "text", "single-array", "lacks-array"],
 )

@@ -97,7 +97,9 @@ def test_the_command_plan_says_where_the_earlier_plan_is(tmp_path):
     done = command("plan", toml, "--no-arm", "-o", tmp_path / "run")
     assert done.exit_code == 0
     arrays = files.load_npz(tmp_path / "run" / "plan.npz")
-    files.save_npz(tmp_path / "run" / "plan.npz", **{**arrays, "q": arrays["t"]})  # as if it had been made with an arm
+    files.write_atomic(
+        tmp_path / "run" / "plan.npz", files.npz_bytes({**arrays, "q": arrays["t"]})
+    )  # as if it had been made with an arm
     done = command("plan", toml, "--no-arm", "-o", tmp_path / "run")
     assert done.exit_code == 0
     assert "held another plan; it is kept with its results in" in done.stderr

@@ -105,11 +105,6 @@ def output_file(path: str | Path, endings: tuple[str, ...]) -> Path:
     return path
 
 
-def save_npz(path: str | Path, /, **arrays: npt.ArrayLike) -> Path:
-    """Write named arrays, atomically. The same arrays give the same bytes."""
-    return write_atomic(path, npz_bytes(arrays))
-
-
 def save_result(path: str | Path, arrays: Mapping[str, npt.ArrayLike], summary: Mapping[str, Any]) -> Path:
     """Write PATH.npz and PATH.json. Those of an earlier, different run are kept beside them, numbered."""
     place, content = Path(path).with_suffix(".npz"), npz_bytes(arrays)
@@ -131,7 +126,7 @@ def read_result(path: str | Path, required: tuple[str, ...] = ()) -> tuple[dict[
 
 
 def npz_bytes(arrays: Mapping[str, npt.ArrayLike]) -> bytes:
-    """The bytes of a file of named arrays."""
+    """The bytes of a file of named arrays; the same arrays give the same bytes."""
     made = {name: np.asarray(value) for name, value in arrays.items()}
     for name, array in made.items():
         if array.dtype.hasobject:
@@ -142,7 +137,7 @@ def npz_bytes(arrays: Mapping[str, npt.ArrayLike]) -> bytes:
 
 
 def load_npz(path: str | Path, required: tuple[str, ...] = ()) -> dict[str, np.ndarray]:
-    """All arrays of a file of `save_npz`, read in full and checked against their checksums.
+    """All arrays of a file of `npz_bytes`, read in full and checked against their checksums.
 
     Raises FileFormatError when the file is missing, truncated or foreign, or lacks one of `required`.
     """

@@ -292,7 +292,7 @@ def swinging_at(t: Array, x: Array, rate: Array, now: float) -> tuple[Array, Arr
 class QuadratureGrid:
     """A uniform grid t (T,) and the instants between its points at which inputs are needed.
 
-    times: (Q,) with Q = (T - 1) * per_interval; substeps of equal length, three Gauss points in each.
+    times: (Q,) with Q = 3 (T - 1) substeps; these of equal length, three Gauss points in each.
     weights: (Q,) such that sum(weights * f(times)) integrates f from t[0] to t[-1].
     """
 
@@ -306,12 +306,8 @@ class QuadratureGrid:
         return cls(t, max(1, int(np.ceil(max(fastest_rate(*pair) for pair in gains) * h / _LARGEST_STEP))))
 
     @property
-    def per_interval(self) -> int:
-        return 3 * self.substeps
-
-    @property
     def fractions(self) -> Array:
-        """(per_interval,) where in an interval the instants lie, in [0, 1]."""
+        """(3 substeps,) where in an interval the instants lie, in [0, 1]."""
         return ((np.arange(self.substeps)[:, None] + _GAUSS_POINTS) / self.substeps).ravel()
 
     @property
@@ -321,7 +317,7 @@ class QuadratureGrid:
 
     @property
     def interval_weights(self) -> Array:
-        """(per_interval,) quadrature weights inside one interval, s."""
+        """(3 substeps,) quadrature weights inside one interval, s."""
         return np.tile(_GAUSS_WEIGHTS, self.substeps) * (self.t[1] - self.t[0]) / self.substeps
 
     def cumulative(self, values: Array) -> tuple[Array, Array]:

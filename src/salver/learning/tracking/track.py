@@ -103,15 +103,11 @@ class Tracking:
     """row: largest robust row along what was executed, and of the plan itself (`planned`), of the weight; at `time`.
 
     noise: standard deviation of the row by the noise of the log.
-    over_time (K,): the row at t
-    (K,).
     joints: what each does; the first causes most.
     """
 
     plan: Plan
     done: Executed
-    t: Array
-    over_time: Array
     row: float
     planned: float
     time: float
@@ -175,7 +171,7 @@ def track(plan: Plan, samples: JointSamples, judge: Judge | None = None, seed: i
     row, noise = _without_noise(judge, done, drift, np.random.default_rng(seed))
     names = [face.name for rows in judge.contacts for face in rows.network.interfaces]
     joints = tuple(sorted(_joints(judge, plan.joint, done, drift), key=lambda joint: -joint.row))
-    return Tracking(plan, done, t, over, row, float(planned), float(t[k]), names[of[k]], noise, joints)
+    return Tracking(plan, done, row, float(planned), float(t[k]), names[of[k]], noise, joints)
 
 
 def _without_noise(

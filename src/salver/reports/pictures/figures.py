@@ -267,67 +267,6 @@ def tracking(
     return figure
 
 
-OUTCOME_MARKS = {
-    "holds": "",
-    "slides": "s",
-    "spills": "w",
-    "tips": "t",
-    "lifts": "l",
-    "lost": "×",
-    "limit": "–",
-    "no plan": "",
-}
-
-
-def outcome_map(
-    table: Mapping[str, Any], columns: Iterable[tuple[str, str]], x: str = "duration", y: str = "friction"
-) -> Figure:
-    """Outcome of a motion over two quantities: one panel for each (stem, title) of `columns`.
-
-    table: columns `x`, `y`, "stem" and "outcome" of equal length, one row a run; several runs of one cell show the
-    worst. A cell where something happened carries a letter besides its colour; one without a plan is blank.
-    """
-    from matplotlib.patches import Patch
-
-    from salver.reports.style import OUTCOME_COLOURS
-
-    columns = list(columns)
-    order = list(OUTCOME_MARKS)
-    colours = OUTCOME_COLOURS | {"holds": "#dcefe8", "no plan": "white"}
-    xs, ys = (np.unique(np.asarray(table[key], dtype=float)) for key in (x, y))
-    figure, axes = _new(COLUMN * len(columns), 2.5, columns=len(columns), sharey=True)
-    seen: set[str] = set()
-    for ax, (stem, title) in zip(axes[0], columns, strict=True):
-        worst: dict[tuple[int, int], str] = {}
-        for xv, yv, own, outcome in zip(table[x], table[y], table["stem"], table["outcome"], strict=True):
-            if own != stem:
-                continue
-            cell = (int(np.searchsorted(xs, xv)), int(np.searchsorted(ys, yv)))
-            if cell not in worst or order.index(str(outcome)) > order.index(worst[cell]):
-                worst[cell] = str(outcome)
-        edges_x, edges_y = _edges(xs), _edges(ys)
-        for (i, j), outcome in worst.items():
-            seen.add(outcome)
-            left, low = edges_x[i], edges_y[j]
-            wide, high = edges_x[i + 1] - left, edges_y[j + 1] - low
-            ax.add_patch(_cell(left, low, wide, high, colours[outcome]))
-            seen_on = "white" if colours[outcome] == BLACK else BLACK
-            ax.text(
-                left + wide / 2, low + high / 2, OUTCOME_MARKS[outcome], ha="center", va="center", size=7, color=seen_on
-            )
-        ax.set(xlim=(edges_x[0], edges_x[-1]), ylim=(edges_y[0], edges_y[-1]), xlabel=f"{x} [s]")
-        ax.set_title(title, loc="left")
-        ax.grid(visible=False)
-    axes[0, 0].set_ylabel(f"{y} coefficient" if y == "friction" else y)
-    handles = [
-        Patch(facecolor=colours[o], edgecolor=GREY, linewidth=0.4, label=f"{o} ({m})" if m else o)
-        for o, m in OUTCOME_MARKS.items()
-        if o in seen
-    ]
-    figure.legend(handles=handles, loc="outside lower center", ncols=len(handles))
-    return figure
-
-
 def tradeoff_curve(points: Sequence[TradeoffPoint]) -> Figure:
     """Duration over the size of the uncertainty, and over the friction needed."""
     figure, axes = _new(2 * COLUMN, 2.4, columns=2, sharey=True)
@@ -340,20 +279,6 @@ def tradeoff_curve(points: Sequence[TradeoffPoint]) -> Figure:
     right.plot([point.friction_needed for point in points], duration, "o-", color=BLUE, markersize=3)
     right.set_xlabel("least friction at which it holds, all else nominal")
     return figure
-
-
-def _cell(left: float, low: float, wide: float, high: float, colour: str) -> Any:
-    from matplotlib.patches import Rectangle
-
-    return Rectangle((left, low), wide, high, facecolor=colour, edgecolor="white", linewidth=0.6)
-
-
-def _edges(centres: np.ndarray) -> np.ndarray:
-    """Borders of cells around increasing centres."""
-    if len(centres) == 1:
-        return np.array([centres[0] - 0.5, centres[0] + 0.5])
-    middle = 0.5 * (centres[1:] + centres[:-1])
-    return np.concatenate([[2 * centres[0] - middle[0]], middle, [2 * centres[-1] - middle[-1]]])
 
 
 def _zero_line(ax: Axes) -> None:

@@ -27,7 +27,6 @@ from salver.models.bodies import Body
 from salver.models.contact_rows import ContactRows, contact_rows
 from salver.models.uncertain.parameters import UncertainSet
 from salver.sensitivity import tubes
-from salver.sensitivity.arm.contact import ContactChange, contact_change
 from salver.sensitivity.arm.load import LoadChange
 from salver.sensitivity.arm.task import task_law
 from salver.sensitivity.arm.terms import MotionTerms, motion_terms
@@ -57,8 +56,8 @@ _JUST = 1e-3  # of a step, before such a jump
 class ChainModel:
     """The constants of a scenario's chain: made once, used for many motions.
 
-    arm, loaded: without and with the nominal objects. contact: rows at nominal parameters; worst_rows: over the
-    uncertain set. loop: on the joints.
+    arm, loaded: without and with the nominal objects. worst_rows: contact rows over the uncertain set. loop: on the
+    joints.
     """
 
     scenario: Scenario
@@ -67,7 +66,6 @@ class ChainModel:
     items: tuple[Body, ...]
     gains: Gains
     loop: JointLoop
-    contact: ContactChange
     worst_rows: tuple[ContactRows, ...]
 
     @property
@@ -109,7 +107,6 @@ def chain_model(scenario: Scenario, arm: ArmModel | None = None) -> ChainModel:
         payload.bodies,
         gains,
         joint_loop(scenario, payload),
-        contact_change(payload),
         contact_rows(payload),
     )
 
@@ -126,9 +123,7 @@ class ArmChain(Outlined):
     nominal: poses, w, torque along the motion. joints: deviation of q, dq, ddq. tray: (T, 12, n_c) of the assumed frame
     E, rows dp in S, dtheta in E, dv in S, domega in E. torque: (T, n, n_c) commanded, N m. w: (T, 12, n_c) of the
     tray's motion regressor at E, through its motion alone. wrench: (T, 6, n_c) contact wrench of the first object at
-    its B, N and N m; direct_wrench: the part of it that the object needs on an unchanged motion, Y dphi.
-    slack: (T, n_rows) of the contact rows, safe above 0, as a share of the normal force at rest. slack_p: (T, n_rows,
-    n_p) its derivatives, without products.
+    its B, N and N m.
     held: where the nominal motion itself is, off the plan.
     """
 
@@ -137,9 +132,6 @@ class ArmChain(Outlined):
     model: ChainModel
     deviation: Deviation
     wrench: Array
-    direct_wrench: Array
-    slack: Array
-    slack_p: Array
 
     @property
     def nominal(self) -> MotionTerms:
@@ -231,20 +223,10 @@ def arm_chain(model: ChainModel, joint: JointMotion, *, space: Space = "object",
     else:
         law = task_law(t, terms, model.items[0], model.gains, model.loop.settle)
         found = deviation(model.load, terms, late(terms, rates, model.loop.delay), law)
-    load, contact = model.load, model.contact
-    n_p = load.uncertain.size
-    direct_wrench = np.einsum("pij,tj->tip", load.wrench_p, terms.w)
-    direct_wrench[:, :, n_p:] += load.products(load.wrench_p, found.tray.w)
-    return ArmChain(
-        t=t,
-        space=space,
-        model=model,
-        deviation=found,
-        wrench=direct_wrench + load.wrench @ found.tray.w,
-        direct_wrench=direct_wrench,
-        slack=-terms.w @ contact.rows.T,
-        slack_p=-np.einsum("pri,ti->trp", contact.rows_p, terms.w) - contact.rows @ found.tray.w[:, :, :n_p],
-    )
+    load = model.load
+    wrench = np.einsum("pij,tj->tip", load.wrench_p, terms.w)  # at once, on an unchanged motion: Y dphi
+    wrench[:, :, load.uncertain.size :] += load.products(load.wrench_p, found.tray.w)
+    return ArmChain(t, space, model, found, wrench + load.wrench @ found.tray.w)
 
 
 def _jumps(joint: JointMotion, delay: float) -> Array:

@@ -1,11 +1,11 @@
 """Effect of the uncertain parameters of objects that stick to their tray.
 
 A tray that feels w (the twelve numbers of `salver.models.tray_motion`, at E) needs the wrench `load(p) w` for all
-that stands on it, and its first object feels `place(p) w` and needs the contact wrench `wrench(p) w`. All three maps
-are polynomials of the parameters: mass, centre of mass and inertia enter through phi, position and tilt through
-where the objects are. Products matter, because the moment of a weight is mass times distance: at a corner of
-+-40 % in mass, a fifth of what first derivatives see of the centre of mass would be missed. So each product of two
-parameters that occurs is a term of its own, beside the parameters themselves.
+that stands on it, and its first object needs the contact wrench `wrench(p) w`. Both maps are polynomials of the
+parameters: mass, centre of mass and inertia enter through phi, position and tilt through where the objects are.
+Products matter, because the moment of a weight is mass times distance: at a corner of +-40 % in mass, a fifth of what
+first derivatives see of the centre of mass would be missed. So each product of two parameters that occurs is a term of
+its own, beside the parameters themselves.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class LoadChange:
     uncertain: the parameters and their set. pairs: (n_c - n_p, 2) which of them each product is of. half_range: (n_c,)
     of the terms; that of a product is that of the two deviations multiplied.
     load: (6, 12) to the wrench at E that all objects together need; load_p: (n_c, 6, 12) per unit of each term.
-    wrench, wrench_p: the same for the first object alone, at its B. place (12, 12), place_p: to the w that it feels.
+    wrench, wrench_p: the same for the first object alone, at its B.
     """
 
     uncertain: UncertainSet
@@ -45,8 +45,6 @@ class LoadChange:
     load_p: Array
     wrench: Array
     wrench_p: Array
-    place: Array
-    place_p: Array
 
     def radius(self, sensitivity: Array) -> Array:
         """Half-width (...) of the tube of quantities with sensitivity (..., n_c) over the uncertain set.
@@ -93,11 +91,8 @@ def load_change(payload: Payload) -> LoadChange:
         uncertain,
         np.array(pairs, dtype=np.intp).reshape(-1, 2),
         np.array(ranges),
-        *(part for rows in _ROWS for part in (nominal[rows], stacked[:, rows])),
+        *(part for rows in (slice(0, 6), slice(6, 12)) for part in (nominal[rows], stacked[:, rows])),
     )
-
-
-_ROWS = (slice(0, 6), slice(6, 12), slice(12, 24))  # of the stacked maps: load, wrench, place
 
 
 def _interact(first: Parameter, second: Parameter) -> bool:
@@ -111,17 +106,14 @@ class _Maps:
     items: tuple[Body, ...]
 
     def at(self, deviation: Mapping[Parameter, float]) -> Array:
-        """(24, 12) load, wrench and place, one below the other, at parameters that deviate from nominal."""
-        tilt = tilt_at(deviation)
+        """(12, 12) load and wrench, one below the other, at parameters that deviate from nominal."""
+        tilt, wrenches = tilt_at(deviation), []
         load = np.zeros((6, N_MOTION))
-        first: list[Array] = []
         for body in self.items:
             p_EB, R_EB = tilt @ body.place_at(deviation), tilt @ body.R_EB
-            place = frame_map(p_EB, R_EB)
-            wrench = wrench_map(body.phi_at(deviation)) @ place
-            load += to_tray(p_EB, R_EB) @ wrench
-            first = first or [wrench, place]
-        return np.concatenate([load, *first])
+            wrenches.append(wrench_map(body.phi_at(deviation)) @ frame_map(p_EB, R_EB))
+            load += to_tray(p_EB, R_EB) @ wrenches[-1]
+        return np.concatenate([load, wrenches[0]])
 
     def slope(self, step: Mapping[Parameter, float]) -> Array:
         """Half the difference between a step and its opposite."""

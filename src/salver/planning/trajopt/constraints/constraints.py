@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -191,11 +191,6 @@ class JointLimit(Constraint):
 
     limits: JointLimits
     orders: tuple[int, ...] = (0, 1, 2, 3)
-
-    @cached_property
-    def by_reference(self) -> tuple[JointLimit, JointLimit]:
-        """Those of the reference, and those to which something is added."""
-        return replace(self, orders=(2, 3)), replace(self, orders=(0, 1))
 
     @cached_property
     def _ranges(self) -> list[tuple[LimitKind, Array, Array, Indices, Indices | slice]]:
