@@ -7,7 +7,7 @@ RUNS   := $(VENV)/.runs
 READY  := $(VENV)/.ready
 DOCS   := $(VENV)/.docs-ready
 OUT    ?= out/demo
-SOURCES = src tests $(wildcard benchmarks examples docs tools)
+SOURCES = src tests $(wildcard benchmarks examples docs tools ros2)
 
 .PHONY: help setup demo test quick mutate fuzz lint format types layers check bench scenario-table pages notebooks docs dist lock clean
 
