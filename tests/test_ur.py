@@ -30,7 +30,9 @@ from salver.planning.plan import Plan, load_plan
 from salver.planning.stops import plan_stops, stop_problem
 from ur_server import Controller, package
 
-CASE = scenario.load("ur5-bottle").with_changes(physics__settle_before=0.05, physics__settle_after=0.1)
+CASE = scenario.load("ur5-bottle").with_changes(
+    arm__model="ur5e", physics__settle_before=0.05, physics__settle_after=0.1
+)
 
 
 @pytest.fixture(scope="module")
@@ -285,33 +287,32 @@ def test_a_register_that_another_client_has_is_named(directory: Path, controller
 
 def test_a_plan_for_another_arm_of_the_maker_is_not_sent(directory: Path, plan: Plan, controller: Make) -> None:
     """The joints of a UR5 and of a UR5e have the same names; its shoulder is 73 mm higher."""
-    robot = controller(model="ur5e")
-    with pytest.raises(SalverError, match=r"the flange is 94\.0 mm and 0\.0 degrees from where ur5 has tool0; 10 mm"):
+    robot = controller(model="ur5")
+    with pytest.raises(SalverError, match=r"the flange is 94\.0 mm and 0\.0 degrees from where ur5e has tool0; 10 mm"):
         run(directory)
     assert robot.program == ""
     controller()
-    arm = plan.scenario.arm.model_copy(update={"flange": "ee_link"})  # type: ignore[union-attr]
+    arm = plan.scenario.arm.model_copy(update={"flange": "flange"})  # type: ignore[union-attr]
     driven = ur.URRobot("127.0.0.1", 1.0, np.zeros(3))
-    with pytest.raises(SalverError, match=r"says: the flange is 0\.0 mm and 120\.0 degrees from where ur5 has ee_link"):
+    with pytest.raises(SalverError, match=r"says: the flange is 0\.0 mm and 120\.0 degrees from where ur5e has flange"):
         driven.recognise(load_arm(arm, plan.scenario.tray))
 
 
 def test_an_arm_is_recognised_wherever_it_stands_and_however_its_base_is_turned(
     plan: Plan, controller: Make, tmp_path: Path
 ) -> None:
-    """In today's descriptions of these arms the first joint's parent is turned by half a turn to base_link."""
+    """In today's descriptions of these arms the first joint's parent is turned by half a turn to base_link, in older
+    ones it is not."""
     controller(q=np.array([0.3, -1.2, 1.5, -0.4, 0.8, 2.0]))
     driven = ur.URRobot("127.0.0.1", 1.0, np.zeros(3))
     arm = plan.scenario.arm.model_copy(update={"base_position": (0.5, -2.0, 0.8), "base_yaw_deg": 40.0})  # type: ignore[union-attr]
     moved = load_arm(arm, plan.scenario.tray)
     driven.recognise(moved)
     text = moved.urdf_path.read_text()
-    half = text.replace(
-        '<origin rpy="0.0 0.0 0.0" xyz="0.0 0.0 0.089159"/>', '<origin rpy="0 0 3.14159265359" xyz="0 0 0.089159"/>'
-    )
-    assert half != text
-    (tmp_path / "ur5.urdf").write_text(half)
-    described = arm.model_copy(update={"model": str(tmp_path / "ur5.urdf"), "flange": "tool0", "collisions": "ignore"})
+    unturned = text.replace('<origin rpy="0 0 3.141592653589793" xyz="0 0 0" />', '<origin rpy="0 0 0" xyz="0 0 0" />')
+    assert unturned != text
+    (tmp_path / "ur5e.urdf").write_text(unturned)
+    described = arm.model_copy(update={"model": str(tmp_path / "ur5e.urdf"), "flange": "tool0", "collisions": "ignore"})
     driven.recognise(load_arm(described, plan.scenario.tray))
 
 

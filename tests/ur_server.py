@@ -109,7 +109,7 @@ class Controller:
     odd: called with each answer of the data exchange (kind, body); gives the bytes that are sent."""
 
     def __init__(
-        self, q: Array, lag: float = 0.03, *, lockstep: bool = True, refuse: str = "", model: str = "ur5",
+        self, q: Array, lag: float = 0.03, *, lockstep: bool = True, refuse: str = "", model: str = "ur5e",
         tcp: tuple[float, ...] = (0.01, -0.02, 0.1, 0.3, 0.2, -0.4), version: tuple[int, ...] = (5, 20, 1, 7),
         odd: Callable[[str, bytes], bytes] = package,
     ) -> None:  # fmt: skip

@@ -11,7 +11,7 @@ import numpy as np
 
 from salver.errors import SalverError
 from salver.geometry import Array
-from salver.models.arm.known_arms import KNOWN_ARMS, UR_JOINTS
+from salver.models.arm.known_arms import CB3_ARMS, UR_JOINTS
 from salver.motion_files import MotionSeries
 from salver.motion_files.verdict import one_line, warns
 
@@ -136,8 +136,8 @@ def program(motion: MotionSeries, rate: float, stop_input: int = 0) -> str:
 
 
 def own_rate(arm: str) -> float:
-    """Hz, of the controller of an arm: those known by name are CB3."""
-    return RATES[-1] if arm in KNOWN_ARMS else RATES[0]
+    """Hz, of the controller of an arm."""
+    return RATES[-1] if arm in CB3_ARMS else RATES[0]
 
 
 def _listed(q: Array) -> str:

