@@ -144,3 +144,10 @@ def invert(p: Array, rotation: Array) -> tuple[Array, Array]:
 def compose(p_AB: Array, R_AB: Array, p_BC: Array, R_BC: Array) -> tuple[Array, Array]:
     """Pose of C in A from the pose of B in A and of C in B."""
     return (R_AB @ p_BC[..., None])[..., 0] + p_AB, R_AB @ R_BC
+
+
+def interpolated(t: Array, values: Array, at: Array) -> Array:
+    """(K, ...) values (T, ...) at t (T,), at other instants (K,): by straight lines, held before the first and after
+    the last."""
+    columns = values.reshape(len(t), -1).T
+    return np.stack([np.interp(at, t, column) for column in columns], axis=1).reshape(len(at), *values.shape[1:])

@@ -248,6 +248,14 @@ def min_jerk_line(duration: float, p_start: Array, p_goal: Array, R_start: Array
     return min_norm_reference(duration, 5, p_start, p_goal, R_start, R_goal)
 
 
+def smooth_step(u: Array, order: int = 0) -> Array:
+    """The min-jerk step 10 u^3 - 15 u^4 + 6 u^5 from 0 to 1, held outside, or its first or second derivative."""
+    u = np.clip(u, 0.0, 1.0)
+    if order == 0:
+        return np.asarray(u**3 * (10 - 15 * u + 6 * u**2))
+    return np.asarray(30 * u**2 * (1 - u) ** 2 if order == 1 else 60 * u * (1 - u) * (1 - 2 * u))
+
+
 @dataclass(frozen=True)
 class SampledReference:
     """A motion through given samples, piecewise quintic: twice continuously differentiable, exact at the samples."""

@@ -14,7 +14,7 @@ import numpy as np
 from salver.contact_margins.model import MarginModel
 from salver.contact_margins.time_scaling import TimeScaled
 from salver.contact_margins.whole import Margins
-from salver.geometry import Array
+from salver.geometry import Array, interpolated
 from salver.trajectory import MotionSamples
 
 
@@ -75,11 +75,8 @@ def braking(model: MarginModel, tray: MotionSamples, worst: bool, options: Braki
     places = tray.t[0] + begins[k, None] + durations[m, None] * (share - 0.5 * share**2)
     factor, rate = np.broadcast_to(1.0 - share, places.shape).ravel(), np.repeat(-1.0 / durations[m], len(share))
     at = places.ravel()
-
-    def there(values: Array) -> Array:
-        return np.stack([np.interp(at, tray.t, column) for column in values.T], axis=1)
-
-    w = there(scaled.static) + factor[:, None] ** 2 * there(scaled.moving) + rate[:, None] * there(scaled.twist)
+    static, moving, twist = (interpolated(tray.t, x, at) for x in (scaled.static, scaled.moving, scaled.twist))
+    w = static + factor[:, None] ** 2 * moving + rate[:, None] * twist
     margins = Margins(model, np.arange(len(w), dtype=float), w)
     least = (margins.exact_worst if worst else margins.exact).reshape(places.shape).min(axis=1)
     found = np.full((options.instants, options.durations), np.nan)

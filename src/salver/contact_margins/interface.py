@@ -12,8 +12,7 @@ from salver.contact_margins.values import RowValues
 from salver.geometry import Array, Indices, Mask
 from salver.models.contact.wrench_cone import coulomb_friction_needed, friction_needed, tip_over_margin
 from salver.models.contact_rows import ContactRows
-from salver.models.interfaces import Interface, to_tray
-from salver.models.tray_motion import frame_map, wrench_map
+from salver.models.interfaces import Interface, needed_at_tray, to_tray
 
 _TOLERANCE = 1e-9  # of a margin, as a share of the weight
 _FINE = 32  # edges of the pyramids that settle what the model's leave open
@@ -52,9 +51,7 @@ class InterfaceMargins:
     def wrench_B(self) -> Array:
         """(T, 6) what the support must give, at nominal parameters, at B of the object, N and N m."""
         network = self.whole.model.networks[self.network]
-        required = [
-            to_tray(b.p_EB, b.R_EB) @ wrench_map(b.inertial.phi) @ frame_map(b.p_EB, b.R_EB) for b in network.bodies
-        ]
+        required = [needed_at_tray(body, body.inertial.phi) for body in network.bodies]
         wrench_E = self.whole.w @ np.einsum("jik,jkw->iw", network.share[self.index], np.array(required)).T
         for j, body in enumerate(network.bodies):
             if self.whole.liquids is not None and body.liquid is not None:

@@ -26,7 +26,7 @@ from salver.models.arm.arm import ArmModel, load_arm
 from salver.models.bodies import Body
 from salver.planning.plan import Plan, load_plan
 from salver.run_directory import file_stem, known_stems
-from salver.trajectory import JointMotion
+from salver.trajectory import JointMotion, smooth_step
 
 APPROACH_SHARE = 0.1  # of the velocity limits on the way to the start posture
 # Of a simulated run, what is logged: figures and arrays.
@@ -237,11 +237,8 @@ def approach(q_from: Array, q_to: Array, arm: ArmModel, share: float = APPROACH_
     by_force = np.sqrt(5.7735 * away / (share * arm.limits.acceleration))  # and its largest curvature
     duration = max(0.5, float(by_speed.max()), float(np.where(np.isfinite(by_force), by_force, 0.0).max()))
     x = np.linspace(0.0, 1.0, 101)[:, None]
-    step = x**3 * (10 - 15 * x + 6 * x**2)
-    rate = 30 * x**2 * (1 - x) ** 2 / duration
-    curvature = 60 * x * (1 - x) * (1 - 2 * x) / duration**2
-    change = q_to - q_from
-    return JointMotion(duration * x[:, 0], q_from + step * change, rate * change, curvature * change)
+    change, rate, bend = ((q_to - q_from) * smooth_step(x, k) / duration**k for k in range(3))
+    return JointMotion(duration * x[:, 0], q_from + change, rate, bend)
 
 
 def _kept(

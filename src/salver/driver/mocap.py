@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from salver.errors import FileFormatError, SalverError
-from salver.geometry import Array, compose, exp, invert, log, matrix_from_quat_wxyz, quat_wxyz_from_matrix
+from salver.geometry import Array, compose, exp, interpolated, invert, log, matrix_from_quat_wxyz, quat_wxyz_from_matrix
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -131,7 +131,7 @@ def find_offset(track: Track, reference: Reference, p_BX: Array | None = None) -
             f"The motion capture lasts {track.t[-1] - track.t[0]:.2f} s, the motion {reference.duration:.2f} s; it "
             "must cover the motion."
         )
-    travelled = np.stack([np.interp(t, track.t, column) for column in track.p.T], axis=1)
+    travelled = interpolated(track.t, track.p, t)
     width = max(1, round(0.05 / step))  # smooths what differentiating makes of noise
     window = np.ones(width) / width
     speed = np.convolve(np.linalg.norm(np.gradient(travelled, step, axis=0), axis=1), window, mode="same")

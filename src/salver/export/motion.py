@@ -11,7 +11,7 @@ import numpy as np
 
 from salver.errors import SalverError
 from salver.files import provenance
-from salver.geometry import Array, quat_wxyz_from_matrix
+from salver.geometry import Array, interpolated, quat_wxyz_from_matrix
 from salver.motion_files import JointSamples, MotionSeries, TraySamples, read
 from salver.motion_files.samples import reordered
 from salver.motion_files.units import Units
@@ -149,8 +149,5 @@ def _joints(plan: Plan, t: Array, lead: float) -> tuple[tuple[str, ...], tuple[A
     from salver.models.arm.arm import load_arm
 
     arm = load_arm(plan.scenario.arm, plan.scenario.tray)
-    if plan.tau is None:
-        tau = none
-    else:
-        tau = np.stack([np.interp(t - lead, plan.t, column) for column in plan.tau.T], axis=1)
+    tau = none if plan.tau is None else interpolated(plan.t, plan.tau, t - lead)
     return arm.joint_names, plan.told.sample(t), tau

@@ -18,6 +18,7 @@ from salver.geometry import Array, hat
 from salver.models.bodies import TRAY, Body
 from salver.models.contact.contact import ContactSet
 from salver.models.shapes.polygons import eroded, half_planes, intersection
+from salver.models.tray_motion import frame_map, wrench_map
 from salver.models.uncertain.parameters import Parameter, UncertainSet
 
 
@@ -120,6 +121,11 @@ def to_tray(p_EB: Array, R_EB: Array) -> Array:
     matrix[:3, :3] = matrix[3:, 3:] = R_EB
     matrix[3:, :3] = hat(p_EB) @ R_EB
     return matrix
+
+
+def needed_at_tray(body: Body, phi: Array) -> Array:
+    """(6, 12) w of E to the wrench at E that inertial parameters phi (10,) in the place of a body need."""
+    return to_tray(body.p_EB, body.R_EB) @ wrench_map(phi) @ frame_map(body.p_EB, body.R_EB)
 
 
 def shift_ranges(network: ContactNetwork, uncertain: UncertainSet) -> dict[str, Array]:

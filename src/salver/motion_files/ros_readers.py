@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from salver.errors import FileFormatError
-from salver.geometry import Array
+from salver.geometry import Array, interpolated
 from salver.motion_files.motion import STOPS
 from salver.motion_files.samples import FEWEST, JointSamples, Samples, TraySamples, joint_samples, tray_samples
 
@@ -238,7 +238,7 @@ def read_sensed(path: Path, topic: str | None = None) -> tuple[JointSamples, Arr
             f"{path}, topic {name}: the joints were logged up to {apart:.3g} s from any of its stamps; at most "
             f"{SPARSE:g} is accepted."
         )
-    return samples, np.stack([np.interp(samples.t, t, column) for column in values.T], axis=1)
+    return samples, interpolated(t, values, samples.t)
 
 
 def _messages(path: Path, chosen: Callable[[Sequence[Any]], list[Any]]) -> list[tuple[str, str, list[tuple[int, Any]]]]:

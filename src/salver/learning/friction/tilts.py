@@ -21,7 +21,7 @@ from salver.models.contact_rows import contact_rows
 from salver.planning.make import with_arm
 from salver.planning.plan import Plan
 from salver.scenario import Scenario
-from salver.trajectory import MotionSamples, SampledReference
+from salver.trajectory import MotionSamples, SampledReference, smooth_step
 
 STEP = 0.02  # s
 STEEPER = 1e-3  # rad than need be
@@ -184,9 +184,8 @@ def _slowly(angle: float, options: FrictionOptions) -> tuple[Array, Array, Array
     one_way = max(STEP, 1.875 * np.rad2deg(angle) / options.speed)
     t = np.arange(0.0, 2 * one_way + options.hold + STEP, STEP)
     t *= (2 * one_way + options.hold) / t[-1]
-    up = np.clip(t / one_way, 0, 1)
-    down = np.clip((t - one_way - options.hold) / one_way, 0, 1)
-    share, rate, bend = (_min_jerk(up, k) / one_way**k - _min_jerk(down, k) / one_way**k for k in range(3))
+    up, down = t / one_way, (t - one_way - options.hold) / one_way
+    share, rate, bend = ((smooth_step(up, k) - smooth_step(down, k)) / one_way**k for k in range(3))
     return t, angle * share, angle * rate, angle * bend
 
 
@@ -201,10 +200,3 @@ def _shortly(bend: float) -> Profile:
         return one_way * (u + 1), angle * share, angle * rate, angle * again
 
     return profile
-
-
-def _min_jerk(u: Array, order: int) -> Array:
-    """u^3 (10 - 15 u + 6 u^2) and its derivatives, 0 of these outside."""
-    inside = (u > 0) & (u < 1)
-    values = (u**3 * (10 - 15 * u + 6 * u**2), 30 * u**2 * (1 - u) ** 2, 60 * u * (1 - u) * (1 - 2 * u))
-    return np.asarray(values[order] if order == 0 else values[order] * inside)

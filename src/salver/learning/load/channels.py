@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from salver.errors import FileFormatError
-from salver.geometry import Array
+from salver.geometry import Array, interpolated
 from salver.learning.load.noise import BlockNoise, ChannelNoise, SensorNoise
 from salver.learning.logs import Log
 
@@ -58,9 +58,7 @@ def differences(motion: SensedMotion, without: SensedMotion, log: Log, empty: Lo
 
     def more(values: Array, before: Array) -> Array:
         """(N, m) than the empty run at the loaded run's instants."""
-        return np.stack(
-            [x - np.interp(motion.t, without.t, y) for x, y in zip(values.T, before.T, strict=True)], axis=1
-        )
+        return np.asarray(values - interpolated(without.t, before, motion.t))
 
     def unlike(own: Array) -> Array:
         """(N, 3) by how much what arm and tray themselves need otherwise than in the empty run (N,) may be wrong: in

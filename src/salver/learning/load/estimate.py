@@ -13,10 +13,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.interpolate import make_interp_spline
 from scipy.linalg import solve_triangular
 
-from salver.geometry import Array
+from salver.geometry import Array, interpolated
 from salver.learning.load.channels import ChannelReading
 from salver.learning.load.noise import RUNS
 from salver.learning.load.ranges import WIDTH, Estimate
@@ -94,7 +93,7 @@ def _normal(
         for reading in readings:
             motion, links = reading.motion, reading.links
             delay = delays.get("wrist" if links is None else "joint torques", 0.0)
-            reading = replace(reading, rows=_later(motion.t, reading.rows, delay))
+            reading = replace(reading, rows=interpolated(motion.t, reading.rows, motion.t - delay))
             felt = Felt(motion.t, motion.q, reading.rows @ phi, np.stack([reading.rows @ x for x in slid]))
             own = list(wrist_errors(bounds, felt) if links is None else torque_errors(bounds, felt, links))
             late = next(error.effect for error in own if error.kind == "delay")  # which the rows have already
@@ -115,11 +114,6 @@ def _normal(
         information[np.ix_(columns, columns)] += square
         pull[columns] += values
     return errors, noisier, information, pull
-
-
-def _later(t: Array, rows: Array, delay: float) -> Array:
-    """Rows (N, ...) at times that are earlier by a delay."""
-    return np.asarray(make_interp_spline(t, rows, k=1)(np.clip(t - delay, t[0], t[-1])) if delay else rows)
 
 
 def _whitened(

@@ -13,15 +13,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from salver.errors import ScenarioError, Status, UnreachableError
-from salver.geometry import Array, hat
+from salver.geometry import Array
 from salver.learning.load.identify import identify
 from salver.learning.load.narrowing import prior
 from salver.learning.load.noise import RUNS, SensorNoise
 from salver.learning.load.ranges import NAMES
-from salver.learning.load.sensors import SensedArm, Sensors, nominal_load
+from salver.learning.load.sensors import SensedArm, Sensors, at_flange, nominal_load
 from salver.learning.load.systematic import SensorBounds
-from salver.models.interfaces import to_tray
-from salver.models.tray_motion import frame_map, wrench_map
+from salver.models.interfaces import needed_at_tray
 from salver.planning.fastest import (
     AtPosture,
     FastestMotion,
@@ -67,9 +66,7 @@ class Information(Objective):
     def of(cls, problem: TransportProblem) -> Information:
         """From a scenario's load with its ranges."""
         body, arm = problem.payload.first, problem.arm
-        place = frame_map(body.p_EB, body.R_EB)
-        maps = np.array([to_tray(body.p_EB, body.R_EB) @ wrench_map(unit) @ place for unit in np.eye(10)])
-        maps[:, 3:] += np.einsum("ij,kjw->kiw", hat(arm.p_FE), maps[:, :3])
+        maps = np.array([at_flange(arm, needed_at_tray(body, unit)) for unit in np.eye(10)])
         sensors = SensorNoise()
         kinds = [sensors.force] * 3 + [sensors.moment] * 3
         density = np.array([RUNS * (n.white**2 * 1e-3 + 2 * sensors.colour * n.coloured**2) for n in kinds])

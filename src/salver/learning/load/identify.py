@@ -26,19 +26,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from salver.errors import FileFormatError, SalverError, ScenarioError
-from salver.geometry import Array, hat
+from salver.geometry import Array, interpolated
 from salver.learning.load.channels import ChannelReading, SensedMotion, differences
 from salver.learning.load.estimate import solve
 from salver.learning.load.narrowing import half_ranges, narrowed, not_shown, prior
 from salver.learning.load.ranges import NAMES, Range
+from salver.learning.load.sensors import at_flange, tray_wrench
 from salver.learning.load.systematic import SensorBounds
 from salver.learning.logs import Log, check_times
 from salver.learning.tracking.executed import lateness
-from salver.models.interfaces import to_tray
+from salver.models.interfaces import needed_at_tray
 from salver.models.physical import nearest, realisable
-from salver.models.rigid_body import inertia_entries
-from salver.models.tray_motion import frame_map, wrench_map
-from salver.models.uncertain.parameters import INERTIAL, inertial_vector, phi_of
+from salver.models.uncertain.parameters import INERTIAL, inertial_vector
 
 if TYPE_CHECKING:
     from salver.models.arm.arm import ArmModel
@@ -302,18 +301,15 @@ def _state(plan: Plan, arm: ArmModel, log: Log) -> SensedMotion:
         return np.asarray(values.reshape(len(blocks), parts, *values.shape[1:]).mean(axis=1))
 
     terms = motion_terms(arm.pin_model, arm.tray_id, fine(q), fine(dq), fine(ddq))
-    place = frame_map(body.p_EB, body.R_EB)
-    maps = np.array([to_tray(body.p_EB, body.R_EB) @ wrench_map(unit) @ place for unit in np.eye(10)])
+    maps = np.array([needed_at_tray(body, unit) for unit in np.eye(10)])
     at_E, torque = np.einsum("kij,tj->tik", maps, terms.w), whole(terms.torque)
-    at_F = whole(at_E)
-    at_F[:, 3:] += hat(arm.p_FE) @ at_F[:, :3]
     tau, to_tau, links = None, None, None
     if log.tau is not None:
         links = np.stack([whole(each) for each in _each_link(arm, fine(q), fine(dq), fine(ddq), terms.torque)])
         tau, to_tau = mean(log.tau) - torque, whole(np.einsum("tij,tik->tjk", terms.jacobian, at_E))
-    tray = _tray_wrench(plan, arm, whole(terms.w))
+    tray, to_wrench = tray_wrench(plan.scenario.tray, arm, whole(terms.w)), at_flange(arm, whole(at_E))
     wrench = None if log.wrench_F is None else mean(log.wrench_F) - tray
-    return SensedMotion(mean(log.t), every, mean(q), mean(dq), tau, wrench, torque, tray, to_tau, at_F, links)
+    return SensedMotion(mean(log.t), every, mean(q), mean(dq), tau, wrench, torque, tray, to_tau, to_wrench, links)
 
 
 def _each_link(arm: ArmModel, q: Array, dq: Array, ddq: Array, torque: Array) -> Iterator[Array]:
@@ -359,24 +355,12 @@ def _of_this_arm(arm: ArmModel, without: SensedMotion, empty: Log) -> None:
         )
 
 
-def _tray_wrench(plan: Plan, arm: ArmModel, w: Array) -> Array:
-    """(T, 6) what the tray itself needs at the flange."""
-    tray = plan.scenario.tray
-    com_E = arm.tray_com_F - arm.p_FE
-    about = np.diag(tray.inertia)
-    phi = phi_of(np.concatenate([[tray.mass], com_E, inertia_entries(about)]))
-    at_E = w @ wrench_map(phi).T
-    at_E[:, 3:] += np.cross(arm.p_FE, at_E[:, :3])
-    return np.asarray(at_E)
-
-
 def _same_motion(plan: Plan, log: Log, empty: Log) -> None:
     first, last = max(0.0, log.t[0], empty.t[0]), min(plan.duration, log.t[-1], empty.t[-1])
     if last - first < 0.8 * plan.duration:
         raise FileFormatError(f"{empty.source} and {log.source} must both hold the whole motion.")
     shared = (log.t >= first) & (log.t <= last)
-    other = np.stack([np.interp(log.t[shared], empty.t, column) for column in empty.q.T], axis=1)
-    apart = float(np.abs(other - log.q[shared]).max())
+    apart = float(np.abs(interpolated(empty.t, empty.q, log.t[shared]) - log.q[shared]).max())
     if apart > OPTIONS.same:
         raise FileFormatError(
             f"{empty.source} is of another motion than {log.source}: they are up to {apart:.3g} rad apart; at most "

@@ -8,19 +8,23 @@ to run.
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from salver.geometry import Array
+from salver.geometry import Array, hat, interpolated
 from salver.learning.load.systematic import SensorBounds
 from salver.learning.logs import Log
-from salver.models.interfaces import to_tray
+from salver.models.interfaces import needed_at_tray
 from salver.models.rigid_body import inertia_entries
-from salver.models.tray_motion import frame_map, wrench_map
+from salver.models.tray_motion import wrench_map
 from salver.models.uncertain.parameters import inertial_vector, phi_of
 from salver.planning.plan import Plan
 from salver.sensitivity.arm.terms import motion_terms
+
+if TYPE_CHECKING:
+    from salver.models.arm.arm import ArmModel
+    from salver.scenario import Tray
 
 RESTS = 0.2  # s that a log begins before the motion, and ends after it
 COLOURED = 10.0  # Hz, of the second-order filter through which slow noise went: it forgets in 34 ms
@@ -113,7 +117,7 @@ class Defects:
     def late(self, t: Array, values: Array) -> Array:
         """Values (K, m) at times (K,), delayed and filtered."""
         if self.delay:
-            values = np.stack([np.interp(t - self.delay, t, column) for column in values.T], axis=1)
+            values = interpolated(t, values, t - self.delay)
         if np.isfinite(self.bandwidth):
             from scipy.signal import lfilter
 
@@ -165,19 +169,13 @@ class SensedArm:
         t, q, dq, ddq = done
         model = self.model if inertial is None else self.other
         terms = motion_terms(model, self.arm.tray_id, q, dq, ddq)
-        tau, body, tray = terms.torque.copy(), self.plan.scenario.payload.first, self.plan.scenario.tray
-        com_E = self.arm.tray_com_F - self.arm.p_FE
-        phi_tray = phi_of(np.concatenate([[tray.mass], com_E, inertia_entries(np.diag(tray.inertia))]))
-        at_E = terms.w @ wrench_map(phi_tray).T
+        tau, wrench = terms.torque.copy(), tray_wrench(self.plan.scenario.tray, self.arm, terms.w)
         if inertial is not None:
-            of_load = to_tray(body.p_EB, body.R_EB) @ wrench_map(phi_of(inertial)) @ frame_map(body.p_EB, body.R_EB)
-            load_E = terms.w @ of_load.T
-            tau += np.einsum("tij,ti->tj", terms.jacobian, load_E)
-            at_E = at_E + load_E
+            load_E = needed_at_tray(self.plan.scenario.payload.first, phi_of(inertial)) @ terms.w[:, :, None]
+            tau += (np.swapaxes(terms.jacobian, 1, 2) @ load_E)[:, :, 0]
+            wrench += at_flange(self.arm, load_E)[:, :, 0]
         change = 1 + s.friction_change * rng.standard_normal(n)
         tau += self.friction * change * np.tanh(dq / 0.02) + 0.1 * s.friction_change * rng.standard_normal(n) * dq
-        wrench = at_E.copy()
-        wrench[:, 3:] += np.cross(self.arm.p_FE, at_E[:, :3])
         tau, wrench = self._as_sensed(t, q, tau, wrench, inertial is not None)
         each = np.array([s.force] * 3 + [s.moment] * 3)
         bias = np.array([s.force_bias] * 3 + [s.moment_bias] * 3)
@@ -212,6 +210,17 @@ def _heavier(model: Any, shares: dict[int, float]) -> None:
         body = model.inertias[k]
         body.mass, body.inertia = share * body.mass, share * body.inertia
         model.inertias[k] = body
+
+
+def at_flange(arm: ArmModel, at_E: Array) -> Array:
+    """Wrenches (..., 6, k) at the tray's E, seen at the flange."""
+    return np.concatenate([at_E[..., :3, :], at_E[..., 3:, :] + hat(arm.p_FE) @ at_E[..., :3, :]], axis=-2)
+
+
+def tray_wrench(tray: Tray, arm: ArmModel, w: Array) -> Array:
+    """(T, 6) what the tray itself needs at the flange, at w (T, 12)."""
+    inertial = np.concatenate([[tray.mass], arm.tray_com_F - arm.p_FE, inertia_entries(np.diag(tray.inertia))])
+    return at_flange(arm, wrench_map(phi_of(inertial)) @ w[:, :, None])[:, :, 0]
 
 
 def nominal_load(plan: Plan) -> Array:

@@ -22,9 +22,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from salver.geometry import Array
-from salver.models.bodies import Body
-from salver.models.interfaces import to_tray
-from salver.models.tray_motion import frame_map, wrench_map
+from salver.models.interfaces import needed_at_tray
 from salver.scenario import Scenario
 from salver.sensitivity.arm.terms import motion_terms
 from salver.sensitivity.arm.tracking import late
@@ -105,7 +103,7 @@ def under_torque(scenario: Scenario, model: Any, tray: int) -> Fitted:
             x, v = loop.respond(drive, settled(kp, kd, seconds, drive[0]))
             return np.stack([x, v, loop.acceleration(drive, x, v)])
 
-        need, pulled = _need(body), terms.mass_inverse @ np.swapaxes(terms.jacobian, 1, 2)
+        need, pulled = needed_at_tray(body, body.inertial.phi), terms.mass_inverse @ np.swapaxes(terms.jacobian, 1, 2)
         payload = answer(np.einsum("tij,tj->ti", pulled, terms.w @ need.T), _SAGGED)
         heavier = pulled @ need[:, :6] @ terms.jacobian
         again = answer(-np.einsum("tij,tj->ti", heavier, kp * payload[0] + kd * payload[1]), _SAGGED)
@@ -125,8 +123,3 @@ def _sum(shapes: Array, off: Array) -> Array:
     unit = np.linalg.norm(columns, axis=0)
     size = np.linalg.lstsq(columns / unit, off.ravel(), rcond=1e-6)[0] / unit
     return np.asarray(np.einsum("m,mdkj->dkj", size, shapes))
-
-
-def _need(body: Body) -> Array:
-    """(6, 12) w of E to the wrench at E that a load needs."""
-    return to_tray(body.p_EB, body.R_EB) @ wrench_map(body.inertial.phi) @ frame_map(body.p_EB, body.R_EB)

@@ -15,11 +15,10 @@ from pathlib import Path
 
 import numpy as np
 from scipy.fft import dct, dst, idct
-from scipy.interpolate import make_interp_spline
 from scipy.optimize import minimize_scalar
 
 from salver.errors import FileFormatError
-from salver.geometry import Array
+from salver.geometry import Array, interpolated
 from salver.learning.logs import check_times
 from salver.learning.tracking.deviations import DeviationFit, Fitted, of_lags
 from salver.models.arm.arm import ArmModel
@@ -131,7 +130,7 @@ def executed(
     every = max(1, int(1 / (options.rate * step)))
     even = t[kept][0] + step * np.arange(int(np.ptp(t[kept]) / step + 1e-6) + 1)
     even = even[: len(even) // every * every]
-    off = np.asarray(make_interp_spline(t, off, k=1)(even))
+    off = interpolated(t, off, even)
     speed = np.abs(np.polyfit(even[even > even[-1] - 0.04], (off + plan.sample(even)[0])[even > even[-1] - 0.04], 1)[0])
     if speed.max() > options.rest:
         raise FileFormatError(
@@ -171,11 +170,11 @@ def _is_of(plan: JointMotion, t: Array, off: Array, source: str, options: Tracki
 
 def lateness(t: Array, q: Array, plan: JointMotion) -> float:
     """By how much the log is later, least squares of all joints; the arm is held still beyond both ends."""
-    at, log = np.linspace(0.0, plan.duration, 60), make_interp_spline(t, q, k=1)
+    at = np.linspace(0.0, plan.duration, 60)
     wanted = plan.sample(at)[0]
 
     def miss(shift: float) -> float:
-        return float(np.sum((log(np.clip(at + shift, t[0], t[-1])) - wanted) ** 2))
+        return float(np.sum((interpolated(t, q, at + shift) - wanted) ** 2))
 
     best = min(np.arange(t[0] - 0.5 * plan.duration, t[-1] - 0.5 * plan.duration, 0.005), key=miss)
     return float(minimize_scalar(miss, bounds=(best - 0.01, best + 0.01), method="bounded").x)

@@ -17,7 +17,6 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 
 from salver.errors import ScenarioError
-from salver.geometry import Array
 from salver.learning.tracking.executed import low_passed
 from salver.learning.tracking.track import Judge, Tracking, track
 from salver.models.arm.arm import load_arm
@@ -26,7 +25,7 @@ from salver.motion_files.samples import joint_samples
 from salver.planning.make import make_plan
 from salver.planning.plan import COMMAND_LEAD, Plan
 from salver.simulation.physics import Experiment
-from salver.trajectory import JointMotion
+from salver.trajectory import JointMotion, smooth_step
 
 
 @dataclass(frozen=True)
@@ -213,17 +212,11 @@ def corrected(seen: Tracking, options: TuningOptions | None = None) -> Plan:
     # Where the arm rests before, it is not moved: what it misses there, as it sags, is put right on the way. Where it
     # rests after, it stays.
     rest = done.off[done.t <= 0.0].mean(axis=0), done.off[done.t > done.t[-1] - 0.04].mean(axis=0)
-    begun, over = _smooth_step(1 + t / COMMAND_LEAD)[:, None], _smooth_step((t[-1] - t) / tail)[:, None]
-    missed = begun * (missed - rest[0]) + _smooth_step(t / joint.duration)[:, None] * rest[0]
+    begun, over = smooth_step(1 + t / COMMAND_LEAD)[:, None], smooth_step((t[-1] - t) / tail)[:, None]
+    missed = begun * (missed - rest[0]) + smooth_step(t / joint.duration)[:, None] * rest[0]
     missed = over * missed + (1 - over) * rest[1]
     change = make_interp_spline(t, -options.gain * missed, k=5)
     q, dq, ddq = joint.sample(t) if before is None else before.sample(t + COMMAND_LEAD)
     q, dq, ddq = q + change(t), dq + change(t, 1), ddq + change(t, 2)
     dq[[0, -1]], ddq[[0, -1]] = 0.0, 0.0  # it begins and ends at rest, to the splines' accuracy
     return replace(plan, command=JointMotion(t + COMMAND_LEAD, q, dq, ddq))
-
-
-def _smooth_step(u: Array) -> Array:
-    """0 below 0, 1 above 1, twice continuously differentiable."""
-    u = np.clip(u, 0.0, 1.0)
-    return np.asarray(u**3 * (10 - 15 * u + 6 * u**2))

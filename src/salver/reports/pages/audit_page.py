@@ -13,7 +13,7 @@ from markupsafe import Markup
 from salver.auditing import Audit
 from salver.errors import Status
 from salver.files import output_file, to_json, versions, write_atomic
-from salver.geometry import Array
+from salver.geometry import Array, interpolated
 from salver.motion_files import JointSamples
 from salver.motion_files.samples import reordered
 from salver.planning.plan import Plan
@@ -191,7 +191,7 @@ def _run(audit: Audit) -> tuple[ReportedRun, ArmModel | None]:
 
         arm = load_arm(scenario.arm, scenario.tray)
         q = reordered(joints, arm.joint_names).q
-        arrays["q"] = np.column_stack([np.interp(arrays["t"], joints.t, column) for column in q.T])
+        arrays["q"] = interpolated(joints.t, q, arrays["t"])
     summary: Mapping[str, Any] = {"ok": audit.ok, "method": "given", "thinned": len(keep) < len(samples.t)}
     return ReportedRun(Path(audit.source), scenario, [_Given("plan", arrays, dict(summary))]), arm
 

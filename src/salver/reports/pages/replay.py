@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from salver.geometry import GRAVITY_S, Array, matrix_from_quat_wxyz, quat_wxyz_from_matrix
+from salver.geometry import GRAVITY_S, Array, interpolated, matrix_from_quat_wxyz, quat_wxyz_from_matrix
 from salver.models.bodies import Body
 from salver.models.shapes import hulls
 from salver.models.uncertain.parameters import Parameter
@@ -94,7 +94,7 @@ def _variant(motion: ReportedMotion, run: ReportedRun, arm: ArmModel | None) -> 
     if "contact_forces_B" in source:
         points_B, forces_B = source["contact_points_B"], source["contact_forces_B"][keep]
     else:
-        points_B, forces_B = body.contacts.p_BC, _at(t[keep], motion.t, contact_forces_B(motion, body))
+        points_B, forces_B = body.contacts.p_BC, interpolated(motion.t, contact_forces_B(motion, body), t[keep])
     contacts = p[:, None] + np.einsum("tij,cj->tci", R, points_B)
     return {
         "key": motion.stem,
@@ -157,12 +157,6 @@ def _true_friction(motion: ReportedMotion, body: Body, lone: bool) -> float:
     """Friction of the run that is shown, which may differ from the plan's."""
     changed = (motion.seen.summary.get("parameters") or {}) if motion.seen else {}
     return float(changed.get(Parameter(body.name, "friction", lone=lone).name, body.friction))
-
-
-def _at(wanted: Array, t: Array, values: Array) -> Array:
-    """values (T, ...) at times `wanted`, by straight lines; held before the first and after the last."""
-    flat = values.reshape(len(t), -1)
-    return np.stack([np.interp(wanted, t, column) for column in flat.T], axis=1).reshape(len(wanted), *values.shape[1:])
 
 
 _IDENTITY = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
