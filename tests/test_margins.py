@@ -5,16 +5,13 @@ import pytest
 from numpy.testing import assert_allclose
 
 import nasty
-from salver.contact_margins import Margins, margin_model, margins, tracking_motion, whole
-from salver.control.object import Gains
-from salver.geometry import Array, exp
-from salver.models.rigid_body import RigidBody, inertia_matrix
-from salver.models.tray_motion import at_rest, frame_map, motion_vector, wrench_map
-from salver.models.uncertain.parameters import INERTIAL, inertial_vector, phi_of
-from salver.planning.object.evaluation import evaluate
+from salver.contact_margins import Margins, margin_model, margins, whole
+from salver.geometry import Array
+from salver.models.rigid_body import inertia_matrix
+from salver.models.tray_motion import at_rest
+from salver.models.uncertain.parameters import inertial_vector
 from salver.scenario import Scenario, load, parse
-from salver.simulation.closed_loop import rollout
-from salver.trajectory import MotionSamples, PolynomialReference, min_jerk_line
+from salver.trajectory import MotionSamples, min_jerk_line
 
 G = 9.81
 CUBE = load("panda-cube").with_changes(objects__0__uncertainty="none", arm=None)
@@ -214,80 +211,6 @@ def test_a_worst_case_is_never_better_than_nominal_however_forces_are_shared() -
         for m in margins(made, line.sample(np.linspace(0.0, duration, 101))).interfaces:
             assert m.friction_needed_worst > 0.99 * m.friction_needed.max()
             assert np.all(m.tip_over_worst <= m.tip_over)
-
-
-def tumbling() -> PolynomialReference:
-    rng = np.random.default_rng(3)
-    return PolynomialReference(1.0, exp([0.4, -0.3, 1.0]), 0.2 * rng.normal(size=(7, 3)), 1.5 * rng.normal(size=(5, 3)))
-
-
-@pytest.mark.parametrize("name", ["com_y", *(pytest.param(x, marks=pytest.mark.slow) for x in ("mass", "inertia_xz"))])
-def test_tracking_motion_against_nonlinear_rollouts(name: str) -> None:
-    """What the closed loop makes of wrong parameters, seen as a change of the tray's motion."""
-    ranges = {"mass": 0.02, "com": [1e-3, 1e-3, 1e-3], "inertia": [1e-5] * 6}
-    # Unlike the paper's cube, it has a gyroscopic torque; and it does not stand along the tray's axes.
-    inertia = [2.1e-4, 3e-5, 3.4e-4, -2e-5, 4e-5, 4.2e-4]
-    made = CUBE.with_changes(
-        objects__0__uncertainty=ranges,
-        objects__0__inertia=inertia,
-        objects__0__yaw_deg=35,
-        objects__0__at=[0.03, -0.02],
-    )
-    body, names = made.payload.first, made.payload.uncertain.names
-    reference, gains = tumbling(), Gains(made.control.kp, made.control.kd)
-    evaluation = evaluate(made, reference, 41)
-    grasp_map = body.contacts.grasp_map
-    dw = tracking_motion(
-        made, evaluation.samples, evaluation.state_sensitivity, grasp_map @ evaluation.input_sensitivity
-    )
-    step = {"mass": 1e-5, "com_y": 1e-7, "inertia_xz": 1e-9}[name]
-    values = np.tile(inertial_vector(body.inertial), (2, 1))
-    values[:, INERTIAL.index(name)] += [step, -step]
-    phi = phi_of(values)
-    run = rollout(reference, body.inertial, grasp_map, gains, phi, evaluation.t)
-    seen = [
-        actual_motion(
-            RigidBody.from_phi(phi[i]), grasp_map, run.cone_coefficients[i], evaluation.samples, run.deviation[i]
-        )
-        for i in range(2)
-    ]
-    difference = (seen[0] - seen[1]) / (2 * step) @ frame_map(*invert_place(body)).T
-    ours = dw[:, :, names.index(name)]
-    assert_allclose(ours, difference, atol=2e-5 * np.abs(difference).max())
-
-
-def invert_place(body) -> tuple[Array, Array]:
-    return -body.R_EB.T @ body.p_EB, body.R_EB.T
-
-
-def actual_motion(
-    true: RigidBody, grasp_map: Array, coefficients: Array, samples: MotionSamples, deviation: Array
-) -> Array:
-    """(T, 12) w at B of the really moving body, by Newton and Euler from the wrench that acts on it."""
-    omega = samples.omega_B + deviation[:, 9:]
-    zero = np.zeros((len(omega), 3))
-    still = motion_vector(
-        np.tile(np.eye(3), (len(omega), 1, 1)), zero + np.array([0, 0, -G]), omega, zero
-    )  # f = alpha = 0
-    rest = coefficients @ grasp_map.T - still @ wrench_map(true.phi).T
-    matrix = wrench_map(true.phi)[:, :6]
-    still[:, :6] = np.linalg.solve(matrix, rest.T).T
-    return still
-
-
-def test_tracking_widens_the_worst_case() -> None:
-    made = load("panda-cube").with_changes(arm=None)
-    start, goal = (np.array(p.position) for p in (made.motion.start, made.motion.goal))
-    evaluation = evaluate(made, min_jerk_line(1.0, start, goal, np.eye(3), np.eye(3)), 101)
-    wrench = made.payload.first.contacts.grasp_map @ evaluation.input_sensitivity
-    tracking = tracking_motion(made, evaluation.samples, evaluation.state_sensitivity, wrench)
-    follower = margins(made, evaluation.samples)
-    loose = margins(made, evaluation.samples, tracking=tracking)
-    assert np.all(loose.exact_worst <= follower.exact_worst + 1e-12)
-    assert loose.exact_worst.min() < follower.exact_worst.min() - 1e-3
-    # The paper's coefficients in the tube are those of the plan itself, as far as the parameters act linearly.
-    (m,) = loose.interfaces
-    assert_allclose(m.cone_coefficient, evaluation.cone_coefficients.min(axis=1), atol=1e-12)
 
 
 def test_model_is_made_once_for_a_scenario() -> None:

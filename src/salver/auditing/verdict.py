@@ -85,7 +85,7 @@ class Audit(Shown, Tabular):
 
     def _margins_at(self, index: Indices) -> Margins:
         liquids = None if self._liquids is None else self._liquids.at(index)
-        return Margins(self._model, self.motion.samples.t[index], self._w[index], None, liquids)
+        return Margins(self._model, self.motion.samples.t[index], self._w[index], liquids)
 
     @cached_property
     def _model(self) -> MarginModel:

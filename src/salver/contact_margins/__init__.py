@@ -8,14 +8,13 @@ For every interface (object on tray, object on object):
 - tip-over margin: distance of the zero-moment point to the edge of the support polygon, m.
 
 Worst cases are over the scenario's uncertain set, for objects that follow their tray: bounds that are never
-too optimistic (see `salver.models.contact_rows`). By how much the closed loop leaves its reference can be added
-as a first-order tube (`tracking_motion`).
+too optimistic (see `salver.models.contact_rows`).
 """
 
 from salver.contact_margins.braking import Braking, BrakingOptions, braking
 from salver.contact_margins.interface import InterfaceMargins
 from salver.contact_margins.model import EDGES, MarginModel, margin_model
-from salver.contact_margins.motion import tracking_motion, tray_motion
+from salver.contact_margins.motion import tray_motion
 from salver.contact_margins.time_scaling import SafeSpeeds, safe_speeds
 from salver.contact_margins.whole import Margins, margins
 
@@ -31,6 +30,5 @@ __all__ = [
     "margin_model",
     "margins",
     "safe_speeds",
-    "tracking_motion",
     "tray_motion",
 ]

@@ -177,7 +177,7 @@ class TimeScaled:
     def margins(self, factor: float) -> Margins:
         """Everything at a constant factor, in the time that it then takes; standing still in that of `SLOWEST`."""
         w, t = self.w(factor**2), (self.tray.t - self.tray.t[0]) / (factor or SLOWEST)
-        return Margins(self.model, t, w, None, Liquids.along(self.model.payload, t, w))
+        return Margins(self.model, t, w, Liquids.along(self.model.payload, t, w))
 
     def slack(self, factor: float) -> float:
         """The least of all contact margins and of what liquids keep of what they are allowed, as shares."""

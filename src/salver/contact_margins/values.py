@@ -6,8 +6,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Self
 
-import numpy as np
-
 from salver.contact_margins.model import MarginModel
 from salver.geometry import Array, Indices
 from salver.liquid.slosh_rows import Sloshed, most_added
@@ -15,20 +13,17 @@ from salver.liquid.spills import Liquids
 from salver.models.contact.internal_wrench import internal_wrenches
 from salver.models.contact_rows import ContactRows
 from salver.models.uncertain.worst_case import ALL
-from salver.sensitivity import tubes
 
 AT_ONCE = 256  # instants
 
 
 @dataclass(frozen=True)
 class RowValues:
-    """t (T,); w (T, 12): motion of the tray frame E. tracking: (T, 12, n_p) or None, see `margins`. liquids: what they
-    do along it, or None."""
+    """t (T,); w (T, 12): motion of the tray frame E. liquids: what they do along it, or None."""
 
     model: MarginModel
     t: Array
     w: Array
-    tracking: Array | None = None
     liquids: Liquids | None = None
 
     @cached_property
@@ -47,20 +42,12 @@ class RowValues:
 
     def at(self, keep: Indices) -> Self:
         """The values at some of their instants."""
-        return replace(
-            self,
-            t=self.t[keep],
-            w=self.w[keep],
-            tracking=None if self.tracking is None else self.tracking[keep],
-            liquids=None if self.liquids is None else self.liquids.at(keep),
-        )
+        liquids = None if self.liquids is None else self.liquids.at(keep)
+        return replace(self, t=self.t[keep], w=self.w[keep], liquids=liquids)
 
     def worst_case(self, rows: ContactRows) -> Array:
-        """Worst case of the rows (T, n), with the tube of the tracking error added."""
+        """Worst case of the rows (T, n)."""
         value = rows.worst(self.w)
-        if self.tracking is not None:
-            change = np.einsum("fk,tkp->tfp", rows.nominal, self.tracking, optimize=True)
-            value += tubes.radius(change, self.model.uncertain)
         if self.liquids is not None:  # some instants at a time: of all cases at all of them there is too much
             for first in range(0, len(value), AT_ONCE):
                 at = slice(first, first + AT_ONCE)

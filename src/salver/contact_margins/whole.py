@@ -28,16 +28,13 @@ if TYPE_CHECKING:
 FEW = 8  # instants at which the least of a motion is looked for first
 
 
-def margins(
-    scenario: Scenario, samples: MotionSamples, *, edges: int | None = None, tracking: Array | None = None
-) -> Margins:
+def margins(scenario: Scenario, samples: MotionSamples, *, edges: int | None = None) -> Margins:
     """All margins of a motion of B, the frame of the scenario's first object (T instants).
 
     edges: of the friction pyramids, inscribed; unless given the least multiple of the scenario's that is 8 or more.
-    tracking: (T, 12, n_p) from `tracking_motion`, when the tray does not follow the motion exactly.
     """
     w = tray_motion(scenario, samples)
-    return Margins(margin_model(scenario, edges), samples.t, w, tracking, Liquids.along(scenario.payload, samples.t, w))
+    return Margins(margin_model(scenario, edges), samples.t, w, Liquids.along(scenario.payload, samples.t, w))
 
 
 @dataclass(frozen=True, repr=False)
@@ -129,7 +126,7 @@ class Margins(Shown, RowValues):
     def only(self, parameter: Parameter) -> Margins:
         """With only this parameter uncertain."""
         model, liquids = self.model.with_only(parameter), self.liquids
-        return Margins(model, self.t, self.w, None, liquids and liquids.only(model.payload))
+        return Margins(model, self.t, self.w, liquids and liquids.only(model.payload))
 
     def costs(self) -> dict[str, float]:
         """What each uncertain parameter, alone, takes from the least exact margin (share of the normal force)."""

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from salver.contact_margins import Braking, Margins, braking, margin_model, margins, tracking_motion
+from salver.contact_margins import Braking, braking, margin_model, margins
 from salver.geometry import Array, invert, matrix_from_quat_wxyz
 from salver.trajectory import MotionSamples
 
@@ -22,8 +22,9 @@ class ContactCurves:
 
     t: s. friction: largest friction needed, as a share of what there is, at nominal parameters. coefficient: the same
     as a coefficient when only one object stands on the tray, else None. available: its own then. nominal, worst: least
-    exact margin, a share of the weight, at nominal parameters and in the worst case with the closed loop's errors.
-    tip, tip_worst: least distance of a zero-moment point from its edge, m; worst of what follows the reference.
+    exact margin, a share of the weight, at nominal parameters and in the worst case: what the plan was checked to keep
+    over its tubes, with the paper's condition along the reference. tip, tip_worst: least distance of a zero-moment
+    point from its edge, m; worst of what follows the reference.
     braking: which stops on the path keep the load, in the worst case; None with a liquid.
     """
 
@@ -50,11 +51,7 @@ def contact_curves(scenario: Scenario, a: Mapping[str, np.ndarray]) -> ContactCu
         a["omega_B"][keep],
         a["alpha_B"][keep],
     )
-    tracking = None
-    if a["state_sensitivity"].shape[2]:
-        wrench = a["grasp_map"] @ a["input_sensitivity"][keep]
-        tracking = tracking_motion(scenario, samples, a["state_sensitivity"][keep], wrench)
-    found: Margins = margins(scenario, samples, tracking=tracking)
+    found = margins(scenario, samples)
     needed = [m.friction_needed for m in found.interfaces]
     share = [own / m.friction for own, m in zip(needed, found.interfaces, strict=True)]
     alone = len(found.interfaces) == 1
@@ -73,6 +70,6 @@ def contact_curves(scenario: Scenario, a: Mapping[str, np.ndarray]) -> ContactCu
         nominal=found.exact,
         worst=worst,
         tip=np.min([m.tip_over for m in found.interfaces], axis=0),
-        tip_worst=np.min([m.tip_over_worst for m in margins(scenario, samples).interfaces], axis=0),
+        tip_worst=np.min([m.tip_over_worst for m in found.interfaces], axis=0),
         braking=braking(margin_model(scenario), tray, worst=True) if rigid else None,
     )

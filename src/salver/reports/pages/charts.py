@@ -58,6 +58,8 @@ def margin_charts(run: ReportedRun) -> list[Spec]:
         tip.append(series(m, f"{m.label}, nominal", c.t, 1e3 * c.tip, width=1.0, opacity=0.55))
         floor.append(series(m, m.label, m.t, m.cone_floor.min(axis=1)))
     zero = {"y": 0, "label": ""}
+    paper = run.scenario.contact.condition == "paper"
+    follows = "on the reference itself" if paper else "with the errors that they cause in the closed loop"
     needed = "Least friction coefficient" if one else "Largest share of its friction that any object needs"
     return [
         time_chart(
@@ -65,7 +67,7 @@ def margin_charts(run: ReportedRun) -> list[Spec]:
             "margin, % of the weight",
             margin,
             "How far inside its contact wrench cone the required wrench stays: above zero it sticks. Worst case: over "
-            "all uncertain parameters, with the errors that they cause in the closed loop.",
+            f"all uncertain parameters, {follows}.",
             "%",
             lines=[zero],
         ),
@@ -95,7 +97,7 @@ def margin_charts(run: ReportedRun) -> list[Spec]:
             "The paper's condition asks that it stay above zero. Sufficient, not necessary: it judges one distribution "
             "of the internal forces"
             + (f" of {run.bodies[0].name} alone" if len(run.bodies) > 1 else "")
-            + ("." if run.scenario.contact.condition == "paper" else "; this plan is not held to it."),
+            + ("." if paper else "; this plan is not held to it."),
             "N",
             lines=[zero],
         ),
