@@ -101,7 +101,7 @@ def test_a_ur_is_sent_the_plan_and_told_its_payload(directory: Path, plan: Plan,
     assert mass == pytest.approx(plan.scenario.tray.mass + body.inertial.mass)
     arm = load_arm(plan.scenario.arm, plan.scenario.tray)  # type: ignore[arg-type]
     assert com == pytest.approx(
-        (plan.scenario.tray.mass * arm.tray_com_F + body.inertial.mass * (arm.p_FE + body.p_EB)) / mass
+        arm.p_FE + (plan.scenario.tray.mass * arm.tray_com_E + body.inertial.mass * body.p_EB) / mass
     )
 
 

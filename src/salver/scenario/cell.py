@@ -28,11 +28,18 @@ from salver.scenario.task import grows
 
 
 class Tray(Model):
-    """The tray on the flange; its top surface is `height` above the flange, parallel to it."""
+    """The tray on the flange.
+
+    The middle of its top surface is `height` out along the flange's z and, on a bracket, `offset` along its x and y;
+    `rpy_deg` (roll, pitch, yaw) turns the tray in the flange's frame. inertia: about its centre of mass, along its own
+    axes.
+    """
 
     size: tuple[Metres, Metres] = (0.2, 0.2)
     thickness: Metres = 0.01
-    height: Annotated[Number, Field(ge=0, le=5)] = 0.05
+    height: Annotated[Number, Field(ge=-5, le=5)] = 0.05
+    offset: tuple[Place, Place] = (0.0, 0.0)
+    rpy_deg: Turns = (0.0, 0.0, 0.0)
     mass: Annotated[Number, Field(ge=0, le=100)] = 0.150
     inertia: tuple[Inertia, Inertia, Inertia] = (1.25e-4, 1.25e-4, 1.25e-4)
 
@@ -45,13 +52,19 @@ class Tray(Model):
                 f"inertia = {list(self.inertia)} kg m^2 is that of no body: none may be negative, none larger than the "
                 "sum of the other two"
             )
-        most = self.mass * (0.25 * (self.size[0] ** 2 + self.size[1] ** 2) + max(self.height, self.thickness) ** 2)
+        away = max(self.thickness, *(abs(x) for x in self.p_FE))
+        most = self.mass * (0.25 * (self.size[0] ** 2 + self.size[1] ** 2) + away**2)
         if high > most * (1 + 1e-6):
             raise ValueError(
                 f"inertia = {list(self.inertia)} kg m^2 is too large: {self.mass:g} kg between the flange and the "
                 f"tray's surface, no wider than the tray, have at most {most:.3g}"
             )
         return self
+
+    @property
+    def p_FE(self) -> tuple[float, float, float]:
+        """m, the middle of the top surface in the flange's frame."""
+        return (*self.offset, self.height)
 
 
 Limit = Annotated[Number, Field(ge=1e-6, le=1e9)]

@@ -79,7 +79,9 @@ class FrankaRobot:
         config = self._library.RealtimeConfig
         try:
             self._robot = self._library.Robot(address, config.kEnforce if realtime else config.kIgnore)
-            self._robot.set_load(tray_mass, arm.tray_com_F.tolist(), np.diag(tray_inertia).ravel().tolist())
+            com_F = arm.p_FE + arm.R_FE @ arm.tray_com_E
+            inertia_F = arm.R_FE @ np.diag(tray_inertia) @ arm.R_FE.T
+            self._robot.set_load(tray_mass, com_F.tolist(), inertia_F.ravel().tolist())
             # Thresholds of a collision, N m and N: well above what the planned accelerations need.
             self._robot.set_collision_behavior([40.0] * 7, [60.0] * 7, [60.0] * 6, [90.0] * 6)
             self._model = self._robot.load_model()

@@ -331,11 +331,8 @@ class URRobot:
 
 def payload(plan: Plan, arm: ArmModel) -> tuple[float, Array]:
     """Mass, kg, and centre of mass (3,) in the flange's frame, m, of tray and load."""
-    q = np.zeros(arm.n)
-    (p_SE, R_SE), (p_SF, R_SF) = arm.tray_pose(q), arm.link_pose(q, arm.flange)
-    masses, coms = [plan.scenario.tray.mass], [arm.tray_com_F]
+    masses, coms_E = [plan.scenario.tray.mass], [arm.tray_com_E]
     for body in plan.scenario.payload.bodies:
-        com_S = p_SE + R_SE @ (body.p_EB + body.R_EB @ body.inertial.com_B)
         masses.append(body.inertial.mass)
-        coms.append(R_SF.T @ (com_S - p_SF))
-    return float(sum(masses)), np.average(coms, axis=0, weights=masses)
+        coms_E.append(body.p_EB + body.R_EB @ body.inertial.com_B)
+    return float(sum(masses)), arm.p_FE + arm.R_FE @ np.average(coms_E, axis=0, weights=masses)

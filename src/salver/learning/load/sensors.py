@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from salver.geometry import Array, hat, interpolated
+from salver.geometry import Array, interpolated
 from salver.learning.load.systematic import SensorBounds
 from salver.learning.logs import Log
-from salver.models.interfaces import needed_at_tray
+from salver.models.interfaces import needed_at_tray, to_tray
 from salver.models.rigid_body import inertia_entries
 from salver.models.tray_motion import wrench_map
 from salver.models.uncertain.parameters import inertial_vector, phi_of
@@ -214,12 +214,12 @@ def _heavier(model: Any, shares: dict[int, float]) -> None:
 
 def at_flange(arm: ArmModel, at_E: Array) -> Array:
     """Wrenches (..., 6, k) at the tray's E, seen at the flange."""
-    return np.concatenate([at_E[..., :3, :], at_E[..., 3:, :] + hat(arm.p_FE) @ at_E[..., :3, :]], axis=-2)
+    return np.asarray(to_tray(arm.p_FE, arm.R_FE) @ at_E)
 
 
 def tray_wrench(tray: Tray, arm: ArmModel, w: Array) -> Array:
     """(T, 6) what the tray itself needs at the flange, at w (T, 12)."""
-    inertial = np.concatenate([[tray.mass], arm.tray_com_F - arm.p_FE, inertia_entries(np.diag(tray.inertia))])
+    inertial = np.concatenate([[tray.mass], arm.tray_com_E, inertia_entries(np.diag(tray.inertia))])
     return at_flange(arm, wrench_map(phi_of(inertial)) @ w[:, :, None])[:, :, 0]
 
 

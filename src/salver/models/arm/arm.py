@@ -17,7 +17,7 @@ import numpy as np
 import pinocchio as pin
 
 from salver.errors import ScenarioError
-from salver.geometry import GRAVITY_S, Array, adjoint, invert
+from salver.geometry import GRAVITY_S, Array, adjoint, invert, matrix_from_rpy
 from salver.models.arm.arm_limits import JointLimits, joint_limits, read_joint_limits
 from salver.models.arm.known_arms import KNOWN_ARMS, robot_file
 from salver.models.arm.urdf import SUFFIXES, installed_chain, read_chain, read_disabled_pairs
@@ -52,7 +52,8 @@ class ArmModel:
     weightless: links that a joint moves and to which, with all that is fixed to them, the URDF gives no mass. If there
     are any, torques are not known: the arm has no limits of torque, and counts as one under position control.
     base_position, base_yaw: pose of the URDF's root in S, m and rad.
-    p_FE: (3,) centre of the tray's top surface in F, m. tray_com_F: (3,) the tray's centre of mass in F.
+    p_FE, R_FE: (3,) m and (3, 3), pose in F of the middle of the tray's top surface. tray_com_E: (3,) the tray's centre
+    of mass in E.
     tray_size: its edges along x and y of E, m.
     """
 
@@ -77,7 +78,8 @@ class ArmModel:
     base_position: Array
     base_yaw: float
     p_FE: Array
-    tray_com_F: Array
+    R_FE: Array
+    tray_com_E: Array
     tray_size: tuple[float, float]
 
     @property
@@ -170,9 +172,9 @@ def load_arm(arm: ArmDescription, tray: TrayDescription) -> ArmModel:
     weightless = tuple(link for j, link in moved_links(model).items() if not model.inertias[j].mass > 0)
     yaw = float(np.deg2rad(arm.base_yaw_deg))
     _move_base(model, np.array(arm.base_position), yaw)
-    p_FE = np.array([0.0, 0.0, tray.height])
-    com_F = np.array([0.0, 0.0, tray.height - 0.5 * tray.thickness])
-    tray_id = _attach_tray(model, flange, tray, p_FE, com_F)
+    p_FE, R_FE = np.array(tray.p_FE), matrix_from_rpy(np.deg2rad(tray.rpy_deg))
+    com_E = np.array([0.0, 0.0, -0.5 * tray.thickness])
+    tray_id = _attach_tray(model, flange, tray, pin.SE3(R_FE, p_FE), com_E)
     names = tuple(model.names)[1:]
     name = Path(arm.model).stem
     given: list[tuple[str, Mapping[str, Any]]] = [("the URDF", _urdf_limits(model))]
@@ -213,7 +215,8 @@ def load_arm(arm: ArmDescription, tray: TrayDescription) -> ArmModel:
         base_position=np.array(arm.base_position),
         base_yaw=yaw,
         p_FE=p_FE,
-        tray_com_F=com_F,
+        R_FE=R_FE,
+        tray_com_E=com_E,
         tray_size=tray.size,
     )
 
@@ -294,13 +297,12 @@ def _move_base(model: Any, position: Array, yaw: float) -> None:
             frame.placement = base * frame.placement
 
 
-def _attach_tray(model: Any, flange: str, tray: TrayDescription, p_FE: Array, com_F: Array) -> int:
+def _attach_tray(model: Any, flange: str, tray: TrayDescription, pose_FE: Any, com_E: Array) -> int:
     """Add the tray's inertia, its centre of mass in the middle of the plate, and the frame E."""
     frame_id = model.getFrameId(flange, pin.FrameType.BODY)
     frame = model.frames[frame_id]
-    inertia = pin.Inertia(tray.mass, com_F, np.diag(tray.inertia))
-    model.appendBodyToJoint(frame.parentJoint, inertia, frame.placement)
-    placement = frame.placement * pin.SE3(np.eye(3), p_FE)
+    placement = frame.placement * pose_FE
+    model.appendBodyToJoint(frame.parentJoint, pin.Inertia(tray.mass, com_E, np.diag(tray.inertia)), placement)
     return int(model.addFrame(pin.Frame(TRAY_FRAME, frame.parentJoint, frame_id, placement, pin.FrameType.OP_FRAME)))
 
 

@@ -311,9 +311,8 @@ def arm_geometry(
     tray = len(names)
 
     frame = arm.pin_model.frames[arm.tray_id]
-    thickness = 2 * float(arm.p_FE[2] - arm.tray_com_F[2])
-    plate = pin.SE3(np.eye(3), np.array([0, 0, -0.5 * thickness]))
-    box = coal.Box(*arm.tray_size, thickness)
+    plate = pin.SE3(np.eye(3), arm.tray_com_E)
+    box = coal.Box(*arm.tray_size, -2 * float(arm.tray_com_E[2]))
     add(parts, names, TRAY, frame.parentJoint, frame.placement * plate, box)
     for body in bodies:
         points = body.solid.bounding_points_G - body.com_G

@@ -267,7 +267,7 @@ function createViewer(canvas, scene) {
   const shapes = {
     ground: upload(prism([[-6, -6], [6, -6], [6, 6], [-6, 6]], -0.002, 0)),
     tray: upload(prism([[hx, hy], [-hx, hy], [-hx, -hy], [hx, -hy]], -thick, 0)),
-    post: upload(revolve([[0.032, -scene.tray.height], [0.026, -thick], [0, -thick]])),
+    post: upload(tube([scene.tray.flange, [0, 0, -thick]], 0.029, 28)),
     shaft: upload(revolve([[0, 0], [1, 0], [1, 1], [0, 1]], 14)),
     head: upload(revolve([[0, 0], [1, 0], [0, 1]], 18)),
     cone: upload(revolve([[0, 0], [1, 1]], 40)),

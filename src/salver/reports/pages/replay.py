@@ -36,7 +36,7 @@ def stage(scenario: Scenario, bodies: Sequence[Body], arm: ArmModel | None) -> d
         "tray": {
             "size": list(scenario.tray.size),
             "thickness": scenario.tray.thickness,
-            "height": scenario.tray.height,
+            "flange": (-arm.R_FE.T @ arm.p_FE).tolist() if arm else [0.0, 0.0, -scenario.tray.height],
             "colour": rgb(TRAY_COLOUR),
         },
         "objects": [

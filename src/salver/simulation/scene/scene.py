@@ -175,13 +175,14 @@ def specify(
     root = spec.worldbody
     if arm is not None:
         parent = add_arm(spec, arm, each_joint(scenario.physics.joint_friction, arm, "physics.joint_friction"), visual)
-        parent = parent.add_body(name=TRAY_BODY, pos=arm.p_FE, quat=quat_wxyz_from_matrix(world.R_tilt))
-        com_E = world.R_tilt.T @ (arm.tray_com_F - arm.p_FE)
+        parent = parent.add_body(name=TRAY_BODY, pos=arm.p_FE, quat=quat_wxyz_from_matrix(arm.R_FE @ world.R_tilt))
+        com_E = world.R_tilt.T @ arm.tray_com_E
         inertia = world.R_tilt.T @ np.diag(scenario.tray.inertia) @ world.R_tilt
         set_inertia(parent, scenario.tray.mass, com_E, inertia)
     else:
         parent = root.add_body(name=TRAY_BODY)
-    add_tray(parent, scenario.tray, -world.R_tilt.T @ arm.p_FE if visual and arm is not None else None)
+    flange_E = -(arm.R_FE @ world.R_tilt).T @ arm.p_FE if visual and arm is not None else None
+    add_tray(parent, scenario.tray, flange_E)
     for k, load in enumerate(world.loads):
         add_load(spec, load, k)
     obstacles: list[str] = []
