@@ -1,5 +1,5 @@
-"""Makes the pictures of the report page and the playground: python docs/make_screenshots.py [report | live]. Needs
-Chromium and chromedriver.
+"""Makes the pictures of the report page, the playground and the studio: python docs/make_screenshots.py
+[report | live | studio]. Needs Chromium and chromedriver.
 
 The report is of a tall bottle whose centre of mass is 5 mm higher than its controller knows: it stays with the motion
 planned for its ranges and falls with the one planned for nominal values.
@@ -34,11 +34,43 @@ def main() -> None:
     reason = missing()
     if reason:
         raise SystemExit(f"No pictures: {reason}.")
-    asked = sys.argv[1:] or ["report", "live"]
+    asked = sys.argv[1:] or ["report", "live", "studio"]
     if "report" in asked:
         _report()
     if "live" in asked:
         _live()
+    if "studio" in asked:
+        _studio()
+
+
+def _studio() -> None:
+    """The bottle on its planned way; an obstacle in it; a mass that cannot be."""
+    from salver.studio import Studio
+    from salver.studio.text import changed
+
+    text = (scenario.SCENARIO_DIR / f"{SCENARIO}.toml").read_text()
+    wall = {"type": "box", "name": "shelf", "size": [0.3, 0.06, 0.3], "position": [0.45, 0.12, 0.45]}
+    texts = {
+        "studio.png": text,
+        "studio-blocked.png": changed(text, [(["obstacles", 0], wall)]),
+        "studio-mistake.png": text,
+    }
+    for name, shown in texts.items():
+        with Studio(shown, Path("bottle.toml"), scenario.SCENARIO_DIR) as studio, chromium(1500, 960) as browser:
+            browser.call("POST", "url", {"url": studio.url})
+            if name == "studio.png":
+                browser.wait_for("window.salver && salver.state.plan", 120)
+                browser.script("salver.halt(); salver.setTime(0.55 * salver.state.plan.end)")
+            else:
+                browser.wait_for("window.salver && salver.state.looks > 0")
+            if name == "studio-mistake.png":
+                browser.script(
+                    "const area = document.getElementById('text'); area.value = area.value.replace('0.256', '-0.256');"
+                    "area.dispatchEvent(new Event('input'))"
+                )
+                browser.wait_for("salver.state.mistakes.length")
+            time.sleep(0.5)
+            _photograph(browser, name, None)
 
 
 def _live() -> None:

@@ -24,6 +24,7 @@ COMMANDS = {
     "demo": "plans",
     "scenarios": "plans",
     "new": "plans",
+    "studio": "plans",
     "plan": "plans",
     "simulate": "checks",
     "campaign": "checks",

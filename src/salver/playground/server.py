@@ -1,25 +1,19 @@
-"""The page and the way between it and the world: server-sent events there, small JSON messages back.
-
-Only this machine is answered, and only who knows the address with its token, which other pages of the browser do not.
-"""
+"""The page and the way between it and the world: server-sent events there, small JSON messages back."""
 
 from __future__ import annotations
 
 import json
-import secrets
 import threading
 import time
-from http import HTTPStatus
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from collections.abc import Iterator
 from types import TracebackType
 from typing import Any, Self
 
-from salver.errors import SalverError, Status
+from salver.errors import SalverError
 from salver.live import Worker
+from salver.playground.local_page import HTML, LocalPage, Shown
 from salver.playground.page import page
 from salver.playground.world import World
-
-HOST = "127.0.0.1"
 
 
 class Playground:
@@ -30,30 +24,23 @@ class Playground:
 
         Raises SalverError when the port is taken.
         """
-        self.world, self._token = world, secrets.token_urlsafe(12)
+        self.world = world
         self._worker = Worker(world.live, process=process)
         self._closing = threading.Event()
         self._frame, self._fresh = b"", threading.Condition()
         self.pace = 1.0
         self.page = page(world).encode()
-        handler = type("Bound", (_Handler,), {"playground": self})
-        try:
-            self._server = _Server((HOST, port), handler)
-        except (OSError, OverflowError) as error:
-            raise SalverError(f"Port {port} cannot be used: {getattr(error, 'strerror', None) or error}.") from None
-        self._threads = [
-            threading.Thread(target=work, name=name, daemon=True)
-            for name, work in (("world", self._run), ("page", self._server.serve_forever))
-        ]
+        self._served = LocalPage(self._show_at, self._say, port)
+        self._thread = threading.Thread(target=self._run, name="world", daemon=True)
 
     @property
     def url(self) -> str:
-        return f"http://{HOST}:{self._server.server_address[1]}/{self._token}/"
+        return self._served.url
 
     def __enter__(self) -> Self:
         self._worker.start()
-        for thread in self._threads:
-            thread.start()
+        self._thread.start()
+        self._served.start()
         return self
 
     def __exit__(
@@ -62,16 +49,18 @@ class Playground:
         self._closing.set()
         with self._fresh:
             self._fresh.notify_all()
-        self._server.shutdown()
-        self._server.server_close()
-        for thread in self._threads:
-            thread.join()
+        self._served.close()
+        self._thread.join()
         self._worker.close()
 
-    def answer(self, message: Any) -> Status:
-        return self.world.say(message)
+    def _show_at(self, what: str) -> Shown:
+        return (self.page, HTML) if what == "" else self.frames() if what == "frames" else None
 
-    def frames(self) -> Any:
+    def _say(self, message: Any) -> dict[str, Any]:
+        status = self.world.say(message)
+        return {"ok": status.ok, "sentence": status.sentence}
+
+    def frames(self) -> Iterator[bytes]:
         """Each new frame, as JSON, until the end."""
         while not self._closing.is_set():
             with self._fresh:
@@ -110,80 +99,3 @@ class Playground:
         with self._fresh:
             self._frame = json.dumps(frame, separators=(",", ":")).encode()
             self._fresh.notify_all()
-
-
-class _Server(ThreadingHTTPServer):
-    daemon_threads = True
-    block_on_close = False
-
-
-class _Handler(BaseHTTPRequestHandler):
-    playground: Playground
-    protocol_version = "HTTP/1.1"
-
-    def do_GET(self) -> None:
-        what = self._asked()
-        if what == "":
-            self._send(self.playground.page, "text/html; charset=utf-8")
-        elif what == "frames":
-            self._stream()
-        else:
-            self._refuse(HTTPStatus.NOT_FOUND)
-
-    def do_POST(self) -> None:
-        if self._asked() != "say":
-            return self._refuse(HTTPStatus.NOT_FOUND)
-        try:
-            length = int(self.headers.get("Content-Length", ""))
-        except ValueError:
-            length = -1
-        if not 0 <= length <= 10_000:
-            return self._refuse(HTTPStatus.REQUEST_ENTITY_TOO_LARGE)
-        try:
-            message = json.loads(self.rfile.read(length))
-        except (ValueError, RecursionError):
-            return self._refuse(HTTPStatus.BAD_REQUEST)
-        status = self.playground.answer(message)
-        self._send(json.dumps({"ok": status.ok, "sentence": status.sentence}).encode(), "application/json")
-
-    def _asked(self) -> str | None:
-        """What of ours, or None: a wrong token, or a page that came by another name of this machine."""
-        host, _, _ = self.headers.get("Host", "").rpartition(":")
-        head = f"/{self.playground._token}/"
-        mine = host in (HOST, "localhost") and secrets.compare_digest(self.path[: len(head)].encode(), head.encode())
-        return self.path[len(head) :] if mine else None
-
-    def _send(self, body: bytes, kind: str) -> None:
-        self.send_response(HTTPStatus.OK)
-        self._headers(kind)
-        self.send_header("Content-Length", str(len(body)))
-        self.end_headers()
-        self.wfile.write(body)
-
-    def _headers(self, kind: str) -> None:
-        self.send_header("Content-Type", kind)
-        self.send_header("Cache-Control", "no-store")
-        self.send_header("X-Content-Type-Options", "nosniff")
-        self.send_header("Referrer-Policy", "no-referrer")
-
-    def _stream(self) -> None:
-        self.send_response(HTTPStatus.OK)
-        self._headers("text/event-stream")
-        self.send_header("Connection", "close")
-        self.end_headers()
-        self.close_connection = True
-        try:
-            for frame in self.playground.frames():
-                self.wfile.write(b"data: " + frame + b"\n\n")
-                self.wfile.flush()
-        except OSError:  # the page was closed
-            pass
-
-    def _refuse(self, status: HTTPStatus) -> None:
-        self.close_connection = True
-        self.send_response(status)
-        self.send_header("Content-Length", "0")
-        self.end_headers()
-
-    def log_message(self, format: str, *args: Any) -> None:
-        pass

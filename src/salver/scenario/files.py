@@ -35,12 +35,18 @@ def load(name_or_path: str | Path) -> Scenario:
         raise ScenarioError(f"{path} is not a text file in UTF-8; a scenario is a .toml file.") from None
     except (OSError, ValueError) as error:
         raise ScenarioError(f"{path} cannot be read ({reason(error)}); a scenario is a .toml file.") from None
+    return read(text, str(path), path.parent)
+
+
+def read(text: str, where: str, folder: Path) -> Scenario:
+    """A scenario from the text of its file. where: its name in sentences; folder: in which files are that it names.
+    Raises ScenarioError."""
     try:
         data = tomllib.loads(text)
     except (ValueError, RecursionError) as error:  # TOMLDecodeError, and numbers and nesting beyond Python's
-        raise ScenarioError(f"{path} is not valid TOML: {_explained(error, text)}.") from None
-    _find_files(data, path.parent)
-    return parse(data, str(path))
+        raise ScenarioError(f"{where} is not valid TOML: {_explained(error, text)}.") from None
+    _find_files(data, folder)
+    return parse(data, where)
 
 
 def _unknown(name: str) -> str:

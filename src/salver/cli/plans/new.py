@@ -70,10 +70,7 @@ def new(
     asking = any(given[key] is None for key in QUESTIONS if key not in MAY_BE_LEFT_OUT)
     answers: dict[str, Any] = {}
     for key, (question, default) in QUESTIONS.items():
-        if key == "path":
-            default = _in_reach(*answers["arm"])
-        elif key == "tray":
-            default = _room_for(answers["load"])
+        default = _proposed(key, default, answers)
         word = default if given[key] is None and not asking else given[key]
         answers[key] = _answer(key, question, default, word)
 
@@ -109,6 +106,21 @@ def new(
         )
     if not plan.ok:
         raise typer.Exit(NO_SAFE_PLAN)
+
+
+def usual(name: str) -> str:
+    """The text of a scenario in which every question was answered as proposed."""
+    answers: dict[str, Any] = {}
+    for key, (_, default) in QUESTIONS.items():
+        answers[key] = READERS[key](_proposed(key, default, answers))
+    return written(name, **answers)
+
+
+def _proposed(key: str, default: str, answers: dict[str, Any]) -> str:
+    """The answer that is proposed to a question, after those before it."""
+    if key == "path":
+        return _in_reach(*answers["arm"])
+    return _room_for(answers["load"]) if key == "tray" else default
 
 
 def _answer(key: str, question: str, default: str, given: str | None) -> Any:

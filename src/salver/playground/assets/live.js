@@ -211,27 +211,15 @@ byId("protected").addEventListener("change", (event) => say({ protected: event.t
 byId("speed").addEventListener("input", () => (byId("speed-shown").textContent = `${Number(byId("speed").value).toFixed(2)} m/s`));
 byId("speed").dispatchEvent(new Event("input"));
 
-// A point of the picture on a plane through p: level, or upright and facing the camera.
-function onPlane(event, p, upright) {
-  const box = byId("canvas").getBoundingClientRect();
-  const [eye, way] = viewer.ray((event.clientX - box.left) / box.width, (event.clientY - box.top) / box.height);
-  const normal = upright ? Vec.unit([eye[0] - p[0], eye[1] - p[1], 0]) : [0, 0, 1], facing = Vec.dot(way, normal);
-  const far = Math.abs(facing) < 1e-3 ? -1 : Vec.dot(Vec.sub(p, eye), normal) / facing;
-  return far > 0 && far < 10 ? Vec.add(eye, Vec.scale(way, far)) : null;
-}
-
+// The goal, where a pointer is near enough to take hold of it.
 function nearGoal(event) {
-  const goal = ring();
-  const box = byId("canvas").getBoundingClientRect();
-  const [eye, way] = viewer.ray((event.clientX - box.left) / box.width, (event.clientY - box.top) / box.height);
-  const to = Vec.sub(goal, eye), along = Vec.dot(to, way), off = Vec.norm(Vec.sub(to, Vec.scale(way, along)));
-  const pixel = (2 * along * Math.tan(0.3)) / box.height;
-  return off < Math.max(RING, NEAR * pixel) ? goal : null;
+  const [metres, pixels] = viewer.missed(event, ring());
+  return metres < RING || pixels < NEAR ? ring() : null;
 }
 
 let dragged = null, said = 0;
 function drag(event) {
-  const p = onPlane(event, dragged, event.shiftKey);
+  const p = viewer.onPlane(event, dragged, event.shiftKey);
   if (!p) return;
   dragged = event.shiftKey ? [dragged[0], dragged[1], p[2]] : [p[0], p[1], dragged[2]];
   dragged[2] = Math.max(scene.floor + 0.02, dragged[2]);

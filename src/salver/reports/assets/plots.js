@@ -100,6 +100,7 @@ function chart(host, spec, onTime) {
     if (spec.time) attachCursor(host, image, box, xRange, X, Y, spec, onTime);
   };
   drawn(host, draw);
+  return draw;
 }
 
 function extent(spec) {

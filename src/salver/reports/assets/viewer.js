@@ -243,8 +243,7 @@ function createViewer(canvas, scene) {
   const program = compile(gl), where = {};
   for (const name of ["model", "viewProjection", "colour", "eye", "centre", "mode"]) where[name] = gl.getUniformLocation(program, name);
 
-  const bounds = scene.bounds, middle = bounds[0].map((x, i) => (x + bounds[1][i]) / 2);
-  const reach = Vec.norm(Vec.sub(bounds[1], bounds[0]));
+  let bounds, middle, reach, shapes, links, obstacles, objects, variants;
 
   const upload = (data) => {
     const array = gl.createVertexArray(), buffer = gl.createBuffer();
@@ -263,33 +262,45 @@ function createViewer(canvas, scene) {
     shape.count = data.length / 6;
   };
 
-  const half = scene.tray.size.map((x) => x / 2), [hx, hy] = half, thick = scene.tray.thickness;
-  const shapes = {
-    ground: upload(prism([[-6, -6], [6, -6], [6, 6], [-6, 6]], -0.002, 0)),
-    tray: upload(prism([[hx, hy], [-hx, hy], [-hx, -hy], [hx, -hy]], -thick, 0)),
-    post: upload(tube([scene.tray.flange, [0, 0, -thick]], 0.029, 28)),
-    shaft: upload(revolve([[0, 0], [1, 0], [1, 1], [0, 1]], 14)),
-    head: upload(revolve([[0, 0], [1, 0], [0, 1]], 18)),
-    cone: upload(revolve([[0, 0], [1, 1]], 40)),
-    rim: upload(revolve([[1, 1], [0.985, 0.985]], 40)),
-  };
-  const links = scene.meshes.map((mesh) => ({ shape: upload(unpackMesh(mesh)), joint: mesh.joint, colour: mesh.colour }));
-  const obstacles = scene.obstacles.map((mesh) => ({ shape: upload(unpackMesh(mesh)), colour: mesh.colour }));
-  const objects = scene.objects.map((o) => ({
-    shape: upload(o.polygon ? prism(o.polygon, o.low, o.high, o.open) : shade(o.points.flat(), o.triangles.flat())),
-    edges: o.polygon ? o.polygon.flatMap((p, i) => {
-      const q = o.polygon[(i + 1) % o.polygon.length], sharp = o.polygon.length <= 8;
-      const rims = [o.low, o.high].map((z) => [[...p, z], [...q, z]]);
-      return sharp ? [...rims, [[...p, o.low], [...p, o.high]]] : rims;
-    }) : [],
-    colour: o.colour,
-  }));
-  const variants = scene.variants.map((v) => ({
-    ...v,
-    joints: float32(v.joints), tray: float32(v.tray), objects: float32(v.objects), forces: float32(v.forces), contacts: float32(v.contacts),
-    path: upload(tube(v.path, 0.0011 * reach)),
-    liquids: v.liquids.map((l) => l && { ...l, slope: float32(l.slope), shape: upload(column(l.bottom, l.level, [0, 0])) }),
-  }));
+  // What is drawn, from the scene; with some of it replaced. Where links are not, those that there are stay.
+  const furniture = [];
+  function furnish(fresh) {
+    scene = { ...scene, ...fresh };
+    for (const { array, buffer } of furniture.splice(0)) [gl.deleteVertexArray(array), gl.deleteBuffer(buffer)];
+    const made = (data) => (furniture.push(upload(data)), furniture[furniture.length - 1]);
+    bounds = scene.bounds;
+    middle = bounds[0].map((x, i) => (x + bounds[1][i]) / 2);
+    reach = Vec.norm(Vec.sub(bounds[1], bounds[0]));
+    const [hx, hy] = scene.tray.size.map((x) => x / 2), thick = scene.tray.thickness;
+    shapes = {
+      ground: made(prism([[-6, -6], [6, -6], [6, 6], [-6, 6]], -0.002, 0)),
+      tray: made(prism([[hx, hy], [-hx, hy], [-hx, -hy], [hx, -hy]], -thick, 0)),
+      post: made(tube([scene.tray.flange, [0, 0, -thick]], 0.029, 28)),
+      shaft: made(revolve([[0, 0], [1, 0], [1, 1], [0, 1]], 14)),
+      head: made(revolve([[0, 0], [1, 0], [0, 1]], 18)),
+      cone: made(revolve([[0, 0], [1, 1]], 40)),
+      rim: made(revolve([[1, 1], [0.985, 0.985]], 40)),
+    };
+    if (!links || fresh.meshes) links = scene.meshes.map((mesh) => ({ name: mesh.name, shape: upload(unpackMesh(mesh)), joint: mesh.joint, colour: mesh.colour }));
+    obstacles = scene.obstacles.map((mesh) => ({ name: mesh.name, shape: made(unpackMesh(mesh)), colour: mesh.colour }));
+    objects = scene.objects.map((o) => ({
+      name: o.name,
+      shape: made(o.polygon ? prism(o.polygon, o.low, o.high, o.open) : shade(o.points.flat(), o.triangles.flat())),
+      edges: o.polygon ? o.polygon.flatMap((p, i) => {
+        const q = o.polygon[(i + 1) % o.polygon.length], sharp = o.polygon.length <= 8;
+        const rims = [o.low, o.high].map((z) => [[...p, z], [...q, z]]);
+        return sharp ? [...rims, [[...p, o.low], [...p, o.high]]] : rims;
+      }) : [],
+      colour: o.colour,
+    }));
+    variants = scene.variants.map((v) => ({
+      ...v,
+      joints: float32(v.joints), tray: float32(v.tray), objects: float32(v.objects), forces: float32(v.forces), contacts: float32(v.contacts),
+      path: made(tube(v.path, 0.0011 * reach)),
+      liquids: v.liquids.map((l) => l && { ...l, slope: float32(l.slope), shape: made(column(l.bottom, l.level, [0, 0])) }),
+    }));
+  }
+  furnish({});
 
   const options = { forces: false, cones: false, path: true, layout: "side", camera: "whole", dark: false };
   const home = { azimuth: scene.azimuth, elevation: 0.3, distance: 1, pan: [0, 0, 0] }, orbit = { ...home };
@@ -309,14 +320,18 @@ function createViewer(canvas, scene) {
   const [sx, sy] = [light[0] / light[2], light[1] / light[2]], ground = scene.floor + 0.001;
   const flatten = new Float32Array([1, 0, 0, 0, 0, 1, 0, 0, -sx, -sy, 0, 0, sx * ground, sy * ground, ground, 1]);
 
+  // The colour of a part: red where the variant says that it touches something.
+  const marked = (variant, part) => (variant.red?.includes(part.name) ? [0.85, 0.08, 0.1] : part.colour);
+
   function solids(variant, t) {
     const list = [], joints = posesAt(variant.joints, variant.t, scene.joints, t);
     const tray = Mat.pose(posesAt(variant.tray, variant.t, 1, t));
-    for (const link of links) list.push([link.shape, Mat.pose(joints, 7 * link.joint), link.colour]);
-    list.push([shapes.tray, tray, options.dark ? scene.tray.colour.map((c) => 0.42 + 0.5 * c) : scene.tray.colour]);
+    for (const link of links) list.push([link.shape, Mat.pose(joints, 7 * link.joint), marked(variant, link)]);
+    const paint = options.dark ? scene.tray.colour.map((c) => 0.42 + 0.5 * c) : scene.tray.colour;
+    list.push([shapes.tray, tray, marked(variant, { name: "tray", colour: paint })]);
     if (scene.meshes.length) list.push([shapes.post, tray, [0.35, 0.37, 0.4]]);
     const poses = posesAt(variant.objects, variant.t, objects.length, t);
-    objects.forEach((o, i) => list.push([o.shape, Mat.pose(poses, 7 * i), o.colour, { ...o, liquid: variant.liquids[i] }]));
+    objects.forEach((o, i) => list.push([o.shape, Mat.pose(poses, 7 * i), marked(variant, o), { ...o, liquid: variant.liquids[i] }]));
     return { list, poses };
   }
 
@@ -453,7 +468,7 @@ function createViewer(canvas, scene) {
     }
     for (const mark of marks) draw(mark.shape, mark.model, mark.colour, mark.flat ? 1 : 0);
     gl.enable(gl.CULL_FACE);  // last, and seen through: nothing hides behind an obstacle
-    for (const o of obstacles) draw(o.shape, identity, [...o.colour, 0.55]);
+    for (const o of obstacles) draw(o.shape, identity, [...marked(variants.find((v) => v.red?.includes(o.name)) ?? {}, o), 0.55]);
     gl.disable(gl.CULL_FACE);
   }
 
@@ -489,8 +504,28 @@ function createViewer(canvas, scene) {
     return [seen.eye, Vec.unit(Vec.add(forward, Vec.add(Vec.scale(right, a), Vec.scale(up, b))))];
   }
 
+  // The ray through the place of a pointer.
+  function pointed(event) {
+    const box = canvas.getBoundingClientRect();
+    return ray((event.clientX - box.left) / box.width, (event.clientY - box.top) / box.height);
+  }
+
+  // The point of that ray on a plane through p, level or upright and facing the camera; null where there is none.
+  function onPlane(event, p, upright) {
+    const [eye, way] = pointed(event);
+    const normal = upright ? Vec.unit([eye[0] - p[0], eye[1] - p[1], 0]) : [0, 0, 1], facing = Vec.dot(way, normal);
+    const far = Math.abs(facing) < 1e-3 ? -1 : Vec.dot(Vec.sub(p, eye), normal) / facing;
+    return far > 0 && far < 10 ? Vec.add(eye, Vec.scale(way, far)) : null;
+  }
+
+  // By how much that ray misses p: m, and pixels.
+  function missed(event, p) {
+    const [eye, way] = pointed(event), to = Vec.sub(p, eye), along = Vec.dot(to, way), off = Vec.norm(Vec.sub(to, Vec.scale(way, along)));
+    return [off, off / ((2 * along * Math.tan(FOV / 2)) / canvas.getBoundingClientRect().height)];
+  }
+
   const reset = () => Object.assign(orbit, home, { pan: [0, 0, 0] });
-  return { options, orbit, render, reset, ray, variants, marks, upload, refill };
+  return { options, orbit, render, reset, ray, onPlane, missed, furnish, get variants() { return variants; }, marks, upload, refill };
 }
 
 function compile(gl) {

@@ -40,7 +40,7 @@ def stage(scenario: Scenario, bodies: Sequence[Body], arm: ArmModel | None) -> d
             "colour": rgb(TRAY_COLOUR),
         },
         "objects": [
-            _outline(body, item.shape, OBJECT_COLOURS[i % len(OBJECT_COLOURS)])
+            {"name": body.name} | _outline(body, item.shape, OBJECT_COLOURS[i % len(OBJECT_COLOURS)])
             for i, (body, item) in enumerate(zip(bodies, scenario.objects, strict=True))
         ],
         "contacts": {
@@ -103,15 +103,15 @@ def _variant(motion: ReportedMotion, run: ReportedRun, arm: ArmModel | None) -> 
         "colour": rgb(ROLE_COLOURS[motion.stem]),
         "source": "plan" if record is None else "run",
         "t": np.round(t[keep], 5).tolist(),
-        "joints": _pack(joint_poses(source["q"][keep], arm)) if arm else _pack(np.tile(_IDENTITY, (len(keep), 1))),
-        "tray": _pack(tray),
-        "objects": _pack(objects),
+        "joints": packed(joint_poses(source["q"][keep], arm)) if arm else packed(np.tile(_IDENTITY, (len(keep), 1))),
+        "tray": packed(tray),
+        "objects": packed(objects),
         "contactCount": len(points_B),
         "friction": _true_friction(motion, body, lone=len(run.bodies) == 1),
         # An arrow of 24 mm at rest.
         "metresPerNewton": 0.024 * len(points_B) / (body.inertial.mass * abs(GRAVITY_S[2])),
-        "contacts": _pack(contacts),
-        "forces": _pack(np.einsum("tij,tcj->tci", R, forces_B)),
+        "contacts": packed(contacts),
+        "forces": packed(np.einsum("tij,tcj->tci", R, forces_B)),
         "liquids": [s and liquid(s, keep) for s in surfaces(motion, run)],
         "path": np.round(p[_spread(len(p), 90)], 5).tolist(),
     }
@@ -147,7 +147,7 @@ def liquid(surface: DrawnSurface, keep: np.ndarray) -> dict[str, Any]:
         "bottom": np.round(surface.bottom_B, 6).tolist(),
         "brim": np.round(surface.brim_B, 6).tolist(),
         "level": surface.level_B.tolist(),
-        "slope": _pack(surface.slope[keep]),
+        "slope": packed(surface.slope[keep]),
         "spilt": surface.spilt,
         "colour": surface.colour,
     }
@@ -257,5 +257,6 @@ def _spread(count: int, wanted: int) -> np.ndarray:
     return np.unique(np.round(np.linspace(0, count - 1, min(count, wanted))).astype(int))
 
 
-def _pack(values: npt.ArrayLike) -> str:
+def packed(values: npt.ArrayLike) -> str:
+    """Numbers for the viewer: float32 in base64."""
     return base64.b64encode(np.ascontiguousarray(values, dtype="<f4").tobytes()).decode()

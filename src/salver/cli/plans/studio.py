@@ -1,0 +1,74 @@
+"""`salver studio`: a task designed by hand, on a page."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from salver.cli.common import Json, print_json, say
+
+
+def studio(
+    scenario: Annotated[
+        str | None,
+        typer.Argument(help="A .toml file, which may be new, or a ready-made scenario to begin with; or nothing."),
+    ] = None,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Of the page; 0 for one that is free.")] = 0,
+    browser: Annotated[bool, typer.Option(help="Open the page in a browser.")] = True,
+    json: Json = False,
+) -> None:
+    """Design a task by hand, on a page in your browser, and see its margin move.
+
+    Drag start, goal, objects and obstacles, set masses and ranges with sliders, or edit the text: each is a change of
+    the scenario's file. You see at once whether the arm reaches both ends, what touches, and in which time a straight
+    line holds; then the fastest safe motion is planned and played. Saved, `salver plan` of the file finds the same.
+    Only this machine can open the page, which needs no network. Ctrl-C ends it. --json prints the page's address.
+
+    Example: `salver studio panda-cube`
+    """
+    import time
+    import webbrowser
+
+    from salver.studio import Studio
+
+    text, place, folder, saved = _begun(scenario)
+    with Studio(text, place, folder, saved=saved, port=port) as page:
+        if json:
+            print_json({"file": place, "url": page.url})
+        else:
+            say(f"salver: the studio is at {page.url} and saves in {place}; Ctrl-C ends it.")
+        if browser:
+            webbrowser.open(page.url)
+        try:
+            while True:
+                time.sleep(1.0)
+        except KeyboardInterrupt:
+            say("salver: ended.")
+
+
+def _begun(scenario: str | None) -> tuple[str, Path, Path, bool]:
+    """The text to begin with, where it is saved, where files are that it names, and whether it is saved already.
+
+    A file may have mistakes, which the page shows; a ready-made scenario is saved in the working directory.
+    """
+    from salver.cli.plans.new import usual
+    from salver.errors import ScenarioError, reason
+    from salver.scenario import SCENARIO_DIR, load
+
+    place = Path(scenario or "scenario.toml")
+    if place.suffix != ".toml":
+        load(place.name if str(place) == place.name else place)  # says what there is
+        ready_made = SCENARIO_DIR / f"{scenario}.toml"
+        if not ready_made.is_file():
+            raise ScenarioError(f"{scenario} is a run directory; give a .toml file, or a ready-made scenario.")
+        return ready_made.read_text(encoding="utf-8"), Path(ready_made.name), SCENARIO_DIR, False
+    if not place.exists():
+        return usual(place.stem), place, place.parent, False
+    try:
+        return place.read_text(encoding="utf-8"), place, place.parent, True
+    except UnicodeDecodeError:
+        raise ScenarioError(f"{place} is not a text file in UTF-8; a scenario is a .toml file.") from None
+    except OSError as error:
+        raise ScenarioError(f"{place} cannot be read ({reason(error)}); a scenario is a .toml file.") from None

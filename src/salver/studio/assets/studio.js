@@ -1,0 +1,403 @@
+// The studio: a text is changed by hand, by sliders or as text; what is known of it comes back with each change.
+"use strict";
+
+const given = JSON.parse(document.getElementById("data").textContent);
+const byId = (id) => document.getElementById(id);
+const here = location.pathname.replace(/\/?$/, "/");
+const own = crypto.randomUUID();  // this window
+const COLOURS = { start: [0.0, 0.45, 0.7, 1], goal: [0.84, 0.37, 0.0, 1], objects: [0.9, 0.62, 0.0, 1], obstacles: [0.35, 0.38, 0.42, 1] };
+const RING = 0.04, NEAR = 16;  // m, and pixels, within which a ring is taken hold of
+const state = { text: given.text, saved: null, mistakes: [], answer: null, plan: null, planning: null, said: "", done: [], undone: [], chosen: "goal", time: 0, playing: false, gesture: null, base: "", viewer: null, looks: 0, milliseconds: 0 };
+
+function post(does, more = {}) {
+  return fetch(here + "say", { method: "POST", body: JSON.stringify({ do: does, window: own, ...more }) })
+    .then((response) => response.json())
+    .catch(() => ({ problem: "salver does not answer; begin it again." }));
+}
+
+// --- changes: of one gesture only the last waits, and all of them change the text as it was before the gesture
+
+const queue = [];
+let asking = false;
+
+function edit(gesture, change) {
+  if (queue.length && queue[queue.length - 1].gesture === gesture) queue.pop();
+  queue.push({ gesture, ...change });
+  next();
+}
+
+async function next() {
+  if (asking || !queue.length) return;
+  const { gesture, changes, text, typed, back } = queue.shift();
+  if (gesture !== state.gesture) {
+    if (!back && state.answer) state.done.push(state.text);
+    if (!back) state.undone.length = 0;
+    [state.gesture, state.base, state.before] = [gesture, state.text, state.answer?.line];
+  }
+  asking = true;
+  const begun = performance.now(), known = state.answer ?? {};
+  const answer = await post("look", { text: text ?? state.base, changes: changes ?? [], near: known.posture, arm: known.arm });
+  asking = false;
+  state.milliseconds = performance.now() - begun;
+  heard(answer, typed);
+  next();
+}
+
+function heard(answer, typed) {
+  state.looks += 1;
+  // What a hand or a slider would make wrong stays as it was; whoever types or takes back may pass through it.
+  const refused = !typed && state.mistakes.length === 0 && state.answer && answer.mistakes?.[0]?.sentence;
+  state.said = answer.problem ?? refused ?? "";
+  if (!answer.problem && !refused) {
+    state.text = answer.text;
+    if (!typed) byId("text").value = answer.text;
+    state.mistakes = answer.mistakes;
+    number();
+    if (answer.parts) show(answer);
+  }
+  tell();
+}
+
+function show(answer) {
+  state.answer = answer;
+  state.plan = null;
+  halt();
+  if (state.viewer) state.viewer.furnish(answer.scene);
+  else begin(answer.scene);
+  list();
+  drawMargin(answer.line);
+  byId("speeds").replaceChildren();
+  clearTimeout(state.due);
+  if (byId("follow").checked && !answer.blocked) state.due = setTimeout(plan, 300);
+  else if (state.planning) post("close");  // of a text that is no more
+  paint();
+}
+
+async function plan() {
+  clearTimeout(state.due);
+  const text = state.text;
+  state.planning = performance.now();
+  tell();
+  const found = await post("plan", { text });
+  if (text !== state.text || found.ended) return;
+  state.planning = null;
+  state.said = found.problem ?? "";
+  state.plan = found.sentence === undefined ? null : found;
+  if (found.variants) {
+    state.viewer?.furnish({ variants: found.variants });
+    byId("speeds").innerHTML = found.speed_bar;
+    state.time = found.start;
+    play();
+  }
+  tell();
+}
+
+// --- words
+
+function tell() {
+  const { answer, plan: found, mistakes, said } = state, wrong = mistakes.length > 0;
+  const planning = state.planning !== null;
+  let [level, head, detail] = ["", "The arm reaches both ends, and nothing touches there.", "Plan, or change something."];
+  if (wrong) [level, head, detail] = ["bad", `Line ${mistakes[0].line} says what cannot be.`, mistakes[0].sentence];
+  else if (found && found.duration !== undefined) {
+    head = found.ok ? `${found.duration.toFixed(3)} s, safe in the worst case.` : "No safe motion was found.";
+    [level, detail] = [found.ok ? "" : "bad", found.sentence];
+  } else if (found) [level, head, detail] = ["bad", "No motion was found.", found.sentence];
+  else if (answer?.blocked) [level, head, detail] = ["bad", "Blocked.", answer.blocked];
+  else if (planning) [head, detail] = [`Planning, ${((performance.now() - state.planning) / 1000).toFixed(0)} s`, "The fastest safe motion is sought in another process; change what you like meanwhile."];
+  if (said) detail = said;
+  byId("verdict").className = `verdict ${level}`;
+  byId("says").textContent = head;
+  byId("detail").textContent = [detail, ...(wrong ? [] : answer?.warnings ?? [])].join(" ");
+  byId("place").textContent = given.place + (state.text === state.saved ? "" : " (not saved)");
+  byId("undo").disabled = !state.done.length;
+  byId("redo").disabled = !state.undone.length;
+  byId("play").disabled = byId("scrub").disabled = !found?.variants;
+  byId("plan").disabled = wrong;
+  for (const [id, kind] of [["report", "report"], ["csv", "csv"]]) {
+    byId(id).hidden = !found?.variants;
+    byId(id).href = `${here}${kind}/${own}`;
+  }
+}
+setInterval(() => state.planning !== null && tell(), 1000);
+
+function number() {
+  const lines = byId("text").value.split("\n").length, wrong = new Set(state.mistakes.map((m) => m.line));
+  byId("gutter").replaceChildren(...Array.from({ length: lines }, (_, i) => {
+    const line = document.createElement(wrong.has(i + 1) ? "b" : "span");
+    line.textContent = i + 1;
+    return [line, "\n"];
+  }).flat());
+  byId("wrong").textContent = state.mistakes.map((m) => `line ${m.line}: ${m.sentence}`).join("  ");
+  scrolled();
+}
+
+function scrolled() {
+  byId("gutter").scrollTop = byId("text").scrollTop;
+  const line = state.mistakes[0]?.line ?? 0, top = 6 + 18 * line - byId("text").scrollTop;
+  byId("wrong").style.top = `${Math.max(0, Math.min(top, byId("text").clientHeight - 24))}px`;
+}
+
+// --- the picture
+
+const at = (p) => Mat.pose([...p, 1, 0, 0, 0]);
+const rings = {};
+let dragged = null;
+
+function begin(scene) {
+  const viewer = createViewer(byId("canvas"), scene), canvas = byId("canvas");
+  if (!viewer) return canvas.replaceWith("This browser has no WebGL 2, so nothing can be drawn; sliders and text work.");
+  state.viewer = viewer;
+  const ring = Array.from({ length: 41 }, (_, i) => [RING * Math.cos((Math.PI * i) / 20), RING * Math.sin((Math.PI * i) / 20), 0]);
+  rings.ring = viewer.upload(tube(ring, 0.0035));
+  rings.drop = viewer.upload(revolve([[0.0015, -1], [0.0015, 0]], 8));
+  canvas.addEventListener("pointerdown", (event) => {
+    const part = handleAt(event);
+    if (!part) return;
+    event.stopImmediatePropagation();  // not the camera's
+    canvas.setPointerCapture(event.pointerId);
+    dragged = { part, p: placeOf(part), gesture: {} };
+    choose(part.name);
+  });
+  canvas.addEventListener("pointermove", (event) => {
+    if (dragged) return drag(event);
+    const part = event.buttons ? null : handleAt(event);
+    byId("hint").textContent = part ? `${part.name}: drag${part.handle.of === "world" ? ", with shift up and down" : " on the tray"}` : "drag a ring: that thing · elsewhere: turn · wheel: zoom";
+  });
+  canvas.addEventListener("pointerup", () => {
+    dragged = null;
+    paint();
+  });
+  attachOrbit(canvas, viewer, paint);
+  new ResizeObserver(paint).observe(canvas);
+  const darkness = window.matchMedia("screen and (prefers-color-scheme: dark)");
+  const dark = () => ((viewer.options.dark = darkness.matches), paint());
+  darkness.addEventListener("change", dark);
+  dark();
+}
+
+const trayPose = () => Mat.pose(state.viewer.variants[0].tray);
+const placeOf = ({ handle }) => (handle.of === "world" ? handle.at : Mat.point(trayPose(), [...handle.at, 0]));
+const handles = () => (state.plan?.variants ? [] : (state.answer?.parts ?? []).filter((part) => part.handle));
+
+function handleAt(event) {
+  const found = handles().map((part) => [...state.viewer.missed(event, placeOf(part)), part]).filter(([off, pixels]) => off < RING || pixels < NEAR);
+  return found.sort((a, b) => a[0] - b[0])[0]?.[2] ?? null;
+}
+
+function drag(event) {
+  const { part, p, gesture } = dragged, world = part.handle.of === "world", upright = event.shiftKey && world;
+  const q = state.viewer.onPlane(event, p, upright);
+  if (!q) return;
+  dragged.p = upright ? [p[0], p[1], q[2]] : [q[0], q[1], p[2]];
+  let value = dragged.p;
+  if (!world) {
+    const tray = trayPose(), d = Vec.sub(dragged.p, Mat.point(tray, [0, 0, 0]));
+    value = [0, 1].map((k) => d[0] * tray[4 * k] + d[1] * tray[4 * k + 1] + d[2] * tray[4 * k + 2]);
+  }
+  edit(gesture, { changes: [[part.handle.key, value.map((x) => Number(x.toFixed(3)))]] });
+  paint();
+}
+
+function paint() {
+  const viewer = state.viewer;
+  if (!viewer) return;
+  viewer.options.layout = state.plan?.variants && !byId("beside").checked ? "single" : "overlay";
+  viewer.marks.length = 0;
+  for (const part of handles()) {
+    const p = dragged?.part.name === part.name ? dragged.p : placeOf(part), colour = COLOURS[part.name] ?? COLOURS[part.key[0]];
+    viewer.marks.push({ shape: rings.ring, model: at(p), colour, flat: true });
+    if (part.name === state.chosen) viewer.marks.push({ shape: rings.drop, model: Mat.pose([...p, 1, 0, 0, 0], 0, [1, 1, Math.max(p[2] - state.answer.scene.floor || 0.3, 1e-3)]), colour: [...colour.slice(0, 3), 0.5], flat: true });
+  }
+  viewer.render(state.time);
+}
+
+// --- playing
+
+function halt() {
+  state.playing = false;
+  byId("play").textContent = "Play";
+  byId("clock").textContent = "";
+}
+
+function setTime(t) {
+  state.time = t;
+  byId("scrub").value = (t - state.plan.start) / (state.plan.end - state.plan.start);
+  byId("clock").textContent = `${t.toFixed(2)} of ${state.plan.end.toFixed(2)} s`;
+  paint();
+}
+
+function play() {
+  if (state.time >= state.plan.end - 1e-6) state.time = state.plan.start;
+  state.playing = true;
+  byId("play").textContent = "Pause";
+  let last = null;
+  const step = (now) => {
+    if (!state.playing || !state.plan?.variants) return;
+    if (last !== null) setTime(Math.min(state.plan.end, state.time + (now - last) / 1000));
+    last = now;
+    if (state.time < state.plan.end) requestAnimationFrame(step);
+    else [state.playing, byId("play").textContent] = [false, "Play"];
+  };
+  requestAnimationFrame(step);
+}
+
+// --- the margin of the straight line, now and as it was before the change
+
+const margin = { x: "duration, s", y: "margin, % of the weight", height: 190, series: [{ name: "now", colour: "var(--robust)", x: [0, 1], y: [0, 0] }], lines: [{ y: 0, label: "it slides, tips or spills below", below: true }], range: [-20, 60] };
+const drawChart = chart(byId("margin"), margin);
+
+function drawMargin(line) {
+  byId("line").textContent = line ? line.sentence : "";
+  const curve = (name, { t, margin: y }, more) => ({ name, colour: "var(--robust)", x: t, y, ...more });
+  margin.series = [];
+  if (state.before && line) margin.series.push(curve("before", state.before, { colour: "var(--faint)", dash: "4 3", width: 1.2 }));
+  if (line) margin.series.push(curve("now", line));
+  if (line) margin.range[1] = 10 * Math.ceil(0.11 * Math.max(20, ...margin.series.flatMap((s) => s.y)));
+  drawChart();
+}
+
+// --- what is set by sliders
+
+function choose(name) {
+  state.chosen = name;
+  list();
+  paint();
+}
+
+function list() {
+  const parts = state.answer.parts, names = parts.map((part) => part.name), chosen = byId("chosen");
+  if (!names.includes(state.chosen)) state.chosen = "start";
+  const part = parts[names.indexOf(state.chosen)], shape = JSON.stringify([names, state.chosen, part.fields.map((f) => f.label)]);
+  byId("remove").disabled = !part.removable;
+  if (shape === list.shown) return part.fields.forEach((field, i) => list.set[i](field));
+  list.shown = shape;
+  chosen.replaceChildren(...names.map((name) => new Option(name, name)));
+  chosen.value = state.chosen;
+  list.set = [];
+  byId("fields").replaceChildren(...(part.lists ?? []).flatMap(choices), ...part.fields.flatMap(slider));
+}
+
+function choices({ label, key, choices: several, value }) {
+  const name = document.createElement("span"), select = document.createElement("select");
+  name.textContent = label;
+  select.setAttribute("aria-label", label);
+  select.append(...several.map((one) => new Option(one, one)));
+  select.value = value;
+  select.addEventListener("change", () => edit({}, { changes: [[key, select.value]] }));
+  return [name, select];
+}
+
+function slider(field) {
+  const name = document.createElement("span"), range = document.createElement("input"), exact = document.createElement("input"), unit = document.createElement("small");
+  let now = field, gesture = null;
+  [range.type, exact.type, exact.step, name.textContent, unit.textContent] = ["range", "number", "any", field.label, field.unit];
+  for (const input of [range, exact]) input.setAttribute("aria-label", field.label);
+  const put = (fresh) => {
+    now = fresh;
+    range.min = fresh.low;
+    range.max = fresh.high;
+    range.step = 10 ** Math.round(Math.log10((fresh.high - fresh.low) / 300));
+    if (document.activeElement !== range || gesture === null) range.value = fresh.value;
+    if (document.activeElement !== exact) exact.value = Number(fresh.value.toPrecision(6));
+  };
+  const set = (text) => {
+    const x = Number(text);
+    if (text === "" || !Number.isFinite(x)) return;
+    let value = now.percent ? `${x}%` : x;
+    if (now.zero && x === 0) value = null;
+    if (now.whole) value = now.whole.map((y, i) => (i === now.each ? x : y));
+    edit((gesture ??= {}), { changes: [[now.key, value]] });
+  };
+  range.addEventListener("input", () => ((exact.value = range.value), set(range.value)));
+  exact.addEventListener("input", () => set(exact.value));
+  for (const input of [range, exact]) input.addEventListener("change", () => ((gesture = null), put(now)));
+  list.set.push(put);
+  put(field);
+  return [name, range, exact, unit];
+}
+
+// The place on the tray that is furthest from those that are taken.
+function freest(taken) {
+  const [x, y] = state.answer.scene.tray.size, steps = [0, 0.3, -0.3, 0.15, -0.15];
+  const away = (p) => Math.min(...taken.map((q) => Math.hypot(p[0] - q[0], p[1] - q[1])));
+  const places = steps.flatMap((a) => steps.map((b) => [a * x, b * y]));
+  return places.reduce((best, p) => (away(p) > away(best) + 1e-9 ? p : best)).map((v) => Number(v.toFixed(3)));
+}
+
+const additions = [
+  ...Object.entries(given.loads).map(([name, load]) => [name, "objects", load]),
+  ...Object.entries(given.obstacles).map(([name, obstacle]) => [`obstacle: ${name}`, "obstacles", obstacle]),
+];
+byId("add").append(...additions.map(([name], i) => new Option(name, i)));
+byId("add").addEventListener("change", (event) => {
+  const [name, key, value] = additions[Number(event.target.value)], there = state.answer.parts.filter((part) => part.key[0] === key);
+  event.target.value = "";
+  const names = new Set(state.answer.parts.map((part) => part.name));
+  let called = name.split(" ")[name.startsWith("obstacle") ? 1 : 0], k = 2;
+  while (names.has(called)) called = called.replace(/\d*$/, "") + k++;
+  const place = key === "objects" ? { at: freest(there.map((part) => part.handle.at)) } : {};
+  edit({}, { changes: [[[key, there.length], { name: called, ...value, ...place }]] });
+  state.chosen = called;
+});
+byId("remove").addEventListener("click", () => {
+  const part = state.answer.parts.find(({ name }) => name === state.chosen);
+  edit({}, { changes: [[part.key, null]] });
+});
+byId("chosen").addEventListener("change", (event) => choose(event.target.value));
+
+// --- buttons and text
+
+function back(from, to) {
+  if (!from.length || asking) return;
+  to.push(state.text);
+  edit({}, { text: from.pop(), back: true });
+}
+
+async function save() {
+  const text = state.text, answer = await post("save", { text });
+  if (answer.saved) state.saved = text;
+  state.said = answer.problem ?? `Saved in ${answer.saved}.`;
+  tell();
+}
+
+let pause = null;
+byId("text").value = state.text;
+byId("text").addEventListener("input", () => {
+  state.typing ??= {};
+  clearTimeout(pause);
+  pause = setTimeout(() => (state.typing = null), 1000);  // ms, after which undo takes a new step
+  edit(state.typing, { text: byId("text").value, typed: true });
+});
+byId("text").addEventListener("scroll", scrolled);
+byId("plan").addEventListener("click", plan);
+byId("follow").addEventListener("change", (event) => event.target.checked && !state.plan && plan());
+byId("beside").addEventListener("change", paint);
+byId("play").addEventListener("click", () => (state.playing ? halt() : play()));
+byId("scrub").addEventListener("input", (event) => {
+  halt();
+  setTime(state.plan.start + Number(event.target.value) * (state.plan.end - state.plan.start));
+});
+byId("undo").addEventListener("click", () => back(state.done, state.undone));
+byId("redo").addEventListener("click", () => back(state.undone, state.done));
+byId("save").addEventListener("click", save);
+byId("copy").addEventListener("click", async () => {
+  await navigator.clipboard?.writeText(given.command).catch(() => null);
+  state.said = `${given.command}${state.text === state.saved ? "" : " (save first)"}`;
+  tell();
+});
+document.addEventListener("keydown", (event) => {
+  const key = (event.ctrlKey || event.metaKey) && event.key.toLowerCase();
+  const does = { z: () => (event.shiftKey ? back(state.undone, state.done) : back(state.done, state.undone)), y: () => back(state.undone, state.done), s: save }[key];
+  if (!does) return;
+  event.preventDefault();
+  does();
+});
+window.addEventListener("pagehide", () => navigator.sendBeacon(here + "say", JSON.stringify({ do: "close", window: own })));
+window.addEventListener("beforeunload", (event) => state.done.length && state.text !== state.saved && event.preventDefault());
+state.saved = given.saved ? given.text : null;
+number();
+post("ready");
+edit({}, { text: state.text });
+state.idle = () => !asking && !queue.length;
+window.salver = { state, placeOf, handles, halt, setTime };

@@ -1,0 +1,288 @@
+"""What is known of a scenario in milliseconds: its picture, what is blocked, and the straight line's margin."""
+
+from __future__ import annotations
+
+import hashlib
+import tomllib
+from collections.abc import Sequence
+from dataclasses import asdict
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from salver.contact_margins import margin_model
+from salver.contact_margins.time_scaling import TimeScaled
+from salver.errors import SalverError
+from salver.geometry import Array, invert, quat_wxyz_from_matrix
+from salver.models.arm.arm import ArmModel, load_arm
+from salver.planning.fastest import TransportProblem, transport_problem
+from salver.planning.postures import REACHED, posture_at
+from salver.planning.seeds.blocked import why_blocked, why_touching, why_unreached
+from salver.planning.seeds.starts import ends, guess
+from salver.planning.trajopt.ends import AtPose
+from salver.reports.pages.meshes import link_meshes, pack
+from salver.reports.pages.replay import joint_poses, liquid, packed, stage
+from salver.reports.style import BLUE, VERMILION, rgb
+from salver.scenario import Arm, Scenario
+from salver.scenario.warnings import warnings_of
+from salver.simulation.scene.liquid_surface import DrawnSurface
+from salver.studio.parts import parts
+from salver.studio.text import Key, changed, checked, mistakes
+from salver.trajectory import min_jerk_line
+
+Look = dict[str, Any]
+
+
+def look(text: str, folder: Path, near: Sequence[float] | None = None, arm_drawn: str = "") -> Look:
+    """All that the page shows of a text, ready for JSON: its mistakes, or its picture, parts, warnings and margins.
+
+    near: the posture that was shown last, from which the arm follows. arm_drawn: the arm whose links the page has.
+    """
+    scenario = checked(text, folder)
+    if isinstance(scenario, list):
+        return {"text": text, "mistakes": [asdict(one) for one in scenario]}
+    try:
+        return {
+            "text": text,
+            "mistakes": [],
+            "name": scenario.name,
+            "warnings": warnings_of(scenario),
+            "parts": parts(scenario),
+            "line": _straight_line(scenario),
+            **_drawn(scenario, near, arm_drawn),
+        }
+    except SalverError as error:
+        return {"text": text, "mistakes": [asdict(one) for one in mistakes(error, text, scenario.name)]}
+
+
+def change(text: str, folder: Path, changes: Sequence[tuple[Key, Any]]) -> str:
+    """The text with the changes, and with what goes with them: ranges that were assumed are written down before one of
+    them is changed, and a start posture follows the start, or is left out where the arm cannot."""
+    data, before = tomllib.loads(text), checked(text, folder)
+    first: list[tuple[Key, Any]] = []
+    for k in {key[1] for key, _ in changes if list(key[2:3]) == ["uncertainty"] and isinstance(key[1], int)}:
+        if isinstance(before, Scenario) and "uncertainty" not in data["objects"][k]:
+            assumed = before.objects[k].uncertainty.model_dump(mode="json", exclude_defaults=True)
+            first += [(["objects", k, "uncertainty", name], _written(half)) for name, half in assumed.items()]
+    for key, value in changes:
+        if isinstance(before, Scenario) and list(key) == ["objects", 0, "at"]:
+            first += _tray_stays(before, value)
+    after = changed(text, [*first, *changes])
+    scenario = checked(after, folder)
+    if isinstance(scenario, Scenario) and scenario.arm is not None and scenario.arm.start_posture is not None:
+        q = _followed(scenario, scenario.arm)
+        if q is None or not np.allclose(q, scenario.arm.start_posture, rtol=0, atol=1e-5):
+            after = changed(after, [(["arm", "start_posture"], None if q is None else np.round(q, 6).tolist())])
+    return after
+
+
+def _tray_stays(before: Scenario, at: Any) -> list[tuple[Key, Any]]:
+    """Start and goal are places of the first object: moved by as much as it moves, the tray stays where it is."""
+    found: list[tuple[Key, Any]] = []
+    for name, pose in (("start", before.motion.start), ("goal", before.motion.goal)):
+        R_SE = pose.rotation @ before.bodies[0].R_EB.T
+        moved = np.array(pose.position) + R_SE[:, :2] @ (np.array(at, dtype=float) - before.objects[0].at)
+        if name == "start" or not before.legs:
+            found.append((["motion", name, "position"], np.round(moved, 6).tolist()))
+    return found
+
+
+def _written(half: Any) -> Any:
+    return f"{round(100 * half['relative'], 6):g}%" if isinstance(half, dict) else half
+
+
+def _followed(scenario: Scenario, arm: Arm) -> Array | None:
+    """The posture nearest to the start posture that was given, in which the start is met, or None."""
+    try:
+        problem = transport_problem(_without_posture(scenario), passing=True)
+    except SalverError:
+        return None
+    given = np.array(arm.start_posture, dtype=float)
+    if given.shape != (problem.n,) or not isinstance(problem.start, AtPose):
+        return None
+    q, size = posture_at(problem.arm, problem.start.target, given, limits=problem.limits)
+    return q if size < REACHED else None
+
+
+def _without_posture(scenario: Scenario) -> Scenario:
+    return scenario.with_changes(arm__start_posture=None, motion__duration=None)
+
+
+def _straight_line(scenario: Scenario) -> Look | None:
+    """The straight min-jerk line of the load, whatever the arm can: the shortest time in which it holds in the worst
+    case, and its margin over durations; None for several legs."""
+    motion = scenario.motion
+    if scenario.legs or motion.start.same_as(motion.goal):
+        return None
+    ends = (
+        np.array(motion.start.position),
+        np.array(motion.goal.position),
+        motion.start.rotation,
+        motion.goal.rotation,
+    )
+    first = scenario.payload.first
+    line = min_jerk_line(1.0, *ends).sample(np.linspace(0.0, 1.0, 121)).of_frame(*invert(first.p_EB, first.R_EB))
+    scaled = TimeScaled(margin_model(scenario), line, worst=True)
+    durations = np.geomspace(0.3, 6.0, 13 if scenario.payload.liquids else 25)  # s; a liquid takes 20 ms for each
+    margin = np.array([scaled.slack(1.0 / t) for t in durations])
+    found = _shortest(scaled, durations, margin)
+    sentence = "A straight line of the load does not hold" + (
+        f" in {durations[-1]:g} s or less." if found is None else f" below {found:.3g} s."
+    )
+    if motion.duration is not None:
+        left = 100 * scaled.slack(1.0 / motion.duration)
+        sentence += f" In {motion.duration:g} s it " + (
+            f"leaves {left:.3g} %." if left >= 0 else f"lacks {-left:.3g} %."
+        )
+    return {
+        "sentence": sentence,
+        "shortest": found,
+        "t": np.round(durations, 4).tolist(),
+        "margin": np.round(100 * margin, 3).tolist(),
+    }
+
+
+def _shortest(scaled: TimeScaled, durations: Array, margin: Array) -> float | None:
+    """The shortest duration, s, to 1 ms, from which all that were tried hold; None for none."""
+    if margin[-1] < 0:
+        return None
+    failing = np.flatnonzero(margin < 0)
+    if not len(failing):
+        return float(durations[0])
+    low, high = durations[failing[-1]], durations[failing[-1] + 1]
+    while high - low > 1e-3:
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if scaled.slack(1.0 / middle) >= 0 else (middle, high)
+    return float(high)
+
+
+@lru_cache(maxsize=4)
+def _links(arm: str) -> list[Look]:
+    """Links of an arm, given as JSON, for the viewer: half a second."""
+    return [
+        pack(mesh)
+        for mesh in link_meshes(load_arm(Arm.model_validate_json(arm), Scenario.model_fields["tray"].default))
+    ]
+
+
+def _drawn(scenario: Scenario, near: Sequence[float] | None, arm_drawn: str) -> Look:
+    """The scene at start and goal, what touches there, and the sentence of what is blocked, "" for nothing."""
+    task = scenario.each_leg[0] if scenario.legs else scenario
+    bodies, arm = task.payload.bodies, None if task.arm is None else load_arm(task.arm, task.tray)
+    scene: Look = {**stage(task, bodies, None), "joints": arm.n + 1 if arm else 1}
+    links = scene.pop("meshes")
+    blocked, names = "", ""
+    postures: list[Array] | None = None
+    red: list[list[str]] = [[], []]
+    if arm is not None and task.arm is not None:
+        problem = transport_problem(task.with_changes(motion__duration=None), passing=True)
+        postures, blocked = _postures(problem, near)
+        red = [_touching(problem, q) for q in postures]
+        names = hashlib.sha256(task.arm.model_dump_json().encode()).hexdigest()[:12]
+        if names != arm_drawn:
+            scene["meshes"] = _links(task.arm.model_dump_json())
+    else:
+        scene["meshes"] = links
+    line = [list(task.motion.start.position), list(task.motion.goal.position)]
+    poses = (task.motion.start, task.motion.goal)
+    scene["variants"] = []
+    for k, (key, colour) in enumerate((("start", BLUE), ("goal", VERMILION))):
+        if arm is not None and postures is not None:
+            p_SE, R_SE = arm.tray_pose(postures[k])
+            joints = joint_poses(postures[k][None], arm)[0]
+        else:
+            first = task.payload.first
+            R_SE = poses[k].rotation @ first.R_EB.T
+            p_SE = np.array(poses[k].position) - R_SE @ first.p_EB
+            joints = np.array([[0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]])
+        scene["variants"].append(
+            {
+                "key": key,
+                "label": key,
+                "colour": rgb(colour),
+                "t": [0.0],
+                "joints": packed(joints),
+                "tray": packed([*p_SE, *quat_wxyz_from_matrix(R_SE)]),
+                "objects": packed([[*(p_SE + R_SE @ b.p_EB), *quat_wxyz_from_matrix(R_SE @ b.R_EB)] for b in bodies]),
+                "contactCount": 0,
+                "contacts": "",
+                "forces": "",
+                "friction": 0.0,
+                "metresPerNewton": 0.0,
+                "liquids": [None if b.liquid is None else _still(b, R_SE) for b in bodies],
+                "path": line,
+                "red": red[k],
+            }
+        )
+    if names != arm_drawn or not names:  # where the page looks at it from, as long as the arm is the same
+        scene |= _view(task, arm, np.array(line), postures)
+    return {
+        "scene": scene,
+        "arm": names,
+        "blocked": blocked
+        or ("This task has several legs; the studio shows the first of them." if scenario.legs else ""),
+        "posture": None if postures is None else postures[0].tolist(),
+    }
+
+
+def _view(task: Scenario, arm: ArmModel | None, line: Array, postures: Sequence[Array] | None) -> Look:
+    """Bounds, floor and azimuth for the camera."""
+    corners, base = line, np.zeros(3)
+    if arm is not None and postures is not None:
+        base = arm.base_position
+        corners = np.vstack([line, base, joint_poses(np.stack(postures), arm)[:, :, :3].reshape(-1, 3)])
+    low, high = corners.min(axis=0) - [0.2, 0.2, 0.05], corners.max(axis=0) + 0.2
+    out = line.mean(axis=0) - base
+    floor = float(low[2]) - 0.3 if task.floor is None else task.floor
+    return {
+        "bounds": [low.tolist(), high.tolist()],
+        "floor": floor,
+        "azimuth": float(np.arctan2(out[1], out[0])) + 0.6,  # rad off the way in which the arm reaches
+    }
+
+
+def _still(body: Any, R_SE: Array) -> Look:
+    up_B = (R_SE @ body.R_EB)[2]
+    surface = DrawnSurface(body, body.liquid.fill, np.array([-up_B[:2] / max(float(up_B[2]), 0.1)]), None)
+    return liquid(surface, np.array([0]))
+
+
+def _postures(problem: TransportProblem, near: Sequence[float] | None) -> tuple[list[Array], str]:
+    """At start and goal, and why no motion can lead from one to the other, "" where nothing is known against it.
+
+    Near those of the last picture where they do; else those that the planner would try first; out of reach, as near
+    as the arm comes."""
+    arm, limits = problem.arm, problem.limits
+    falls = why_blocked(problem)
+    rng = np.random.default_rng(0)
+    last = guess(problem, rng, 0) if near is None or len(near) != problem.n else np.array(near)
+    if falls is None and near is not None:
+        start = problem.start.nearest(arm, limits, last)
+        goal = None if start is None else problem.goal.nearest(arm, limits, start)
+        if start is not None and goal is not None:
+            touch = problem.keep_out and problem.keep_out.parts.first_touch(np.stack([start, goal]))
+            if touch is None:
+                return [start, goal], ""
+    pairs = ends(problem, rng, few=1)
+    why = falls or (why_touching(problem, pairs) if pairs else why_unreached(problem))
+    if pairs:
+        return [pairs[0].start, pairs[0].goal], why.sentence if why else ""
+    found = []
+    for end in (problem.start, problem.goal):
+        if isinstance(end, AtPose):
+            last, _ = posture_at(arm, end.target, last, limits=limits)
+        else:
+            last = end.nearest(arm, limits, last)  # type: ignore[assignment]
+        found.append(last)
+    return found, why.sentence if why else ""
+
+
+def _touching(problem: TransportProblem, q: Array) -> list[str]:
+    """Names of the parts that overlap another one in a posture."""
+    if problem.keep_out is None:
+        return []
+    parts = problem.keep_out.parts
+    overlap = np.flatnonzero(parts.clearance(q[None])[0] <= 0)
+    return sorted({parts.names[i] for pair in overlap for i in parts.pairs[pair]})

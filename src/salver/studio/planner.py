@@ -1,0 +1,94 @@
+"""Plans of a page, in a process of its own: a newer task ends the one before."""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import threading
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+from salver.errors import SalverError
+from salver.scenario import Scenario
+
+
+class Planner:
+    """One process, which is kept for the next task; started anew when a task was cut short."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._running: tuple[Any, Connection] | None = None
+        self._busy = False
+
+    def ready(self) -> None:
+        """Start the process, which takes a second or two, before there is a task."""
+        with self._lock:
+            self._started()
+
+    def plan(self, scenario: Scenario, directory: Path) -> dict[str, Any] | None:
+        """Plan as `salver plan` does, into a run directory. Returns what the page says of it; None when a newer task
+        has ended this one."""
+        with self._lock:
+            if self._busy:
+                self._end()
+            process, pipe = self._started()
+            self._busy = True
+            pipe.send((scenario, directory))
+        try:
+            found = pipe.recv()
+        except (OSError, EOFError):
+            return None
+        with self._lock:
+            if self._running is not None and self._running[0] is process:
+                self._busy = False
+        return dict(found)
+
+    def close(self) -> None:
+        with self._lock:
+            self._end()
+
+    def _started(self) -> tuple[Any, Connection]:
+        if self._running is None:
+            context = multiprocessing.get_context("spawn")  # a fork would copy the threads' locks
+            pipe, other = context.Pipe()
+            process = context.Process(target=_work, args=(other,), daemon=True)
+            process.start()
+            other.close()
+            self._running = (process, pipe)
+        return self._running
+
+    def _end(self) -> None:
+        running, self._running, self._busy = self._running, None, False
+        if running is not None:
+            running[0].kill()  # it holds nothing that could be lost; who waits for it hears of its end
+            running[0].join()
+
+
+def _work(pipe: Connection) -> None:
+    """The process: plans until it is ended."""
+    with contextlib.suppress(EOFError, OSError, KeyboardInterrupt):
+        while True:
+            scenario, directory = pipe.recv()
+            try:
+                pipe.send(_planned(scenario, directory))
+            except SalverError as error:
+                pipe.send({"ok": False, "sentence": str(error)})
+            except Exception as error:  # one task that fails is no reason to end
+                pipe.send({"ok": False, "sentence": f"Planning failed ({type(error).__name__}: {error})."})
+
+
+def _planned(scenario: Scenario, directory: Path) -> dict[str, Any]:
+    from salver.planning.make import plan_pair
+
+    plan, baseline = plan_pair(scenario)
+    plan.save(directory, "plan")
+    baseline.save(directory, "baseline")
+    arm = "" if plan.arm_status is None or plan.arm_status.ok else f" {plan.arm_status.sentence}"
+    return {
+        "ok": plan.ok,
+        "duration": plan.duration,
+        "left": plan.left,
+        "sentence": plan.status.sentence + arm,
+        "speeds": plan.speeds.summary(),
+    }

@@ -1,0 +1,388 @@
+"""The studio: a text that is changed by hand keeps its comments, says what is wrong at its line, and is planned as the
+command plans it; the page in a real browser."""
+
+import http.client
+import json
+import time
+import tomllib
+from itertools import pairwise
+from pathlib import Path
+from urllib.parse import urlsplit
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import salver as sv
+from browser import chromium, missing
+from salver.cli import app
+from salver.cli.plans.studio import _begun
+from salver.errors import ScenarioError
+from salver.models.arm.arm import load_arm
+from salver.scenario import SCENARIO_DIR, names, parse
+from salver.studio import Studio
+from salver.studio.look import change, look
+from salver.studio.parts import LOADS, OBSTACLES, parts
+from salver.studio.text import changed, checked
+
+CUBE = (SCENARIO_DIR / "panda-cube.toml").read_text()
+
+
+def shown(text, **more):
+    return look(text, SCENARIO_DIR, **more)
+
+
+# --- the text
+
+
+@pytest.mark.parametrize("name", names())
+def test_a_change_keeps_all_other_lines_of_every_scenario(name):
+    text = (SCENARIO_DIR / f"{name}.toml").read_text()
+    want = tomllib.loads(text)
+    want["motion"]["start"]["position"] = [0.1, 0.2, 0.3]
+    want["objects"][0]["mass"] = 0.77
+    found = changed(text, [(["motion", "start", "position"], [0.1, 0.2, 0.3]), (["objects", 0, "mass"], 0.77)])
+    assert tomllib.loads(found) == want
+    assert len(found.splitlines()) == len(text.splitlines())
+    new = [one for one, other in zip(found.splitlines(), text.splitlines(), strict=True) if one != other]
+    assert len(new) == 2
+    assert changed(found, []) == found
+
+
+def test_a_comment_behind_a_value_stays_and_a_key_that_goes_takes_its_line_alone():
+    text = "# first\n[motion]  # a task\nduration = 1.5    # s\nnodes = 61  # many\n"
+    assert changed(text, [(["motion", "duration"], 2.0)]) == text.replace("1.5", "2.0")
+    assert changed(text, [(["motion", "duration"], None)]) == "# first\n[motion]  # a task\nnodes = 61  # many\n"
+    assert changed(text, [(["motion", "degree"], None)]) == text
+
+
+def test_objects_and_obstacles_come_and_go():
+    there = CUBE
+    for k, load in enumerate(LOADS.values(), 1):
+        there = change(there, SCENARIO_DIR, [(["objects", k], {"name": f"load{k}", "at": [0.0, 0.0], **load})])
+    for k, obstacle in enumerate(OBSTACLES.values()):
+        there = change(there, SCENARIO_DIR, [(["obstacles", k], obstacle)])
+    data = tomllib.loads(there)
+    lines = there.splitlines()
+    assert all(not above.strip() or above[0] == "#" for above, line in pairwise(lines) if line[:1] == "[")
+    assert [item["shape"]["type"] for item in data["objects"][1:]] == ["box", "cylinder", "cylinder"]
+    assert [item["type"] for item in data["obstacles"]] == list(OBSTACLES)
+    for key in (["objects", 3], ["objects", 2], ["objects", 1], ["obstacles", 1], ["obstacles", 0]):
+        there = change(there, SCENARIO_DIR, [(key, None)])
+    assert tomllib.loads(there) == tomllib.loads(CUBE)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line", "words"),
+    [
+        ("mass = 0.256", "mass = -1", "mass = -1", "objects[0].mass = -1: must be"),
+        ("mass = 0.256", "mass = 0.256\nmas = 1", "mas = 1", "unknown key objects[0].mas"),
+        ("friction = 0.5", "friction = ", "friction = ", "not valid TOML"),
+        ('name = "cube"', 'name = "cube"\nat = [0.5, 0.0]', 'name = "cube"', "cube stands 420.0 mm over the edge"),
+        ('model = "panda"', 'model = "pandy"', 'model = "pandy"', '"pandy" is not known'),
+        ("friction = 0.5\n", "", 'name = "cube"', "objects[0].friction is missing"),
+    ],
+)
+def test_what_is_wrong_is_told_at_its_line(old, new, line, words):
+    text = CUBE.replace(old, new, 1)
+    assert text != CUBE
+    (mistake,) = shown(text)["mistakes"]
+    assert words in mistake["sentence"]
+    assert text.splitlines()[mistake["line"] - 1].strip() == line.strip()
+
+
+def test_a_text_that_cannot_be_changed_is_refused_with_a_sentence():
+    for text, key in (("a = [", ["a"]), ("a = 1", ["a", "b"]), ("a = [1]", ["a", 5])):
+        with pytest.raises(ScenarioError, match="cannot be changed there"):
+            changed(text, [(key, 1.0)])
+
+
+def test_ranges_that_were_assumed_are_written_down_before_one_is_changed():
+    text = CUBE.replace('[objects.uncertainty]\nmass = "10%"\n', "")
+    assert "uncertainty" not in text
+    before = checked(text, SCENARIO_DIR).objects[0].uncertainty
+    after = checked(change(text, SCENARIO_DIR, [(["objects", 0, "uncertainty", "mass"], "25%")]), SCENARIO_DIR)
+    ranges = after.objects[0].uncertainty
+    assert ranges.mass.relative == 0.25
+    assert (ranges.friction, ranges.com, ranges.position) == (before.friction, before.com, before.position)
+
+
+# --- what goes with a change
+
+
+def test_the_start_posture_follows_the_start_and_is_left_out_where_the_arm_cannot():
+    moved = [0.5, -0.3, 0.45]
+    scenario = checked(change(CUBE, SCENARIO_DIR, [(["motion", "start", "position"], moved)]), SCENARIO_DIR)
+    arm, body = load_arm(scenario.arm, scenario.tray), scenario.payload.first
+    p, _ = arm.object_pose(np.array(scenario.arm.start_posture), body.p_EB, body.R_EB)
+    np.testing.assert_allclose(p, moved, atol=1e-4)
+    away = change(CUBE, SCENARIO_DIR, [(["motion", "start", "position"], [2.0, 0.0, 0.4])])
+    assert "start_posture" not in away
+    assert "start_posture" not in change(CUBE, SCENARIO_DIR, [(["arm", "model"], "ur10")])
+
+
+def test_the_first_object_moves_on_a_tray_that_stays():
+    def tray(text):
+        scenario = checked(text, SCENARIO_DIR)
+        first = scenario.payload.first
+        return [
+            np.array(pose.position) - pose.rotation @ first.R_EB.T @ first.p_EB
+            for pose in (scenario.motion.start, scenario.motion.goal)
+        ]
+
+    text = (SCENARIO_DIR / "panda-cube-yaw.toml").read_text()
+    np.testing.assert_allclose(
+        tray(change(text, SCENARIO_DIR, [(["objects", 0, "at"], [0.03, -0.02])])), tray(text), atol=1e-5
+    )
+
+
+def test_every_slider_of_every_scenario_puts_its_own_value_back():
+    """A key that is not where the value came from would change something else, or nothing."""
+    for name in ("panda-coffee", "panda-four-glasses", "ur5-bottle", "upright-box"):
+        text = (SCENARIO_DIR / f"{name}.toml").read_text()
+        before = sv.load_scenario(name)
+        for part in parts(before):
+            for field in part["fields"]:
+                if field.get("zero") and field["value"] == 0:
+                    continue
+                value = field.get("whole") or (f"{field['value']}%" if field.get("percent") else field["value"])
+                after = checked(changed(text, [(field["key"], value)]), SCENARIO_DIR)
+                assert not isinstance(after, list), (name, field, after)
+                uncertain = before.uncertain
+                assert after.uncertain.names == uncertain.names, field
+                np.testing.assert_allclose(after.uncertain.half_range, uncertain.half_range, rtol=1e-4)
+                one, other = before.model_dump(), after.model_dump()
+                for end in ("start", "goal"):  # no turn may be written down as one of 0
+                    assert (
+                        one["motion"][end].pop("rpy_deg") == other["motion"][end].pop("rpy_deg")
+                        or "turn" in field["label"]
+                    )
+                for task in (one, other):
+                    for item in task["objects"]:
+                        item.pop("uncertainty")
+                assert one == other, field
+
+
+# --- what is known at once
+
+
+def test_the_straight_line_holds_from_its_shortest_duration_on():
+    """Against the plan of the straight line itself, which has its own check."""
+    from salver.planning.make import plan_baseline
+
+    for name in ("panda-tall-bottle", "panda-coffee"):
+        scenario = sv.load_scenario(name)
+        line = shown((SCENARIO_DIR / f"{name}.toml").read_text())["line"]
+        for factor, holds in ((0.99, False), (1.03, True)):
+            duration = factor * line["shortest"]
+            plan = plan_baseline(scenario.with_changes(motion__duration=duration, motion__speeds="full"))
+            assert plan.ok == holds, (name, factor, plan.verification.sentence)
+
+
+def test_what_touches_and_what_is_out_of_reach_is_named():
+    away = shown(change(CUBE, SCENARIO_DIR, [(["motion", "goal", "position"], [2.0, 0.0, 0.4])]))
+    assert away["blocked"].startswith("No posture within the joint limits reaches the goal")
+    goal = sv.load_scenario("panda-cube").motion.goal.position
+    hit = shown(
+        changed(
+            CUBE, [(["obstacles", 0], {"type": "box", "name": "wall", "size": [0.1, 0.1, 0.1], "position": list(goal)})]
+        )
+    )
+    assert "wall" in hit["blocked"]
+    assert "wall" in hit["scene"]["variants"][1]["red"]
+    assert hit["scene"]["variants"][0]["red"] == []
+    assert shown(CUBE)["blocked"] == ""
+
+
+def test_the_links_of_an_arm_are_sent_once_and_the_posture_follows():
+    first = shown(CUBE)
+    again = shown(CUBE, near=first["posture"], arm_drawn=first["arm"])
+    assert "meshes" in first["scene"]
+    assert "meshes" not in again["scene"]
+    np.testing.assert_allclose(again["posture"], first["posture"], atol=1e-6)
+
+
+# --- the page
+
+
+def asked(studio, method, path, body=None, host=None):
+    place = urlsplit(studio.url)
+    line = http.client.HTTPConnection(place.hostname, place.port, timeout=120)
+    line.request(method, path, body, {"Host": host} if host else {})
+    answer = line.getresponse()
+    return answer.status, answer.read()
+
+
+def say(studio, do, **more):
+    status, answer = asked(studio, "POST", urlsplit(studio.url).path + "say", json.dumps({"do": do, **more}).encode())
+    assert status == 200
+    return json.loads(answer)
+
+
+def test_the_page_is_for_who_knows_its_address_on_this_machine_alone(tmp_path):
+    with Studio(CUBE, tmp_path / "cube.toml", tmp_path) as studio:
+        place = urlsplit(studio.url)
+        assert place.hostname == "127.0.0.1"
+        status, page = asked(studio, "GET", place.path)
+        assert status == 200
+        assert b"http://" not in page.replace(b"http://www.w3.org", b"")
+        for path, host in (
+            ("/", None),
+            ("/wrong/", None),
+            (place.path, "evil.example:80"),
+            (place.path + "report/x", None),
+        ):
+            assert asked(studio, "GET", path, host=host)[0] == 404
+        assert asked(studio, "POST", "/wrong/say", b"{}")[0] == 404
+        for wrong in (7, [], {}, {"do": "dance"}, {"do": "look", "text": CUBE, "changes": [7]}):
+            answer = json.loads(asked(studio, "POST", place.path + "say", json.dumps(wrong).encode())[1])
+            assert answer["problem"].endswith(".")
+        assert "kB" in say(studio, "look", text="#" * 300_000)["problem"]
+
+
+def test_a_file_that_somebody_else_has_changed_is_not_written_over(tmp_path):
+    file = tmp_path / "cube.toml"
+    with Studio(CUBE, file, tmp_path) as studio:
+        assert say(studio, "save", text=CUBE)["saved"] == str(file)
+        assert say(studio, "save", text=CUBE + "\n# more")["saved"]
+        file.write_text("# mine")
+        assert "has changed" in say(studio, "save", text=CUBE)["problem"]
+        assert file.read_text() == "# mine"
+
+
+@pytest.mark.slow
+def test_the_plan_of_a_window_is_the_commands_and_another_window_has_its_own(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    text = change(CUBE, SCENARIO_DIR, [(["motion", "duration"], None), (["objects", 0, "friction"], 0.45)])
+    with Studio(text, Path("cube.toml"), tmp_path) as studio:
+        here = say(studio, "plan", text=text, window="one")
+        assert here["ok"], here
+        assert here["end"] == pytest.approx(here["duration"], abs=1e-5)
+        assert say(studio, "save", text=text)["saved"]
+        other = say(studio, "plan", text=changed(text, [(["motion", "goal", "position", 1], 0.0)]), window="two")
+        assert other["duration"] < here["duration"]
+        for window, duration in (("one", here["duration"]), ("two", other["duration"])):
+            status, page = asked(studio, "GET", urlsplit(studio.url).path + f"report/{window}")
+            assert (status, f"{duration:.3g}" in page.decode()) == (200, True)
+        csv = asked(studio, "GET", urlsplit(studio.url).path + "csv/one")[1].decode()
+        assert float(csv.splitlines()[-1].split(",")[0]) == pytest.approx(here["duration"], abs=1e-6)
+    result = CliRunner().invoke(app, ["plan", "cube.toml", "--json"])
+    assert json.loads(result.stdout)["plan"]["duration"] == here["duration"]
+
+
+@pytest.mark.slow
+def test_a_newer_task_ends_the_one_before(tmp_path):
+    import threading
+
+    coffee, found = (SCENARIO_DIR / "panda-coffee.toml").read_text(), []
+    with Studio(CUBE, tmp_path / "cube.toml", tmp_path) as studio:
+        slow = threading.Thread(target=lambda: found.append(say(studio, "plan", text=coffee, window="one")))
+        slow.start()
+        time.sleep(1.0)
+        assert say(studio, "plan", text=CUBE, window="one")["ok"] is not None
+        slow.join(60)
+    assert found == [{"ended": True}]
+
+
+def test_the_command_says_what_it_cannot_begin_with(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    text, place, _, saved = _begun("bottle.toml")
+    assert (place, saved) == (Path("bottle.toml"), False)
+    assert parse(tomllib.loads(text), "it").name == "bottle"
+    assert _begun("panda-cube")[:2] == (CUBE, Path("panda-cube.toml"))
+    (tmp_path / "broken.toml").write_text("a = [")
+    assert _begun("broken.toml")[0] == "a = ["  # the page shows what is wrong
+    with pytest.raises(ScenarioError, match="did you mean panda-cube"):
+        _begun("panda-cubee")
+    (tmp_path / "odd.toml").write_bytes(b"\xff\xfe")
+    with pytest.raises(ScenarioError, match="UTF-8"):
+        _begun("odd.toml")
+
+
+def drag(browser, name, dx, dy, shift=False):
+    """By the mouse: take hold of a thing's ring and move it by so many pixels."""
+    x, y = browser.script(
+        """
+        const box = document.getElementById("canvas").getBoundingClientRect();
+        const p = salver.placeOf(salver.handles().find((part) => part.name === arguments[0]));
+        let best = null;  // the point of the picture where it is
+        for (let x = 1; x < box.width; x += 3) for (let y = 1; y < box.height; y += 3) {
+          const off = salver.state.viewer.missed({ clientX: box.left + x, clientY: box.top + y }, p)[0];
+          if (best === null || off < best[0]) best = [off, box.left + x, box.top + y];
+        }
+        return best.slice(1);
+        """,
+        name,
+    )
+    move = [{"type": "pointerMove", "x": int(x + k * dx), "y": int(y + k * dy), "duration": 40} for k in (0, 0.5, 1)]
+    pointer = [move[0], {"type": "pointerDown", "button": 0}, *move[1:], {"type": "pointerUp", "button": 0}]
+    browser.call("POST", "actions", {"actions": [{"type": "pointer", "id": "mouse", "actions": pointer}]})
+    browser.wait_for("salver.state.idle()")
+
+
+def pick(browser, selector, word):
+    """Choose an entry of a list."""
+    browser.script(
+        "const list = document.querySelector(arguments[0]);"
+        "list.value = [...list.options].find((o) => o.text === arguments[1]).value;"
+        "list.dispatchEvent(new Event('change'))",
+        selector,
+        word,
+    )
+    browser.wait_for("salver.state.idle()")
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(missing() is not None, reason=str(missing()))
+def test_in_a_browser_a_scenario_is_made_from_nothing_to_a_plan_by_mouse(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    text, place, folder, _ = _begun("mine.toml")
+    with Studio(text, place, folder) as studio, chromium(1400, 900) as browser:
+        browser.call("POST", "url", {"url": studio.url})
+        browser.wait_for("window.salver && salver.state.answer && salver.state.idle()")
+        browser.script("document.getElementById('follow').click()")  # this test says when it is planned
+        first = tomllib.loads(browser.script("return salver.state.text"))
+        line = browser.script("return salver.state.answer.line.shortest")
+
+        drag(browser, "goal", -60, 0)
+        moved = tomllib.loads(browser.script("return document.getElementById('text').value"))
+        goal, was = moved["motion"]["goal"]["position"], first["motion"]["goal"]["position"]
+        assert np.linalg.norm(np.subtract(goal, was)) > 0.03
+        assert goal[2] == was[2]
+        assert moved["motion"]["start"] == first["motion"]["start"]
+        assert browser.script("return salver.state.answer.line.shortest") != line
+
+        pick(browser, "#add", "cup of coffee")
+        added = tomllib.loads(browser.script("return salver.state.text"))
+        drag(browser, "cup", -12, -2)
+        pick(browser, "#add", "obstacle: box")
+        drag(browser, "box", 0, -40)
+        made = tomllib.loads(browser.script("return salver.state.text"))
+        assert made["objects"][1]["at"] != added["objects"][1]["at"]
+        assert made["obstacles"][0]["position"] != OBSTACLES["box"]["position"]
+        for _ in range(2):  # what was dragged, and what was added: each is one step back
+            browser.click("#undo")
+            browser.wait_for("salver.state.idle()")
+        assert "obstacles" not in tomllib.loads(browser.script("return salver.state.text"))
+
+        browser.script(
+            "const area = document.getElementById('text'); area.value = area.value.replace('mass = 0.4', 'mass = -4');"
+            "area.dispatchEvent(new Event('input'))"
+        )
+        browser.wait_for("salver.state.mistakes.length === 1")
+        assert "mass = -4: must be" in browser.script("return document.getElementById('wrong').textContent")
+        browser.click("#undo")
+        browser.wait_for("salver.state.mistakes.length === 0")
+        pick(browser, "#chosen", "cup")
+        browser.click("#remove")
+        browser.wait_for("salver.state.idle() && salver.state.answer.parts.every((part) => part.name !== 'cup')")
+
+        browser.click("#plan")
+        browser.wait_for("salver.state.plan", 120)
+        browser.click("#save")
+        browser.wait_for("salver.state.saved === salver.state.text")
+        duration = browser.script("return salver.state.plan.duration")
+        assert [entry for entry in browser.log("browser") if entry["level"] == "SEVERE"] == []
+        assert {urlsplit(url).netloc for url in browser.requests()} <= {urlsplit(studio.url).netloc, ""}
+    result = CliRunner().invoke(app, ["plan", "mine.toml", "--json"])
+    assert json.loads(result.stdout)["plan"]["duration"] == duration
