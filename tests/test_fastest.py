@@ -11,8 +11,9 @@ import pytest
 from salver.contact_margins import margins
 from salver.errors import ScenarioError
 from salver.geometry import Array
+from salver.models.tray_motion import Speed
 from salver.planning.fastest import FastestMotion, FastestOptions, fastest, nearby, object_motion, plan_fastest
-from salver.planning.fastest.planned import joint_plan, slow_enough
+from salver.planning.fastest.planned import each_kind, joint_plan, slow_enough
 from salver.planning.fastest.tradeoff import SCALES, TradeoffTask, scaled, tradeoff
 from salver.planning.make import make_plan
 from salver.planning.plan import Plan
@@ -400,3 +401,10 @@ def test_nodes_that_differ_by_rounding_are_one():
     found = united(nodes, more)
     assert len(found) == 403
     assert np.diff(found).min() > 1e-9
+
+
+def test_a_constraint_that_hinders_at_several_speeds_is_named_once() -> None:
+    speeds = (Speed(), Speed(0.822), Speed(0.0, 0.25), Speed(1.0, -0.25), Speed(1e-3))
+    names = ("acceleration", *(f"contact of cup on tray{speed.words}" for speed in speeds))
+    assert each_kind(names) == ["acceleration", "contact of cup on tray (at other speeds too)"]
+    assert each_kind(names[:2]) == ["acceleration", "contact of cup on tray"]

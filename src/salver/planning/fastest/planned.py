@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -28,6 +29,8 @@ from salver.wording import listed
 
 if TYPE_CHECKING:
     from salver.planning.plan import Plan
+
+_AT_SPEED = re.compile(r"( at [\d.]+ % of full speed| standing still)?( while the speed changes)?$")
 
 
 def plan_fastest(
@@ -154,12 +157,21 @@ def _planned(scenario: Scenario, found: FastestMotion, robust: bool) -> Plan:
 
 def _held_by(found: FastestMotion, bound: float, what: str) -> str:
     """The constraint that hinders a shorter time, and a lower bound of the time, by `what`."""
-    held = f"What hinders a shorter one: {listed(found.binding)}. " if found.binding else ""
+    held = f"What hinders a shorter one: {listed(each_kind(found.binding))}. " if found.binding else ""
     above = 100 * (found.duration / bound - 1)
     return (
         f"{held}Between its two end postures {what} {bound:.4f} s: it is at most {above:.1f} % "
         "above the shortest between these."
     )
+
+
+def each_kind(names: tuple[str, ...]) -> list[str]:
+    """Names of constraints without the speeds at which they hinder, each once."""
+    kinds: dict[str, bool] = {}
+    for name in names:
+        kind = _AT_SPEED.sub("", name)
+        kinds[kind] = kinds.get(kind, False) or kind != name
+    return [f"{kind} (at other speeds too)" if slower else kind for kind, slower in kinds.items()]
 
 
 def solver_record(found: FastestMotion, robust: bool) -> dict[str, Any]:
