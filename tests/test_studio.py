@@ -382,6 +382,11 @@ def test_in_a_browser_a_scenario_is_made_from_nothing_to_a_plan_by_mouse(tmp_pat
         browser.click("#save")
         browser.wait_for("salver.state.saved === salver.state.text")
         duration = browser.script("return salver.state.plan.duration")
+        browser.wait_for("!salver.state.playing")
+        saved = browser.script("return salver.state.text")
+        drag(browser, "goal", 0, -20)  # from the plan back to the hand
+        assert browser.script("return salver.state.plan") is None
+        assert browser.script("return salver.state.text") != saved
         assert [entry for entry in browser.log("browser") if entry["level"] == "SEVERE"] == []
         assert {urlsplit(url).netloc for url in browser.requests()} <= {urlsplit(studio.url).netloc, ""}
     result = CliRunner().invoke(app, ["plan", "mine.toml", "--json"])

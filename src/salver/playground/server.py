@@ -29,7 +29,7 @@ class Playground:
         self._closing = threading.Event()
         self._frame, self._fresh = b"", threading.Condition()
         self.pace = 1.0
-        self.page = page(world).encode()
+        self.page = page(world)
         self._served = LocalPage(self._show_at, self._say, port)
         self._thread = threading.Thread(target=self._run, name="world", daemon=True)
 

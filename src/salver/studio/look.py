@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import tomllib
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -15,19 +14,18 @@ import numpy as np
 from salver.contact_margins import margin_model
 from salver.contact_margins.time_scaling import TimeScaled
 from salver.errors import SalverError
-from salver.geometry import Array, invert, quat_wxyz_from_matrix
-from salver.models.arm.arm import ArmModel, load_arm
+from salver.geometry import Array, invert
+from salver.models.arm.arm import load_arm
 from salver.planning.fastest import TransportProblem, transport_problem
 from salver.planning.postures import REACHED, posture_at
 from salver.planning.seeds.blocked import why_blocked, why_touching, why_unreached
 from salver.planning.seeds.starts import ends, guess
 from salver.planning.trajopt.ends import AtPose
 from salver.reports.pages.meshes import link_meshes, pack
-from salver.reports.pages.replay import joint_poses, liquid, packed, stage
-from salver.reports.style import BLUE, VERMILION, rgb
+from salver.reports.pages.replay import IDENTITY, joint_poses, stage, still, viewpoint
+from salver.reports.style import BLUE, VERMILION
 from salver.scenario import Arm, Scenario
 from salver.scenario.warnings import warnings_of
-from salver.simulation.scene.liquid_surface import DrawnSurface
 from salver.studio.parts import parts
 from salver.studio.text import Key, changed, checked, mistakes
 from salver.trajectory import min_jerk_line
@@ -73,7 +71,7 @@ def change(text: str, folder: Path, changes: Sequence[tuple[Key, Any]]) -> str:
     scenario = checked(after, folder)
     if isinstance(scenario, Scenario) and scenario.arm is not None and scenario.arm.start_posture is not None:
         q = _followed(scenario, scenario.arm)
-        if q is None or not np.allclose(q, scenario.arm.start_posture, rtol=0, atol=1e-5):
+        if q is None or not np.array_equal(q, scenario.arm.start_posture):
             after = changed(after, [(["arm", "start_posture"], None if q is None else np.round(q, 6).tolist())])
     return after
 
@@ -95,19 +93,20 @@ def _written(half: Any) -> Any:
 
 def _followed(scenario: Scenario, arm: Arm) -> Array | None:
     """The posture nearest to the start posture that was given, in which the start is met, or None."""
+    given, start, first = np.array(arm.start_posture, dtype=float), scenario.motion.start, scenario.bodies[0]
     try:
-        problem = transport_problem(_without_posture(scenario), passing=True)
+        model = load_arm(arm, scenario.tray)
+        if len(given) != model.n:
+            return None
+        p, R = model.object_pose(given, first.p_EB, first.R_EB)
+        if np.allclose(p, start.position, rtol=0, atol=1e-5) and np.allclose(R, start.rotation, rtol=0, atol=1e-5):
+            return given
+        problem = transport_problem(scenario.with_changes(arm__start_posture=None, motion__duration=None), passing=True)
     except SalverError:
         return None
-    given = np.array(arm.start_posture, dtype=float)
-    if given.shape != (problem.n,) or not isinstance(problem.start, AtPose):
-        return None
+    assert isinstance(problem.start, AtPose)
     q, size = posture_at(problem.arm, problem.start.target, given, limits=problem.limits)
     return q if size < REACHED else None
-
-
-def _without_posture(scenario: Scenario) -> Scenario:
-    return scenario.with_changes(arm__start_posture=None, motion__duration=None)
 
 
 def _straight_line(scenario: Scenario) -> Look | None:
@@ -170,83 +169,38 @@ def _links(arm: str) -> list[Look]:
 def _drawn(scenario: Scenario, near: Sequence[float] | None, arm_drawn: str) -> Look:
     """The scene at start and goal, what touches there, and the sentence of what is blocked, "" for nothing."""
     task = scenario.each_leg[0] if scenario.legs else scenario
-    bodies, arm = task.payload.bodies, None if task.arm is None else load_arm(task.arm, task.tray)
-    scene: Look = {**stage(task, bodies, None), "joints": arm.n + 1 if arm else 1}
-    links = scene.pop("meshes")
-    blocked, names = "", ""
-    postures: list[Array] | None = None
+    bodies, ends = task.payload.bodies, (task.motion.start, task.motion.goal)
+    line = [list(pose.position) for pose in ends]
+    scene: Look = stage(task, bodies, None)
     red: list[list[str]] = [[], []]
-    if arm is not None and task.arm is not None:
+    if task.arm is None:
+        first = task.payload.first
+        turns = [pose.rotation @ first.R_EB.T for pose in ends]
+        trays = [(np.array(p) - R_SE @ first.p_EB, R_SE) for p, R_SE in zip(line, turns, strict=True)]
+        joints = np.tile(IDENTITY, (2, 1, 1))
+        found: Look = {"blocked": "", "posture": None, "arm": ""}
+        corners, base = np.array(line), np.zeros(3)
+    else:
+        arm, name = load_arm(task.arm, task.tray), task.arm.model_dump_json()
         problem = transport_problem(task.with_changes(motion__duration=None), passing=True)
         postures, blocked = _postures(problem, near)
+        trays = [arm.tray_pose(q) for q in postures]
+        joints = joint_poses(np.stack(postures), arm)
+        found = {"blocked": blocked, "posture": postures[0].tolist(), "arm": name}
+        corners, base = np.vstack([line, joints[:, :, :3].reshape(-1, 3)]), arm.base_position
         red = [_touching(problem, q) for q in postures]
-        names = hashlib.sha256(task.arm.model_dump_json().encode()).hexdigest()[:12]
-        if names != arm_drawn:
-            scene["meshes"] = _links(task.arm.model_dump_json())
+        scene |= {"meshes": _links(name), "joints": arm.n + 1}
+    scene["variants"] = [
+        {**still(key, colour, bodies, tray, q, line), "red": touching}
+        for key, colour, tray, q, touching in zip(("start", "goal"), (BLUE, VERMILION), trays, joints, red, strict=True)
+    ]
+    if found["arm"] == arm_drawn and arm_drawn:  # the page keeps the links, and looks from where it did
+        del scene["meshes"]
     else:
-        scene["meshes"] = links
-    line = [list(task.motion.start.position), list(task.motion.goal.position)]
-    poses = (task.motion.start, task.motion.goal)
-    scene["variants"] = []
-    for k, (key, colour) in enumerate((("start", BLUE), ("goal", VERMILION))):
-        if arm is not None and postures is not None:
-            p_SE, R_SE = arm.tray_pose(postures[k])
-            joints = joint_poses(postures[k][None], arm)[0]
-        else:
-            first = task.payload.first
-            R_SE = poses[k].rotation @ first.R_EB.T
-            p_SE = np.array(poses[k].position) - R_SE @ first.p_EB
-            joints = np.array([[0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]])
-        scene["variants"].append(
-            {
-                "key": key,
-                "label": key,
-                "colour": rgb(colour),
-                "t": [0.0],
-                "joints": packed(joints),
-                "tray": packed([*p_SE, *quat_wxyz_from_matrix(R_SE)]),
-                "objects": packed([[*(p_SE + R_SE @ b.p_EB), *quat_wxyz_from_matrix(R_SE @ b.R_EB)] for b in bodies]),
-                "contactCount": 0,
-                "contacts": "",
-                "forces": "",
-                "friction": 0.0,
-                "metresPerNewton": 0.0,
-                "liquids": [None if b.liquid is None else _still(b, R_SE) for b in bodies],
-                "path": line,
-                "red": red[k],
-            }
-        )
-    if names != arm_drawn or not names:  # where the page looks at it from, as long as the arm is the same
-        scene |= _view(task, arm, np.array(line), postures)
-    return {
-        "scene": scene,
-        "arm": names,
-        "blocked": blocked
-        or ("This task has several legs; the studio shows the first of them." if scenario.legs else ""),
-        "posture": None if postures is None else postures[0].tolist(),
-    }
-
-
-def _view(task: Scenario, arm: ArmModel | None, line: Array, postures: Sequence[Array] | None) -> Look:
-    """Bounds, floor and azimuth for the camera."""
-    corners, base = line, np.zeros(3)
-    if arm is not None and postures is not None:
-        base = arm.base_position
-        corners = np.vstack([line, base, joint_poses(np.stack(postures), arm)[:, :, :3].reshape(-1, 3)])
-    low, high = corners.min(axis=0) - [0.2, 0.2, 0.05], corners.max(axis=0) + 0.2
-    out = line.mean(axis=0) - base
-    floor = float(low[2]) - 0.3 if task.floor is None else task.floor
-    return {
-        "bounds": [low.tolist(), high.tolist()],
-        "floor": floor,
-        "azimuth": float(np.arctan2(out[1], out[0])) + 0.6,  # rad off the way in which the arm reaches
-    }
-
-
-def _still(body: Any, R_SE: Array) -> Look:
-    up_B = (R_SE @ body.R_EB)[2]
-    surface = DrawnSurface(body, body.liquid.fill, np.array([-up_B[:2] / max(float(up_B[2]), 0.1)]), None)
-    return liquid(surface, np.array([0]))
+        scene |= viewpoint(corners, base, np.mean(line, axis=0), task.floor)
+    if scenario.legs:
+        found["blocked"] = found["blocked"] or "This task has several legs; the studio shows the first of them."
+    return {"scene": scene, **found}
 
 
 def _postures(problem: TransportProblem, near: Sequence[float] | None) -> tuple[list[Array], str]:

@@ -49,7 +49,9 @@ def parts(scenario: Scenario) -> list[Part]:
             "key": ["tray"],
             "fields": [
                 *_each("size", ["tray", "size"], scenario.tray.size, 0.05, 0.6, "m"),
-                _field("height", ["tray", "height"], scenario.tray.height, 0.0, 0.3, "m"),
+                _field("height on the flange", ["tray", "height"], scenario.tray.height, 0.0, 0.3, "m"),
+                *_each("aside", ["tray", "offset"], scenario.tray.offset, -0.3, 0.3, "m"),
+                *_each("turn", ["tray", "rpy_deg"], scenario.tray.rpy_deg, -180.0, 180.0, "deg", "rpy"),
                 _field("mass", ["tray", "mass"], scenario.tray.mass, 0.0, 3.0, "kg"),
             ],
         },

@@ -21,11 +21,6 @@ class Planner:
         self._running: tuple[Any, Connection] | None = None
         self._busy = False
 
-    def ready(self) -> None:
-        """Start the process, which takes a second or two, before there is a task."""
-        with self._lock:
-            self._started()
-
     def plan(self, scenario: Scenario, directory: Path) -> dict[str, Any] | None:
         """Plan as `salver plan` does, into a run directory. Returns what the page says of it; None when a newer task
         has ended this one."""

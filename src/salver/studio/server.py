@@ -3,7 +3,6 @@ windows have nothing in common but the file in which they save."""
 
 from __future__ import annotations
 
-import json
 import tempfile
 import threading
 from dataclasses import asdict
@@ -13,12 +12,10 @@ from shlex import quote
 from types import TracebackType
 from typing import Any, Self
 
-from markupsafe import Markup
-
 from salver.errors import SalverError, ScenarioError
-from salver.files import versions, write_atomic
-from salver.playground.local_page import HTML, LocalPage, Shown
-from salver.reports.pages.page import asset, fill, policy, write_report
+from salver.files import write_atomic
+from salver.playground.local_page import HTML, LocalPage, Shown, filled
+from salver.reports.pages.page import write_report
 from salver.reports.pages.replay import replay_scene
 from salver.reports.pages.speed_bar import speed_bar
 from salver.reports.run import read_run
@@ -27,7 +24,6 @@ from salver.studio.parts import LOADS, OBSTACLES
 from salver.studio.planner import Planner
 from salver.studio.text import checked
 
-OURS = "salver.studio"
 LONGEST = 200_000  # bytes of a text that is edited
 
 
@@ -67,7 +63,7 @@ class Studio:
 
     def _show(self, what: str) -> Shown:
         if what == "":
-            return self._page().encode(), HTML
+            return self._page(), HTML
         kind, _, window = what.partition("/")
         directory = self._plans.get(window)
         if directory is None or kind not in ("report", "csv"):
@@ -82,8 +78,7 @@ class Studio:
         (path, *_) = write_export(directory, "csv", directory / "motion.csv", "plan", None, unsafe=True)
         return path.read_bytes()
 
-    def _page(self) -> str:
-        script = asset("viewer.js") + asset("plots.js") + asset("studio.js", OURS)
+    def _page(self) -> bytes:
         data = {
             "text": self.text,
             "saved": self._on_disk == self.text,
@@ -92,21 +87,12 @@ class Studio:
             "loads": LOADS,
             "obstacles": OBSTACLES,
         }
-        return fill(
-            asset("studio.html", OURS),
-            title=f"{self.place.name}, studio",
-            css=Markup(asset("page.css") + asset("studio.css", OURS)),
-            policy=policy(script, "'self'"),
-            version=versions()["salver"],
-            # "<" could end the script element, or begin a comment in it; in JSON "\\u003c" is the same text.
-            data=Markup(json.dumps(data).replace("<", "\\u003c")),
-            script=Markup(script),
-        )
+        return filled("salver.studio", "studio", data, title=f"{self.place.name}, studio")
 
     # --- what is said
 
     def _say(self, message: Any) -> dict[str, Any]:
-        """{"do": "look" | "plan" | "save" | "ready" | "close", "text": ..., "window": ...} and, to look, "changes",
+        """{"do": "look" | "plan" | "save" | "close", "text": ..., "window": ...} and, to look, "changes",
         "near" and "arm". Each answer has a "problem" when it could not be done."""
         try:
             if not isinstance(message, dict):
@@ -121,9 +107,6 @@ class Studio:
                     return self._plan(text, window)
                 case "save":
                     return self._save(text)
-                case "ready":
-                    self._planner(window).ready()
-                    return {}
                 case "close":
                     planner = self._planners.pop(window, None)
                     if planner is not None:
@@ -142,15 +125,12 @@ class Studio:
             after = change(text, self._folder, changes) if changes else text
             return look(after, self._folder, message.get("near"), str(message.get("arm", "")))
 
-    def _planner(self, window: str) -> Planner:
-        return self._planners.setdefault(window, Planner())
-
     def _plan(self, text: str, window: str) -> dict[str, Any]:
         scenario = checked(text, self._folder)
         if isinstance(scenario, list):
             return {"mistakes": [asdict(one) for one in scenario]}
         directory = Path(self._room.name) / str(next(self._numbers)) / scenario.name
-        found = self._planner(window).plan(scenario, directory)
+        found = self._planners.setdefault(window, Planner()).plan(scenario, directory)
         if found is None:
             return {"ended": True}
         if "duration" not in found:

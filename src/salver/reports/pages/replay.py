@@ -68,6 +68,50 @@ def replay_scene(run: ReportedRun, arm: ArmModel | None) -> dict[str, Any]:
     }
 
 
+def still(
+    key: str, colour: str, bodies: Sequence[Body], tray: tuple[Array, Array], joints: Array, path: list[list[float]]
+) -> dict[str, Any]:
+    """A variant for the viewer that does not move: the tray at (p_SE, R_SE), its load on it, liquids level.
+
+    joints: (n + 1, 7), as `joint_poses`. path: points of a line that is drawn, m.
+    """
+    p_SE, R_SE = tray
+    return {
+        "key": key,
+        "colour": rgb(colour),
+        "t": [0.0],
+        "joints": packed(joints),
+        "tray": packed([*p_SE, *quat_wxyz_from_matrix(R_SE)]),
+        "objects": packed(_on_tray(p_SE[None], R_SE[None], bodies)),
+        "contactCount": 0,
+        "contacts": "",
+        "forces": "",
+        "friction": 0.0,
+        "metresPerNewton": 0.0,
+        "liquids": [None if b.liquid is None else _level(b, R_SE) for b in bodies],
+        "path": path,
+    }
+
+
+def _level(body: Body, R_SE: Array) -> dict[str, Any]:
+    assert body.liquid is not None
+    up_B = (R_SE @ body.R_EB)[2]
+    slope = -up_B[:2] / max(float(up_B[2]), 0.1)  # of one that has fallen over nothing is drawn
+    return liquid(DrawnSurface(body, body.liquid.fill, slope[None], None), np.array([0]))
+
+
+def viewpoint(corners: Array, base: Array, ahead: Array, floor: float | None) -> dict[str, Any]:
+    """Where a live page looks from: a box around points (n, 3), the floor, and an azimuth a little off the way from the
+    arm's base to a point ahead of it."""
+    low, high = corners.min(axis=0) - [0.2, 0.2, 0.0], corners.max(axis=0) + 0.2
+    out = ahead[:2] - base[:2]
+    return {
+        "bounds": [low.tolist(), high.tolist()],
+        "floor": float(low[2]) - 0.3 if floor is None else floor,
+        "azimuth": float(np.arctan2(out[1], out[0])) + 0.6,
+    }
+
+
 def _obstacles(scenario: Scenario) -> list[LinkMesh]:
     red, green, blue = rgb(OBSTACLE_COLOUR)
     return obstacle_meshes(scenario.obstacles, (red, green, blue))
@@ -103,7 +147,7 @@ def _variant(motion: ReportedMotion, run: ReportedRun, arm: ArmModel | None) -> 
         "colour": rgb(ROLE_COLOURS[motion.stem]),
         "source": "plan" if record is None else "run",
         "t": np.round(t[keep], 5).tolist(),
-        "joints": packed(joint_poses(source["q"][keep], arm)) if arm else packed(np.tile(_IDENTITY, (len(keep), 1))),
+        "joints": packed(joint_poses(source["q"][keep], arm)) if arm else packed(np.tile(IDENTITY, (len(keep), 1))),
         "tray": packed(tray),
         "objects": packed(objects),
         "contactCount": len(points_B),
@@ -159,7 +203,7 @@ def _true_friction(motion: ReportedMotion, body: Body, lone: bool) -> float:
     return float(changed.get(Parameter(body.name, "friction", lone=lone).name, body.friction))
 
 
-_IDENTITY = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+IDENTITY = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
 
 
 def contact_forces_B(motion: ReportedMotion, body: Body) -> Array:
@@ -180,7 +224,7 @@ def joint_poses(q: Array, arm: ArmModel) -> Array:
     """(T, n + 1, 7) poses in S of the frames that the link meshes are given in; the first is the world."""
     import pinocchio as pin
 
-    poses = np.tile(_IDENTITY, (len(q), arm.n + 1, 1))
+    poses = np.tile(IDENTITY, (len(q), arm.n + 1, 1))
     for k, joints in enumerate(q):
         pin.forwardKinematics(arm.pin_model, arm.data, joints)
         for j in range(1, arm.n + 1):

@@ -155,6 +155,7 @@ function begin(scene) {
     const part = handleAt(event);
     if (!part) return;
     event.stopImmediatePropagation();  // not the camera's
+    if (state.plan) designing();
     canvas.setPointerCapture(event.pointerId);
     dragged = { part, p: placeOf(part), gesture: {} };
     choose(part.name);
@@ -178,7 +179,16 @@ function begin(scene) {
 
 const trayPose = () => Mat.pose(state.viewer.variants[0].tray);
 const placeOf = ({ handle }) => (handle.of === "world" ? handle.at : Mat.point(trayPose(), [...handle.at, 0]));
-const handles = () => (state.plan?.variants ? [] : (state.answer?.parts ?? []).filter((part) => part.handle));
+const handles = () => (state.playing ? [] : (state.answer?.parts ?? []).filter((part) => part.handle && (part.handle.of === "world" || !state.plan?.variants)));
+
+// From the plan back to start and goal.
+function designing() {
+  state.plan = null;
+  halt();
+  state.viewer.furnish({ variants: state.answer.scene.variants });
+  byId("speeds").replaceChildren();
+  tell();
+}
 
 function handleAt(event) {
   const found = handles().map((part) => [...state.viewer.missed(event, placeOf(part)), part]).filter(([off, pixels]) => off < RING || pixels < NEAR);
@@ -397,7 +407,6 @@ window.addEventListener("pagehide", () => navigator.sendBeacon(here + "say", JSO
 window.addEventListener("beforeunload", (event) => state.done.length && state.text !== state.saved && event.preventDefault());
 state.saved = given.saved ? given.text : null;
 number();
-post("ready");
 edit({}, { text: state.text });
 state.idle = () => !asking && !queue.length;
 window.salver = { state, placeOf, handles, halt, setTime };
