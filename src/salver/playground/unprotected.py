@@ -49,17 +49,21 @@ class Unprotected:
 
     def step(self, v_S: Array, omega_S: Array, dt: float) -> None:
         """dt, s, on, with the tray at v_S, m/s, and turning at omega_S, rad/s, as far as the arm can."""
-        arm, limits, how = self._arm, self._arm.limits, self._jogging
+        arm, how = self._arm, self._jogging
         _, R_SE = arm.tray_pose(self.q)
         jacobian = arm.body_jacobian(self.q)
         level_E = how.levelling * np.cross([0.0, 0.0, 1.0], R_SE[2])  # R_SE[2]: the vertical, in E
         twist_E = np.concatenate([R_SE.T @ v_S, R_SE.T @ omega_S + level_E])
-        dq = jacobian.T @ np.linalg.solve(jacobian @ jacobian.T + how.damping**2 * np.eye(6), twist_E)
+        self.turn(jacobian.T @ np.linalg.solve(jacobian @ jacobian.T + how.damping**2 * np.eye(6), twist_E), dt)
+
+    def turn(self, dq: Array, dt: float) -> None:
+        """dt, s, on, with the joints at dq (n,), rad/s, as far as they can."""
+        limits, how = self._arm.limits, self._jogging
         dq = dq / max(1.0, float((np.abs(dq) / limits.velocity).max()))
-        # So fast at most that it can still brake before a joint's end.
+        # So fast at most that it can still brake before a joint's end, which it begins to do `response` later.
         most = np.where(np.isfinite(limits.acceleration), limits.acceleration, 1e3)
-        up = np.sqrt(2 * most * np.maximum(limits.q_max - how.room - self.q, 0.0))
-        down = np.sqrt(2 * most * np.maximum(self.q - limits.q_min - how.room, 0.0))
+        left = np.maximum([self.q - limits.q_min - how.room, limits.q_max - how.room - self.q], 0.0)
+        down, up = most * (np.sqrt(how.response**2 + 2 * left / most) - how.response)
         dq = np.clip(dq, -down, up)
         self.ddq = np.clip((dq - self.dq) / how.response, -most, most)
         self.q = self.q + dt * self.dq + 0.5 * dt**2 * self.ddq
