@@ -394,6 +394,16 @@ def test_markers_are_the_tray_and_the_load_on_the_flange(resting: Carrier) -> No
     assert np.min(cube, axis=0)[2] == pytest.approx(0.05)
 
 
+def test_markers_stand_on_a_tray_that_is_mounted_sideways(resting: Carrier) -> None:
+    scenario = resting.scenario.with_changes(tray__offset=(0.1, 0.0), tray__rpy_deg=(0.0, 90.0, 0.0))
+    arm = load_arm(scenario.arm, scenario.tray)
+    held = SimpleNamespace(live=SimpleNamespace(problem=SimpleNamespace(arm=arm)), scenario=scenario)
+    tray, cube = (one["points"] for one in Carrier.markers(held))
+    up = arm.R_FE[:, 2]  # out of the tray's surface
+    assert ((cube - arm.p_FE) @ up).min() == pytest.approx(0.0, abs=1e-9)
+    assert ((tray - arm.p_FE) @ up).max() == pytest.approx(0.0, abs=1e-9)
+
+
 # --- the node, which there is no rclpy to run
 
 

@@ -225,11 +225,11 @@ class Carrier:
             if body.solid.surface is not None:
                 points, faces = body.solid.surface[0] - body.com_G, body.solid.surface[1]
             parts.append((body.name, body.p_EB + points @ body.R_EB.T, faces, (0.9, 0.5, 0.1)))
-        return [
-            {"name": name, "points": arm.p_FE + points[triangles(points) if faces is None else faces].reshape(-1, 3),
-             "colour": colour}
-            for name, points, faces, colour in parts
-        ]  # fmt: skip
+        found = []
+        for name, points, faces, colour in parts:
+            corners = points[triangles(points) if faces is None else faces].reshape(-1, 3)
+            found.append({"name": name, "points": arm.p_FE + corners @ arm.R_FE.T, "colour": colour})
+        return found
 
     def _in_world(self, frame: str, what: str) -> str:
         world = self.options.world
