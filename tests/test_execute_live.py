@@ -4,6 +4,7 @@ import io
 import json
 import sys
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ import salver.driver.live as module
 from pylibfranka_stand_in import Library
 from salver.cli import app
 from salver.driver.execution import Watchdog
-from salver.driver.live import commanded, dry_run_live, run_live_on_franka
+from salver.driver.live import commanded, run_live
 from salver.driver.robots.franka import within_fr3
 from salver.driver.robots.simulated import SimulatedRobot
 from salver.driver.signals import Signals
@@ -60,7 +61,7 @@ def test_what_is_told_is_done_and_kept_as_a_plan_that_can_be_simulated_and_expor
         {"t": 0.7, "twist": [0.1, 0.1, 0.0, 0.0], "for": 0.2},
         {"t": 1.3, "goto": [9.0, 0.0, 0.5]},
     )
-    result = dry_run_live(cube, told, tmp_path, realtime=False)
+    result = run_live(cube, told, tmp_path, realtime=False)
     assert result.achieved
     assert result.summary["objects"][0]["peak_slip"] < 1e-4
     answers = [note["answer"] for note in result.summary["wishes"]]
@@ -88,7 +89,7 @@ def test_what_is_told_is_done_and_kept_as_a_plan_that_can_be_simulated_and_expor
 @pytest.mark.slow
 def test_the_same_script_gives_the_same_run(cube, tmp_path):
     near = lines({"t": 0, "goto": [0.5, -0.25, 0.42]})
-    runs = [dry_run_live(cube, near, tmp_path / name, realtime=False) for name in "ab"]
+    runs = [run_live(cube, near, tmp_path / name, realtime=False) for name in "ab"]
     assert np.ptp(runs[0].arrays["q"], axis=0).max() > 0.05
     assert np.array_equal(runs[0].arrays["q"], runs[1].arrays["q"])
 
@@ -105,7 +106,7 @@ def slow_cube(cube):
 def whole(slow_cube, tmp_path_factory):
     """What nothing stopped: its plan."""
     folder = tmp_path_factory.mktemp("whole")
-    assert dry_run_live(slow_cube, lines(FAR), folder, realtime=False).achieved
+    assert run_live(slow_cube, lines(FAR), folder, realtime=False).achieved
     return load_plan(folder)
 
 
@@ -150,7 +151,7 @@ def test_a_stop_is_sooner_than_finishing_also_when_the_planner_is_dead(
         plan, prepare = Live.plan, Live.prepare
         monkeypatch.setattr(Live, "plan", lambda live, *a: plan(live, *a) if not signals.seen else live.state)
         monkeypatch.setattr(Live, "prepare", lambda live, *a: not signals.seen and prepare(live, *a))
-    result = dry_run_live(slow_cube, lines(FAR), tmp_path / "stopped", realtime=False, signals=signals)
+    result = run_live(slow_cube, lines(FAR), tmp_path / "stopped", realtime=False, signals=signals)
     assert result.summary["stopped"] == "Protective stop at t = 0.450 s."
     assert result.summary["load_kept_in_stop"] is True
     assert result.summary["objects"][0]["outcome"] == "holds"
@@ -178,7 +179,7 @@ def test_states_that_stay_false_end_in_a_stop_that_may_not_keep_the_load(cube, t
         return state
 
     monkeypatch.setattr(SimulatedRobot, "look", false)
-    result = dry_run_live(cube, lines(GOAL), tmp_path, realtime=False)
+    result = run_live(cube, lines(GOAL), tmp_path, realtime=False)
     assert result.summary["stopped"]
     assert result.summary["load_kept_in_stop"] is False
     assert np.abs(result.arrays["dq"][-1]).max() < 0.02
@@ -188,16 +189,14 @@ def test_states_that_stay_false_end_in_a_stop_that_may_not_keep_the_load(cube, t
 def test_on_a_franka_what_its_own_limits_forbid_is_not_committed(cube, tmp_path, monkeypatch):
     """The Research 3 accelerates its joints by 10 rad/s^2, the Panda some by 20, and near the end of its range it turns
     them more slowly than in the middle."""
-    dry_run_live(cube, [], tmp_path / "still", realtime=False)
+    run_live(cube, [], tmp_path / "still", realtime=False)
     still = load_plan(tmp_path / "still")
     fake = Library(still)
     monkeypatch.setitem(sys.modules, "pylibfranka", fake)
-    run = module._run
-    monkeypatch.setattr(
-        module, "_run", lambda *given: run(*given[:9], False, *given[10:])
-    )  # time waits for the planner
+    standing = module._franka  # whose time waits for the planner
+    monkeypatch.setattr(module, "_franka", lambda *given: replace(standing(*given), waits=True))
     told = lines({"t": 0, "goto": [0.5, -0.35, 0.5]})
-    result = run_live_on_franka(cube, told, "arm", tmp_path / "run", PATIENT)
+    result = run_live(cube, told, tmp_path / "run", "franka", "arm", PATIENT)
     assert result.summary["stopped"] == ""
     assert fake.calls[-1] == ("stopped",)
     joint = load_plan(tmp_path / "run").joint
@@ -378,12 +377,12 @@ def test_lines_that_come_are_not_kept_without_end():
 def test_a_run_of_which_all_was_refused_does_not_end_well(cube, tmp_path):
     """And one of whose lines some were granted does."""
     refused = lines({"goto": [9.0, 0.0, 900.0]}, {"twist": [99.0, 0.0, 0.0]})
-    result = dry_run_live(cube, refused, tmp_path / "a", realtime=False)
+    result = run_live(cube, refused, tmp_path / "a", realtime=False)
     assert result.summary["requests"] == {"accepted": 0, "refused": 2, "dropped": 0}
     assert result.summary["outcome"] == "holds"
     assert not result.achieved
-    assert dry_run_live(cube, [*refused, '{"stop": true}'], tmp_path / "b", realtime=False).achieved
-    assert dry_run_live(cube, [], tmp_path / "c", realtime=False).achieved
+    assert run_live(cube, [*refused, '{"stop": true}'], tmp_path / "b", realtime=False).achieved
+    assert run_live(cube, [], tmp_path / "c", realtime=False).achieved
 
 
 def test_commands_that_cannot_be(tmp_path):

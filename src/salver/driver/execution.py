@@ -376,32 +376,27 @@ def named(error: BaseException) -> str:
 
 
 class _Book:
-    """Rows of the log in arrays that exist before the loop starts: nothing is allocated in it."""
+    """Rows of the log in an array that exists before the loop starts: nothing is allocated in it."""
 
     def __init__(self, room: int, n: int) -> None:
-        self._columns = {
-            "t": np.empty(room),
-            "woken": np.empty(room),
-            "spent": np.empty(room),
-            "elapsed": np.empty(room),
-            "bridged": np.empty(room, dtype=bool),
-        }
-        self._columns |= {name: np.empty((room, n)) for name in ("q", "dq", "sent", "q_wanted")}
-        self._count, self._room = 0, room
+        joints = [(name, float, (n,)) for name in ("q", "dq", "sent", "q_wanted")]
+        kinds = [*((name, float) for name in ("t", "woken", "elapsed")), ("bridged", bool), *joints, ("spent", float)]
+        self._rows = np.zeros(room, kinds)
+        self._count = 0
 
     @property
     def left(self) -> int:
-        return self._room - self._count
+        return len(self._rows) - self._count
 
     def add(self, t: float, sensed: Sensed, sent: Array, q_wanted: Array, woken: float) -> None:
-        k, c = self._count, self._columns
-        c["t"][k], c["woken"][k], c["elapsed"][k], c["bridged"][k] = t, woken, sensed.elapsed, bool(sensed.wrong)
-        c["q"][k], c["dq"][k], c["sent"][k], c["q_wanted"][k] = sensed.state.q, sensed.state.dq, sent, q_wanted
-        c["spent"][k] = time.perf_counter() - woken
-        self._count = k + 1
+        state, wrong = sensed.state, bool(sensed.wrong)
+        row = (t, woken, sensed.elapsed, wrong, state.q, state.dq, sent, q_wanted, time.perf_counter() - woken)
+        self._rows[self._count] = row
+        self._count += 1
 
     def closed(self, stopped: str, saturation: dict[str, float], keeps_load: bool | None) -> ExecutionLog:
-        columns = {name: values[: self._count] for name, values in self._columns.items()}
+        rows = self._rows[: self._count]
+        columns = {name: np.ascontiguousarray(rows[name]) for name in rows.dtype.names or ()}
         return ExecutionLog(**columns, stopped=stopped, saturation=saturation, keeps_load=keeps_load)
 
 

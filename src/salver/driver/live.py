@@ -174,64 +174,111 @@ class LiveDrive(Drive):
         return waited >= 0 and (waited >= self.watchdog.longest_wait or self.at_rest(sensed))
 
 
-def dry_run_live(
+def run_live(
     scenario: Scenario,
     wishes: Iterable[str | bytes],
     directory: str | Path,
+    robot: str = "simulated",
+    address: str = "",
     watchdog: Watchdog | None = None,
-    realtime: bool = True,
     *,
+    realtime: bool = True,
     source: str = "the script",
     listen: bool = False,
     signals: Signals | None = None,
     confirm: Callable[[list[Check]], bool] = lambda checks: True,
 ) -> Execution:
-    """A live motion on the simulated arm, told by lines of a script (`salver.live.script`), into a run directory: what
-    was commanded is its plan, with a log in `execution`.
+    """A live motion, told by lines of a script (`salver.live.script`), into a run directory: what was commanded is its
+    plan, with a log in `execution`.
 
-    realtime: keep real time, with a planner in a process of its own; otherwise time waits for the planner, and a script
-    gives the same run again. listen: the lines come while it moves. signals: through which the caller may ask for a
-    stop. confirm: asked with the checks after all of them passed, before anything moves.
-    Raises SalverError when the script or a check fails, ScenarioError when there is no arm or the load is not safe.
+    robot: "simulated", or "franka", from where it stands with the load in place, within the limits of the Franka
+    Research 3. realtime: keep real time, with a planner in a process of its own; otherwise time of the simulated arm
+    waits for the planner, and a script gives the same run again. listen: the lines come while it moves.
+    signals: through which the caller may ask for a stop. confirm: asked with the checks after all of them passed,
+    before anything moves.
+    Raises SalverError when the script or a check fails, ScenarioError when there is no arm or the load is not safe,
+    MissingDependencyError without the robot's library.
     """
+    known = {"simulated": _simulated, "franka": _franka}[robot](scenario, address, realtime)
+    directory, live, plan, driven = Path(directory), known.live, known.plan, known.robot
+    scenario, arm, carried = plan.scenario, live.problem.arm, plan.scenario.payload.bodies
+    prompter = Prompter(live)
+    if not listen:
+        prompter.of(list(script([x if isinstance(x, str) else x.decode() for x in wishes], source)))
+    plan_files.check_place(scenario, directory, edited=True, force=True)
+    checks = [c for c in check_plan(plan, arm, carried) if c.name not in ("stops", "command", "rest", "speeds")]
+    checks += known.checks
+    demand(checks)
+    checks.append(check_place(directory))
+    joint = plan.joint
+    assert joint is not None
+    checks += check_posture(joint, arm, driven.look())
+    demand(checks)
+    if not confirm(checks):
+        raise SalverError("Not moved: it was not confirmed.")
+    watchdog, course = watchdog or Watchdog(), LiveCourse(live)
+    controller = controller_for(scenario, course, None, arm=arm, space="joint")
+    loaded = with_load(arm, carried)
+
+    def stop_from(state: ArmState, t: float) -> Stop:
+        live.stop("the loop that drives the arm stopped it", source="monitor")
+        return LiveStop(live, course, controller, loaded, state, t)
+
+    for _ in range(50):  # first calls load code; they must not happen in the loop
+        controller.step(ArmState(joint.q[0], joint.dq[0]), known.start)
+        LiveStop(live, course, controller, loaded, ArmState(joint.q[0], joint.dq[0]), known.start).reference(0.0)
+    controller.reset()
+    if listen:
+        prompter.listening(wishes, source)
+
+    def plan_here() -> None:
+        if not live.idle:
+            live.plan(NO_HURRY)
+        else:
+            live.prepare(NO_HURRY)
+
+    began = time.perf_counter()
+    with noted_signals():  # nothing may come between the run and its log
+        with nullcontext() if known.waits else Worker(live, process=True, stops=True):
+            drive = LiveDrive(
+                driven, controller, course, arm, carried, known.start, LONGEST, watchdog, stop_from,
+                signals or Signals(), live=live, prompter=prompter, rest_after=scenario.physics.settle_after,
+                planned_here=plan_here if known.waits else None,
+            )  # fmt: skip
+            log_ = drive.run()
+        return _kept(drive, log_, known, directory, checks, began)
+
+
+@dataclass(frozen=True)
+class _Standing:
+    """An arm before it is told anything. plan: of staying. start: s, of the loop's time. waits: whether time waits for
+    the planner. checks: of the robot's own."""
+
+    live: Live
+    plan: Plan
+    robot: Robot
+    start: float
+    waits: bool
+    checks: list[Check]
+
+
+def _simulated(scenario: Scenario, address: str, realtime: bool) -> _Standing:
     live = Live(scenario, lead=None if realtime else LEAD)
-    arm = live.problem.arm
     plan = _resting(scenario, live)
-    robot = SimulatedRobot(plan, arm, LONGEST, realtime)
-    return _run(live, plan, robot, robot.start_time, wishes, source, listen, Path(directory), watchdog, realtime,
-                signals, confirm, [])  # fmt: skip
+    robot = SimulatedRobot(plan, live.problem.arm, LONGEST, realtime)
+    return _Standing(live, plan, robot, robot.start_time, not realtime, [])
 
 
-def run_live_on_franka(
-    scenario: Scenario,
-    wishes: Iterable[str | bytes],
-    address: str,
-    directory: str | Path,
-    watchdog: Watchdog | None = None,
-    *,
-    realtime: bool = True,
-    source: str = "the script",
-    listen: bool = False,
-    signals: Signals | None = None,
-    confirm: Callable[[list[Check]], bool] = lambda checks: True,
-) -> Execution:
-    """Run a live motion on a Franka, from where it stands with the load in place, within the limits of the Franka
-    Research 3.
-
-    Raises what `dry_run_live` does, MissingDependencyError without pylibfranka.
-    """
+def _franka(scenario: Scenario, address: str, realtime: bool) -> _Standing:
     tray = scenario.tray
     if scenario.arm is None:
         raise SalverError(f"{scenario.name} has no arm; give the scenario a table [arm] to execute it.")
     arm = load_arm(scenario.arm, tray)
     scenario = scenario.with_changes(arm__limits=slower(arm.limits, FR3))
     robot = FrankaRobot(address, arm, tray.mass, np.array(tray.inertia), realtime)
-    state = robot.look()
-    live = Live(scenario, state.q, permit=lambda motion: within_fr3(arm, motion))
+    live = Live(scenario, robot.look().q, permit=lambda motion: within_fr3(arm, motion))
     plan = _resting(scenario, live)
-    checks = check_franka(plan, arm)
-    return _run(live, plan, robot, -scenario.physics.settle_before, wishes, source, listen, Path(directory), watchdog,
-                True, signals, confirm, checks)  # fmt: skip
+    return _Standing(live, plan, robot, -scenario.physics.settle_before, False, check_franka(plan, arm))
 
 
 def slower(limits: JointLimits, others: JointLimits) -> dict[str, list[float]]:
@@ -248,97 +295,24 @@ def _resting(scenario: Scenario, live: Live) -> Plan:
     return commanded(scenario, JointMotion(np.array([0.0, RESTING]), np.tile(q, (2, 1)), still, still))
 
 
-def _run(
-    live: Live,
-    plan: Plan,
-    robot: Robot,
-    start: float,
-    wishes: Iterable[str | bytes],
-    source: str,
-    listen: bool,
-    directory: Path,
-    watchdog: Watchdog | None,
-    realtime: bool,
-    signals: Signals | None,
-    confirm: Callable[[list[Check]], bool],
-    checks: list[Check],
-) -> Execution:
-    scenario, arm, carried = plan.scenario, live.problem.arm, plan.scenario.payload.bodies
-    prompter = Prompter(live)
-    if not listen:
-        prompter.of(list(script([x if isinstance(x, str) else x.decode() for x in wishes], source)))
-    plan_files.check_place(scenario, directory, edited=True, force=True)
-    about = [c for c in check_plan(plan, arm, carried) if c.name not in ("stops", "command", "rest", "speeds")]
-    checks = [*about, *checks]
-    demand(checks)
-    checks.append(check_place(directory))
-    joint = plan.joint
-    assert joint is not None
-    checks += check_posture(joint, arm, robot.look())
-    demand(checks)
-    if not confirm(checks):
-        raise SalverError("Not moved: it was not confirmed.")
-    watchdog, course = watchdog or Watchdog(), LiveCourse(live)
-    controller = controller_for(scenario, course, None, arm=arm, space="joint")
-    loaded = with_load(arm, carried)
-
-    def stop_from(state: ArmState, t: float) -> Stop:
-        live.stop("the loop that drives the arm stopped it", source="monitor")
-        return LiveStop(live, course, controller, loaded, state, t)
-
-    for _ in range(50):  # first calls load code; they must not happen in the loop
-        controller.step(ArmState(joint.q[0], joint.dq[0]), start)
-        LiveStop(live, course, controller, loaded, ArmState(joint.q[0], joint.dq[0]), start).reference(0.0)
-    controller.reset()
-    if listen:
-        prompter.listening(wishes, source)
-
-    def plan_here() -> None:
-        if not live.idle:
-            live.plan(NO_HURRY)
-        else:
-            live.prepare(NO_HURRY)
-
-    began = time.perf_counter()
-    with noted_signals():  # nothing may come between the run and its log
-        with Worker(live, process=True, stops=True) if realtime else nullcontext():
-            drive = LiveDrive(
-                robot, controller, course, arm, carried, start, LONGEST, watchdog, stop_from, signals or Signals(),
-                live=live, prompter=prompter, rest_after=scenario.physics.settle_after,
-                planned_here=None if realtime else plan_here,
-            )  # fmt: skip
-            log_ = drive.run()
-        return _kept(drive, log_, plan, robot, directory, checks, watchdog, realtime, began)
-
-
 def _kept(
-    drive: LiveDrive,
-    log_: ExecutionLog,
-    resting: Plan,
-    robot: Robot,
-    directory: Path,
-    checks: list[Check],
-    watchdog: Watchdog,
-    realtime: bool,
-    began: float,
+    drive: LiveDrive, log_: ExecutionLog, known: _Standing, directory: Path, checks: list[Check], began: float
 ) -> Execution:
     """Keep the commanded motion as a plan and the executed one as its log."""
-    scenario = resting.scenario
-    plan, unjudged = resting, ""
+    plan, robot, unjudged = known.plan, known.robot, ""
     try:
-        plan = commanded(scenario, drive.commanded)
+        plan = commanded(plan.scenario, drive.commanded)
     except Exception as error:  # a run that ended as none should: the log comes first
         unjudged = f"What was commanded is no motion from rest to rest ({named(error)}); the plan is where it began."
-    arm = drive.arm
     summary = {
-        **summary_of(plan, robot, log_, checks, watchdog),
-        "realtime": realtime,
+        **summary_of(plan, robot, log_, checks, drive.watchdog),
+        "realtime": not known.waits,
         "wishes": drive.prompter.notes,
         "requests": {name: getattr(drive.prompter, name) for name in ("accepted", "refused", "dropped")},
         "unjudged": unjudged,
         "provenance": provenance(plan.scenario),
     }
-    arrays = arrays_of(arm, log_, robot)
+    arrays = arrays_of(drive.arm, log_, robot)
     if isinstance(robot, SimulatedRobot):
         arrays, summary = seen_in_the_engine(robot, began, arrays, summary, plan)
     plan_files.make_way(plan.scenario, directory, force=True)

@@ -13,6 +13,8 @@ from salver.errors import SalverError
 CANNOT_TELL = 3  # as of an audit
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from salver.driver.execute import Execution
     from salver.driver.execution import Watchdog
     from salver.driver.preflight import Check
@@ -82,7 +84,9 @@ def execute(
     from salver.scenario import load
 
     robot_class(robot)
-    dry_run = dry_run or robot == "simulated"
+    robot = "simulated" if dry_run else robot
+    simulated = robot == "simulated"
+    confirm = _warned if simulated else _assent(yes, json)
     if not 0 < watchdog < 1:
         raise SalverError(f"--watchdog is {watchdog:g} rad; it must be above 0 and below 1.")
     done: list[dict[str, Any]] = []
@@ -91,12 +95,12 @@ def execute(
             raise SalverError("--live goes with none of --mocap, --move-to-start, --full-speed-only and --stem.")
         if robot == "ur":
             raise SalverError("--live drives a franka or the simulated arm; a ur is driven along plans.")
-        result = _told(directory, live, out, address, dry_run, Watchdog(watchdog), realtime, yes, json)
+        result = _told(directory, live, out, robot, address, Watchdog(watchdog), realtime, yes, confirm)
     elif mocap is not None:
         result = merge_mocap(directory, stem, mocap, mocap_object, mocap_tray, mocap_offset, _pose(mocap_world))
     else:
         legs = load(scenario_of(directory)).legs if stem == "plan" else []
-        if legs and yes and not dry_run:
+        if legs and yes and not simulated:
             raise SalverError(
                 "--yes cannot tell when the tray is ready for the next leg: leave it out, or name a leg with --stem."
             )
@@ -107,14 +111,14 @@ def execute(
                 say(f"salver: leg {k} is done, then {legs[k - 1].handling}; leg {k + 1} follows.")
             result = run_plan(
                 directory,
-                "simulated" if dry_run else robot,
-                "" if dry_run else _given(address),
+                robot,
+                _given(robot, address),
                 f"leg{k + 1}" if legs else stem,
                 Watchdog(watchdog),
                 move_to_start=move_to_start and not k,
                 realtime=realtime,
                 full_speed_only=full_speed_only,
-                confirm=_warned if dry_run else _assent(yes, json),
+                confirm=confirm,
             )
             done.append({"log": result.path, **result.summary})
             if not result.achieved:
@@ -131,17 +135,17 @@ def _told(
     scenario: Path,
     lines: str,
     out: Path,
+    robot: str,
     address: str | None,
-    dry: bool,
     watchdog: Watchdog,
     realtime: bool,
     yes: bool,
-    json: bool,
+    confirm: Callable[[list[Check]], bool],
 ) -> Execution:
     """A live motion, told by lines."""
     import sys
 
-    from salver.driver.live import dry_run_live, run_live_on_franka
+    from salver.driver.live import run_live
     from salver.run_directory import SCENARIO
     from salver.scenario import load
 
@@ -151,29 +155,20 @@ def _told(
         wishes = sys.stdin.buffer if listen else Path(lines).read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise SalverError(f"{lines} cannot be read: {getattr(error, 'strerror', None) or 'it is no text'}.") from None
-    source = "standard input" if listen else lines
-    if dry:
-        return dry_run_live(case, wishes, out, watchdog, realtime, source=source, listen=listen, confirm=_warned)
-    address = _given(address)
-    if listen and not yes:
+    source, there = "standard input" if listen else lines, _given(robot, address)
+    if listen and robot != "simulated" and not yes:
         raise SalverError(
             "With --live - requests come from standard input, so nobody can be asked there; give --yes to let the "
             "arm move."
         )
-    return run_live_on_franka(
-        case,
-        wishes,
-        address,
-        out,
-        watchdog,
-        realtime=realtime,
-        source=source,
-        listen=listen,
-        confirm=_assent(yes, json),
+    return run_live(
+        case, wishes, out, robot, there, watchdog, realtime=realtime, source=source, listen=listen, confirm=confirm
     )
 
 
-def _given(address: str | None) -> str:
+def _given(robot: str, address: str | None) -> str:
+    if robot == "simulated":
+        return ""
     if address is None:
         raise SalverError("Give the arm's --address, as in --address 172.16.0.2, or try --dry-run first.")
     return address
