@@ -11,8 +11,7 @@ from scipy.optimize import curve_fit, least_squares
 from scipy.spatial.transform import Rotation
 
 from salver.auditing import Audit, audit_samples
-from salver.auditing.motion import continuous
-from salver.geometry import Array
+from salver.geometry import Array, continuous
 from salver.liquid.wave_cases import SloshingCase
 from salver.liquid.waves import Waves, along
 from salver.models.liquid import FLUIDS, damping_of

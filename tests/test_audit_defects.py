@@ -10,10 +10,9 @@ import salver as sv
 from salver import scenario as scenarios
 from salver.auditing import audit
 from salver.auditing.defects import channels_of, repaired
-from salver.auditing.motion import continuous
 from salver.auditing.noise import filtered_at
 from salver.auditing.options import DEFAULT
-from salver.geometry import quat_wxyz_from_matrix
+from salver.geometry import continuous, quat_wxyz_from_matrix
 from salver.models.arm.arm import load_arm
 from salver.motion_files.samples import TraySamples
 from salver.planning.fastest import plan_fastest

@@ -146,6 +146,17 @@ def compose(p_AB: Array, R_AB: Array, p_BC: Array, R_BC: Array) -> tuple[Array, 
     return (R_AB @ p_BC[..., None])[..., 0] + p_AB, R_AB @ R_BC
 
 
+def continuous(quat_wxyz: Array) -> Array:
+    """Rotations (N, 4) with the sign that is nearer to the one before."""
+    turned = np.einsum("ij,ij->i", quat_wxyz[1:], quat_wxyz[:-1]) < 0
+    return quat_wxyz * np.concatenate([[1.0], np.cumprod(np.where(turned, -1.0, 1.0))])[:, None]
+
+
+def spread(count: int, wanted: int) -> Indices:
+    """At most so many indices of a row of `count`, evenly spread, both ends included."""
+    return np.unique(np.round(np.linspace(0, count - 1, min(count, wanted))).astype(np.intp))
+
+
 def interpolated(t: Array, values: Array, at: Array) -> Array:
     """(K, ...) values (T, ...) at t (T,), at other instants (K,): by straight lines, held before the first and after
     the last."""

@@ -7,7 +7,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -28,7 +28,7 @@ from salver.run_directory import SCENARIO
 from salver.scenario import Scenario
 from salver.simulation.physics import simulate_tray
 from salver.simulation.record import SimulationRecord
-from salver.trajectory import MotionSamples, SampledReference
+from salver.trajectory import SampledReference
 
 MOST_WAYPOINTS = 1_000_000
 FASTEST, SLOWEST = 0.05, 20.0  # of the time
@@ -154,7 +154,7 @@ def simulate_given(
     motion = audit_samples(samples, scenario, options).motion.samples
     # Commands have both sides of every waypoint among their instants; a curve through these needs one.
     kept = np.diff(motion.t, prepend=-np.inf) > _APART
-    motion = MotionSamples(*(getattr(motion, field.name)[kept] for field in fields(motion)))
+    motion = motion.only(kept)
     speed = float(np.linalg.norm(motion.v_S[0]))
     if speed > AT_REST:
         raise SalverError(

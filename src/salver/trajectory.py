@@ -8,7 +8,7 @@ at any degree (the monomial basis loses a digit per degree).
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property, lru_cache
 from math import comb
 from typing import Protocol
@@ -18,7 +18,7 @@ import numpy.typing as npt
 from numpy.polynomial import chebyshev
 
 from salver.display import Outlined
-from salver.geometry import Array, Indices, cross, exp, hat, log, quat_wxyz_from_matrix, right_jacobian_inverse
+from salver.geometry import Array, Indices, Mask, cross, exp, hat, log, quat_wxyz_from_matrix, right_jacobian_inverse
 
 
 @dataclass(frozen=True)
@@ -39,6 +39,10 @@ class MotionSamples:
     @property
     def quat_SB_wxyz(self) -> Array:
         return quat_wxyz_from_matrix(self.R_SB)
+
+    def only(self, index: Indices | Mask | slice) -> MotionSamples:
+        """Some of the instants."""
+        return MotionSamples(*(getattr(self, each.name)[index] for each in fields(self)))
 
     def of_frame(self, p_BX: npt.ArrayLike, R_BX: npt.ArrayLike | None = None) -> MotionSamples:
         """The motion of a frame X that is fixed to B."""
@@ -269,8 +273,7 @@ class SampledReference:
     @cached_property
     def _position(self) -> Quintics:
         m = self.samples
-        first, last = (np.stack([x[part] for x in (m.p_SB, m.v_S, m.a_S)]) for part in (slice(-1), slice(1, None)))
-        return Quintics(m.t, _quintic_bernstein(first, last, np.diff(m.t)))
+        return Quintics.through(m.t, np.stack([m.p_SB, m.v_S, m.a_S]))
 
     @cached_property
     def _rotation(self) -> Quintics:
@@ -279,16 +282,11 @@ class SampledReference:
         theta = log(np.swapaxes(m.R_SB[:-1], 1, 2) @ m.R_SB[1:])
         inverse = right_jacobian_inverse(theta)
         rate = np.einsum("tij,tj->ti", inverse, m.omega_B[1:])
-        # theta'' from omega' = J_r theta'' + J_r' theta'; J_r' theta' by a central difference along theta'.
-        step = 1e-5
-        ahead, behind = (np.linalg.inv(right_jacobian_inverse(theta + sign * step * rate)) for sign in (1, -1))
-        drift = np.einsum("tij,tj->ti", (ahead - behind) / (2 * step), rate)
-        bend = np.einsum("tij,tj->ti", inverse, m.alpha_B[1:] - drift)
+        # alpha = J_r theta'' + J_r' theta'
+        bend = np.einsum("tij,tj->ti", inverse, m.alpha_B[1:] - _turning(theta, rate))
         zero = np.zeros_like(theta)
         first, last = np.stack([zero, m.omega_B[:-1], m.alpha_B[:-1]]), np.stack([theta, rate, bend])
-        h = np.diff(m.t)
-        coefficients = _quintic_bernstein(first, last, h)
-        return Quintics(m.t, coefficients)
+        return Quintics(m.t, _quintic_bernstein(first, last, np.diff(m.t)))
 
     def sample(self, t: npt.ArrayLike) -> MotionSamples:
         m = self.samples
@@ -299,11 +297,16 @@ class SampledReference:
         k = np.clip(np.searchsorted(m.t, tc, side="right") - 1, 0, len(m.t) - 2)
         theta, rate, bend = (self._rotation.at(tc, j) for j in range(3))
         jacobian = np.linalg.inv(right_jacobian_inverse(theta))
-        step = 1e-5
-        ahead, behind = (np.linalg.inv(right_jacobian_inverse(theta + sign * step * rate)) for sign in (1, -1))
         omega = np.einsum("tij,tj->ti", jacobian, rate)
-        alpha = np.einsum("tij,tj->ti", jacobian, bend) + np.einsum("tij,tj->ti", (ahead - behind) / (2 * step), rate)
+        alpha = np.einsum("tij,tj->ti", jacobian, bend) + _turning(theta, rate)
         return MotionSamples(t, p, v * moving, a * moving, m.R_SB[k] @ exp(theta), omega * moving, alpha * moving)
+
+
+def _turning(theta: Array, rate: Array) -> Array:
+    """(T, 3) J_r' theta' at rotation vectors and their rates (T, 3), by a central difference along theta'."""
+    step = 1e-5
+    ahead, behind = (np.linalg.inv(right_jacobian_inverse(theta + sign * step * rate)) for sign in (1, -1))
+    return np.asarray(np.einsum("tij,tj->ti", (ahead - behind) / (2 * step), rate))
 
 
 @dataclass(frozen=True, eq=False)
@@ -313,6 +316,11 @@ class Quintics:
 
     t: Array
     coefficients: Array
+
+    @classmethod
+    def through(cls, t: Array, states: Array) -> Quintics:
+        """With the states (3, T, d) at the breaks: value, rate and acceleration."""
+        return cls(t, _quintic_bernstein(states[:, :-1], states[:, 1:], np.diff(t)))
 
     def at(self, t: Array, order: int = 0) -> Array:
         """(T, d) value, or a derivative, at instants (T,) between the first and the last break."""
@@ -349,8 +357,7 @@ def _binomial(count: int) -> Array:
 def ways(t: Array, states: Array) -> Array:
     """(T - 1, n) at most so far each joint goes, back and forth, between instants t (T,) of one quintic each, with
     states (3, T, n) q, dq, ddq there; see `JointMotion.travel`."""
-    control = _quintic_bernstein(states[:, :-1], states[:, 1:], np.diff(t))
-    return np.asarray(np.abs(np.diff(control, axis=0)).sum(axis=0))
+    return np.asarray(np.abs(np.diff(Quintics.through(t, states).coefficients, axis=0)).sum(axis=0))
 
 
 def hulls(t: Array, states: Array) -> list[Array]:
@@ -358,7 +365,7 @@ def hulls(t: Array, states: Array) -> list[Array]:
     quintic each, with states (3, T, n) q, dq, ddq there, and of their first three derivatives: each goes no further
     than the largest and least of its coefficients (Farin, "Curves and Surfaces", section 5.2)."""
     h = np.diff(t)[:, None]
-    found = [_quintic_bernstein(states[:, :-1], states[:, 1:], h[:, 0])]
+    found = [Quintics.through(t, states).coefficients]
     for degree in (5, 4, 3):
         found.append((found[-1][1:] - found[-1][:-1]) * (degree / h))
     return found
@@ -417,8 +424,7 @@ class JointMotion(Outlined):
 
     @cached_property
     def _spline(self) -> Quintics:
-        first, last = (np.stack([x[part] for x in (self.q, self.dq, self.ddq)]) for part in (slice(-1), slice(1, None)))
-        return Quintics(self.t, _quintic_bernstein(first, last, np.diff(self.t)))
+        return Quintics.through(self.t, np.stack([self.q, self.dq, self.ddq]))
 
     def sample(self, t: npt.ArrayLike) -> tuple[Array, Array, Array]:
         """(q, dq, ddq), each (T, n); at rest before the start and after the end."""

@@ -14,7 +14,7 @@ from salver.auditing.options import DEFAULT, AuditOptions
 from salver.auditing.recorded import LEVER, Sensor, read_motion, sensor_of
 from salver.display import Outlined
 from salver.errors import FileFormatError, SalverError
-from salver.geometry import Array, hat, quat_wxyz_from_matrix
+from salver.geometry import Array, continuous, hat, quat_wxyz_from_matrix
 from salver.motion_files.samples import Samples, TraySamples, reordered
 from salver.trajectory import MotionSamples
 
@@ -114,12 +114,6 @@ def check_radians(q: Array, arm: ArmModel, source: str, form: str = "csv") -> No
                 f"{source} has {arm.joint_names[j]} at {q[k, j]:.4g}, which goes from {low[j]:.4g} to {high[j]:.4g} "
                 f"rad; these are degrees: {advice}."
             )
-
-
-def continuous(quat_wxyz: Array) -> Array:
-    """Rotations (N, 4) with the sign that is nearer to the one before."""
-    turned = np.einsum("ij,ij->i", quat_wxyz[1:], quat_wxyz[:-1]) < 0
-    return quat_wxyz * np.concatenate([[1.0], np.cumprod(np.where(turned, -1.0, 1.0))])[:, None]
 
 
 def _gains(arm: ArmModel, found: Channels) -> tuple[float, float]:

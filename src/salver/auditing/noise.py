@@ -22,7 +22,7 @@ from salver.geometry import Array
 
 RESOLVED = 0.4  # of the sampling rate: content up to there has an acceleration that is known
 _SHORTEST = 8  # samples of the shortest window that has frequencies
-_CONJUGATE = np.array([1.0, -1.0, -1.0, -1.0])
+CONJUGATE = np.array([1.0, -1.0, -1.0, -1.0])  # of a quaternion
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,7 @@ class Spectrum:
 
 def off(curve: Array, y: Array) -> Array:
     """(N, d) by which samples are off a curve at their times; of quaternions half the rotation vector (N, 3)."""
-    return product(curve * _CONJUGATE, y - curve)[:, 1:] if y.shape[1] == 4 else y - curve
+    return product(curve * CONJUGATE, y - curve)[:, 1:] if y.shape[1] == 4 else y - curve
 
 
 def product(a: Array, b: Array) -> Array:

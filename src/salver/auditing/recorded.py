@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from salver.auditing.noise import RESOLVED, NoiseLevel, Oscillations, noise_level, off, product, standing_out
+from salver.auditing.noise import CONJUGATE, RESOLVED, NoiseLevel, Oscillations, noise_level, off, product, standing_out
 from salver.auditing.options import AuditOptions
 from salver.auditing.spline import Fit, fit
 from salver.geometry import Array, matrix_from_quat_wxyz
@@ -22,7 +22,6 @@ FASTER = 2.0  # bandwidth over the frequency that was found: its acceleration is
 _PER_PERIOD = 12  # instants judged per period of the bandwidth, so 24 of what it follows: peaks are met to 0.9 %
 _GROWTH = 1.7  # by which the bandwidth grows at most between two looks at the residuals
 OUTER = 2  # samples at either end between which a curve bends as it likes
-_CONJUGATE = np.array([1.0, -1.0, -1.0, -1.0])
 
 
 @dataclass(frozen=True)
@@ -142,7 +141,7 @@ def _motion(t: Array, position: Fit, turning: Fit) -> MotionSamples:
     """
     p, v, a = position(t)
     quat, rate, bend = turning(t)
-    inverse = quat * _CONJUGATE / np.sum(quat**2, axis=1, keepdims=True)
+    inverse = quat * CONJUGATE / np.sum(quat**2, axis=1, keepdims=True)
     spin = product(inverse, rate)
     turn = product(inverse, bend) - product(spin, spin)
     unit = quat / np.linalg.norm(quat, axis=1, keepdims=True)

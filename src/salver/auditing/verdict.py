@@ -7,7 +7,7 @@ two it cannot be told, and the verdict says what would tell.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -34,7 +34,6 @@ from salver.motion_files.samples import cut_at_rests
 from salver.motion_files.units import Units
 from salver.scenario import Scenario
 from salver.tables import Table, Tabular
-from salver.trajectory import MotionSamples
 
 if TYPE_CHECKING:
     from salver.models.arm.arm import ArmModel
@@ -266,8 +265,7 @@ class Audit(Shown, Tabular):
     def _speeds(self, worst: bool) -> SafeSpeeds:
         few = len(self._w) <= AT_ONCE
         index = slice(None) if few or self._liquids is not None else self._decisive
-        samples = MotionSamples(*(getattr(self.motion.samples, field.name)[index] for field in fields(MotionSamples)))
-        return safe_speeds(self._model, samples, worst, rate=few)
+        return safe_speeds(self._model, self.motion.samples.only(index), worst, rate=few)
 
     def _recording(self) -> dict[str, Any] | None:
         seen = self.motion.recording

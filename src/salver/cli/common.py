@@ -196,6 +196,14 @@ def save_plans(directory: Path, plans: Mapping[str, Plan | MultiLegPlan], force:
         say(f"salver: {directory} held another plan; it is kept with its results in {path}.")
 
 
+def numbers(text: str) -> list[float]:
+    """Those of a text, with commas or blanks between; none where a word is no number."""
+    try:
+        return [float(word) for word in text.replace(",", " ").split()]
+    except ValueError:
+        return []
+
+
 def of_a_run(path: Path) -> None:
     """Raise ScenarioError for a motion file where only a run directory needs no scenario."""
     from salver.run_directory import SCENARIO

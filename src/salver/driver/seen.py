@@ -11,11 +11,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from salver.auditing.motion import continuous
 from salver.auditing.recorded import sensor_of
 from salver.driver.mocap import GAP, REST, SLIP, Track
 from salver.errors import Status
-from salver.geometry import Array, log, quat_wxyz_from_matrix
+from salver.geometry import Array, continuous, log, quat_wxyz_from_matrix
 from salver.wording import listed
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ import numpy as np
 
 from salver.display import Outlined
 from salver.errors import FileFormatError
-from salver.geometry import Array
+from salver.geometry import Array, continuous
 
 FEWEST = 8  # samples of a recording: below that no acceleration can be told from noise
 SHORTEST_STEP = 1e-5  # s
@@ -109,9 +109,7 @@ def tray_samples(t: Array, p: Array, quat_wxyz: Array, frame: str, source: str) 
             f"{source}: the position of sample {k + 1} is {np.abs(p[k]).max():.4g} m away; positions are in metres "
             "(of a table also in others: --units mm)."
         )
-    quat = quat_wxyz / np.median(norm)  # one factor for all: what the file rounds to stays a step
-    flips = np.cumprod(np.where(np.einsum("ij,ij->i", quat[1:], quat[:-1]) < 0, -1.0, 1.0))
-    quat = quat * np.concatenate([[1.0], flips])[:, None]
+    quat = continuous(quat_wxyz / np.median(norm))  # one factor for all: what the file rounds to stays a step
     t, keep, notes = _clock(t, np.hstack([p, quat]), source)
     return TraySamples(t[keep] - t[0], p[keep], quat[keep], frame, source, notes)
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from salver.contact_margins import Braking, braking, margin_model, margins
-from salver.geometry import Array, invert, matrix_from_quat_wxyz
+from salver.geometry import Array, invert, matrix_from_quat_wxyz, spread
 from salver.trajectory import MotionSamples
 
 if TYPE_CHECKING:
@@ -39,18 +39,16 @@ class ContactCurves:
     braking: Braking | None
 
 
+def planned_samples(a: Mapping[str, np.ndarray]) -> MotionSamples:
+    """The object's motion, of the arrays of its plan."""
+    turned = matrix_from_quat_wxyz(a["quat_SB_wxyz"])
+    return MotionSamples(a["t"], a["p_SB"], a["v_S"], a["a_S"], turned, a["omega_B"], a["alpha_B"])
+
+
 def contact_curves(scenario: Scenario, a: Mapping[str, np.ndarray]) -> ContactCurves:
     """All margins of a planned motion, given by the arrays of its plan."""
-    keep = np.unique(np.round(np.linspace(0, len(a["t"]) - 1, min(len(a["t"]), 301))).astype(int))
-    samples = MotionSamples(
-        a["t"][keep],
-        a["p_SB"][keep],
-        a["v_S"][keep],
-        a["a_S"][keep],
-        matrix_from_quat_wxyz(a["quat_SB_wxyz"][keep]),
-        a["omega_B"][keep],
-        a["alpha_B"][keep],
-    )
+    keep = spread(len(a["t"]), 301)
+    samples = planned_samples(a).only(keep)
     found = margins(scenario, samples)
     needed = [m.friction_needed for m in found.interfaces]
     share = [own / m.friction for own, m in zip(needed, found.interfaces, strict=True)]

@@ -17,7 +17,7 @@ from salver.geometry import Array, matrix_from_quat_wxyz
 from salver.models.bodies import Body
 from salver.models.uncertain.parameters import Parameter
 from salver.planning.plan_files import read_plan
-from salver.reports.contact import ContactCurves, contact_curves
+from salver.reports.contact import ContactCurves, contact_curves, planned_samples
 from salver.run_directory import RECORDS, STEMS, check_digest, known_stems, plan_digest, scenario_of
 from salver.simulation.record import FOLDER, WHAT_IF
 
@@ -69,7 +69,7 @@ class ReportedMotion:
         if self.stem != "plan":
             return self.stem.capitalize()
         method = self.summary.get("method")
-        searched = ("fastest", "safest", "least-sensitive", "live", "excite", "tilt")
+        searched = ("fastest", "safest", "least-sensitive", "live", "excite", "tilt", "given")
         return str(method).replace("-", " ").capitalize() if method in searched else "Robust"
 
     def planned_for(self, ranges: bool) -> str:
@@ -138,11 +138,9 @@ class ReportedRun:
         """The liquids along a motion as it was planned, at its times; None without any."""
         from salver.contact_margins import tray_motion
         from salver.liquid.spills import Liquids
-        from salver.trajectory import MotionSamples
 
-        p, v, a, omega, alpha = (motion.arrays[key] for key in ("p_SB", "v_S", "a_S", "omega_B", "alpha_B"))
-        samples = MotionSamples(motion.t, p, v, a, motion.R_SB, omega, alpha)
-        return Liquids.along(self.scenario.payload, motion.t, tray_motion(self.scenario, samples))
+        w = tray_motion(self.scenario, planned_samples(motion.arrays))
+        return Liquids.along(self.scenario.payload, motion.t, w)
 
     def parameter(self, name: str) -> Parameter:
         """The parameter that one of the files calls so. Raises FileFormatError."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,14 +22,6 @@ if TYPE_CHECKING:
     from salver.scenario import Obstacle
 
 Rows = list[tuple[str, str]]
-
-
-@dataclass(frozen=True)
-class HtmlTable:
-    """Text cells under column headings."""
-
-    head: Sequence[str]
-    rows: list[list[str]]
 
 
 def scenario_rows(run: ReportedRun) -> Rows:
@@ -149,15 +140,11 @@ def arm_usage(m: ReportedMotion, arm: ArmModel) -> dict[str, np.ndarray]:
     }
 
 
-def table_one(run: ReportedRun) -> HtmlTable:
-    """The paper's Table I for this scenario."""
-    return HtmlTable(("quantity", "value"), [list(row) for row in scenario_rows(run)])
-
-
-def numbers_table(run: ReportedRun, rollouts: Mapping[str, Perturbed]) -> HtmlTable:
-    """The numbers behind the figures, one column a motion, in SI units with their unit in the first column."""
+def numbers_table(run: ReportedRun, rollouts: Mapping[str, Perturbed]) -> list[Sequence[str]]:
+    """The numbers behind the figures, one column a motion, in SI units with their unit in the first column; headings
+    first."""
     curves = run.contact
-    rows: list[list[str]] = []
+    rows: list[Sequence[str]] = [("quantity", *(m.label.lower() for m in run.motions))]
 
     def add(label: str, value: Callable[[ReportedMotion], float | int | str | None]) -> None:
         values = [value(m) for m in run.motions]
@@ -189,7 +176,7 @@ def numbers_table(run: ReportedRun, rollouts: Mapping[str, Perturbed]) -> HtmlTa
     add("largest rotation deviation, perturbed [rad]", lambda m: _deviation(rollouts[m.stem], slice(3, 6)))
     add("solver", lambda m: (m.summary.get("solver") or {}).get("name"))
     add("solver time [s]", lambda m: (m.summary.get("solver") or {}).get("seconds"))
-    return HtmlTable(("quantity", *(m.label.lower() for m in run.motions)), rows)
+    return rows
 
 
 def _rise(m: ReportedMotion) -> np.ndarray:
@@ -204,13 +191,11 @@ def _deviation(runs: Perturbed, rows: slice) -> float:
     return float(np.linalg.norm(runs.rollout.deviation[:, :, rows], axis=2).max())
 
 
-def write_table(stem: Path, table: HtmlTable) -> list[Path]:
-    """The table as STEM.csv and STEM.md."""
+def write_table(stem: Path, rows: Sequence[Sequence[str]]) -> list[Path]:
+    """Rows, the headings first, as STEM.csv and STEM.md."""
     text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(table.head)
-    writer.writerows(table.rows)
-    lines = [table.head, ["---"] * len(table.head), *table.rows]
+    csv.writer(text, lineterminator="\n").writerows(rows)
+    lines = [rows[0], ["---"] * len(rows[0]), *rows[1:]]
     markdown = "".join(f"| {' | '.join(cell.replace('|', '/') for cell in row)} |\n" for row in lines)
     return [
         write_atomic(stem.with_suffix(".csv"), text.getvalue()),

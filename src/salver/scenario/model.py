@@ -127,12 +127,12 @@ class Scenario(Shown, Model):
         self._dry()
         for key, pose in (("start", self.motion.start), ("goal", self.motion.goal)):
             tilt = np.rad2deg(np.arccos(np.clip(pose.rotation[2, 2], -1, 1)))
-            for item in self.objects:
-                least = item.least_friction
+            for body in self.payload.bodies:
+                least = self.payload.least_friction(body)
                 holds = np.rad2deg(np.arctan(least))
                 if tilt > holds + 1e-6:
                     raise ValueError(
-                        f"motion.{key} tilts the tray by {tilt:.4g} deg, where {item.name} slides already at rest; "
+                        f"motion.{key} tilts the tray by {tilt:.4g} deg, where {body.name} slides already at rest; "
                         f"with its least friction of {least:.4g} at most {holds:.4g} deg hold"
                     )
         return self

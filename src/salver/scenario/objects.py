@@ -350,14 +350,6 @@ class CarriedObject(Model):
         height = shape.height if isinstance(shape, Cylinder) else shape.size[2]
         self.liquid.check(self.name, outside, height, _absolute(self.uncertainty.fill, self.liquid.fill))
 
-    @property
-    def least_friction(self) -> float:
-        """The least coefficient of friction within its range."""
-        half = self.uncertainty.friction
-        if half is None:
-            return self.friction
-        return self.friction - half if isinstance(half, float) else self.friction * (1 - half.relative)
-
 
 Tilt = Annotated[Number, Field(ge=0, le=45)]  # degrees
 

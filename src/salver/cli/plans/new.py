@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from salver.cli.common import NO_SAFE_PLAN, Json, print_json, result_console, say
+from salver.cli.common import NO_SAFE_PLAN, Json, numbers, print_json, result_console, say
 from salver.errors import SalverError, ScenarioError
 
 if TYPE_CHECKING:
@@ -74,12 +74,14 @@ def new(
         word = default if given[key] is None and not asking else given[key]
         answers[key] = _answer(key, question, default, word)
 
+    import tomllib
+
     from salver import scenario as scenarios
     from salver.files import write_atomic
     from salver.planning.make import make_plan
 
     text = written(file.stem, **answers)
-    scenarios.parse(_data(text, file), str(file))  # what is wrong with it is said before there is a file
+    scenarios.parse(tomllib.loads(text), str(file))  # what is wrong with it is said before there is a file
     write_atomic(file, text)
     name, runs = quote(str(file)), quote(f"runs/{file.stem}")
     helps = (
@@ -139,10 +141,7 @@ def _answer(key: str, question: str, default: str, given: str | None) -> Any:
 
 
 def _numbers(words: list[str], what: str, count: int) -> list[float]:
-    try:
-        values = [float(word) for word in words]
-    except ValueError:
-        values = []
+    values = numbers(" ".join(words))
     if len(values) != count:
         raise ScenarioError(f'"{" ".join(words)}" is not {what}; it must be {count} numbers with spaces between.')
     return values
@@ -241,15 +240,6 @@ READERS: dict[str, Callable[[str], Any]] = {
     "path": _path,
     "obstacles": _obstacles,
 }
-
-
-def _data(text: str, file: Path) -> dict[str, Any]:
-    import tomllib
-
-    try:
-        return tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise ScenarioError(f"{file} would not be valid TOML: {error}.") from None
 
 
 def written(

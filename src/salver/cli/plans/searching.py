@@ -66,12 +66,16 @@ def stopping(plan: Planned, keep: Callable[[], object]) -> Planned:
     from salver.planning.round import MultiLegPlan
     from salver.planning.stops import with_stops
 
+    def told(what: str) -> Callable[[int, int], None]:
+        return lambda done, total: step(done, total, what)
+
     if not plan.ok:
         return plan
     try:
         if isinstance(plan, MultiLegPlan):
-            return replace(plan, legs=tuple(with_stops(leg) for leg in plan.legs))
-        return replace(plan, stops=with_stops(plan, lambda done, total: step(done, total, "stops")).stops)
+            legs = (with_stops(leg, told(f"stops of leg {k}")) for k, leg in enumerate(plan.legs, 1))
+            return replace(plan, legs=tuple(legs))
+        return replace(plan, stops=with_stops(plan, told("stops")).stops)
     except KeyboardInterrupt:
         keep()
         raise

@@ -7,7 +7,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from salver.cli.common import NO_SAFE_PLAN, Json, ScenarioName, headed, print_json, print_table, result_console, say
+from salver.cli.common import (
+    NO_SAFE_PLAN,
+    Json,
+    ScenarioName,
+    headed,
+    numbers,
+    print_json,
+    print_table,
+    result_console,
+    say,
+)
 from salver.cli.progress import step
 from salver.errors import ScenarioError
 
@@ -63,11 +73,8 @@ def tradeoff(
 
 
 def _scales(text: str) -> list[float]:
-    try:
-        scales = [float(word) for word in text.split(",")]
-    except ValueError:
-        scales = [-1.0]
-    if not all(0 <= scale <= 100 for scale in scales) or len(scales) > 100:
+    scales = numbers(text)
+    if not all(0 <= scale <= 100 for scale in scales) or not 0 < len(scales) <= 100:
         raise ScenarioError(f'--scales = "{text[:80]}" must be at most 100 numbers from 0 to 100, separated by commas.')
     return scales
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from salver.cli.common import NOT_ACHIEVED, Json, print_json, result_console, say
+from salver.cli.common import NOT_ACHIEVED, Json, numbers, print_json, result_console, say
 from salver.errors import SalverError
 
 CANNOT_TELL = 3  # as of an audit
@@ -203,13 +203,10 @@ def _pose(text: str | None) -> Any:
 
     from salver.geometry import matrix_from_rpy
 
-    try:
-        numbers = [float(word) for word in text.replace(",", " ").split()]
-    except ValueError:
-        numbers = []
-    if len(numbers) != 6:
+    pose = numbers(text)
+    if len(pose) != 6:
         raise SalverError(f'--mocap-world is "{text}"; it must be six numbers: x y z in m, roll pitch yaw in degrees.')
-    return np.array(numbers[:3]), matrix_from_rpy(np.deg2rad(numbers[3:]))
+    return np.array(pose[:3]), matrix_from_rpy(np.deg2rad(pose[3:]))
 
 
 def _tell(result: Execution) -> None:

@@ -90,9 +90,7 @@ class Executed:
 
 def read_joints(path: str | Path, arm: ArmModel, topic: str | None = None) -> JointSamples:
     """A log of an arm's joints from any motion file. Raises FileFormatError."""
-    samples = read(path, lambda: arm.joint_names, topic)
-    if not isinstance(samples, JointSamples):  # a table may have the tray and the joints
-        samples = read(path, lambda: arm.joint_names, topic, as_path=True)
+    samples = read(path, lambda: arm.joint_names, topic, as_path=True)  # a table may have the tray too
     if not isinstance(samples, JointSamples):
         raise FileFormatError(
             f"{path} holds a motion of the tray; give one of the joints: columns q1 to q{arm.n}, rad."

@@ -13,12 +13,12 @@ from markupsafe import Markup
 from salver.auditing import Audit
 from salver.errors import Status
 from salver.files import output_file, to_json, versions, write_atomic
-from salver.geometry import Array, interpolated
+from salver.geometry import Array, interpolated, spread
 from salver.motion_files import JointSamples
 from salver.motion_files.samples import reordered
 from salver.planning.plan import Plan
 from salver.reports.pages.cells import number, table
-from salver.reports.pages.charts import Spec, thin, time_chart
+from salver.reports.pages.charts import curve, time_chart
 from salver.reports.pages.page import filled, replay
 from salver.reports.pages.sections import Sections, tile_list
 from salver.reports.pages.speed_bar import speed_bar
@@ -26,7 +26,7 @@ from salver.reports.pages.words import Verdict
 from salver.reports.parameters import ranges
 from salver.reports.run import ReportedMotion, ReportedRun
 from salver.reports.style import BLUE, VERMILION
-from salver.trajectory import MotionSamples, SampledReference
+from salver.trajectory import SampledReference
 
 if TYPE_CHECKING:
     from salver.models.arm.arm import ArmModel
@@ -98,11 +98,6 @@ def _tiles(audit: Audit) -> Markup:
     return tile_list(shown)
 
 
-def _curve(name: str, colour: str, t: Array, y: Array, **style: Any) -> Spec:
-    x, values = thin(t, y)
-    return {"name": name, "colour": colour, "dash": "", "x": x, "y": values, **style}
-
-
 def _sections(audit: Audit) -> Sections:
     page, s, margins = Sections(), audit.motion.samples, audit.margins
     nominal, worst = audit.reserves
@@ -110,17 +105,17 @@ def _sections(audit: Audit) -> Sections:
     friction, tip = [], []
     for k, m in enumerate(margins.interfaces):
         faint = {} if k == 0 else {"opacity": 0.5}
-        friction.append(_curve(m.name, BLUE, margins.t, np.minimum(m.friction_needed, 5.0), **faint))
-        tip.append(_curve(f"{m.name}, worst case", BLUE, margins.t, 1e3 * m.tip_over_worst, **faint))
-        tip.append(_curve(f"{m.name}, nominal", VERMILION, margins.t, 1e3 * m.tip_over, **faint))
+        friction.append(curve(m.name, BLUE, margins.t, np.minimum(m.friction_needed, 5.0), **faint))
+        tip.append(curve(f"{m.name}, worst case", BLUE, margins.t, 1e3 * m.tip_over_worst, **faint))
+        tip.append(curve(f"{m.name}, nominal", VERMILION, margins.t, 1e3 * m.tip_over, **faint))
     lines = [{"y": m.friction, "label": f"there is {m.friction:g}"} for m in margins.interfaces[:1]]
     charts = [
         time_chart(
             "Distance to sliding, tipping or lifting",
             "margin, % of the weight",
             [
-                _curve("worst case", BLUE, s.t, 100 * worst),
-                _curve("nominal", VERMILION, s.t, 100 * nominal, width=1.0, opacity=0.7),
+                curve("worst case", BLUE, s.t, 100 * worst),
+                curve("nominal", VERMILION, s.t, 100 * nominal, width=1.0, opacity=0.7),
             ],
             "How far inside its contact wrench cone the required wrench stays: above zero it sticks.",
             "%",
@@ -132,8 +127,8 @@ def _sections(audit: Audit) -> Sections:
             "The tray",
             "m/s, m/s²",
             [
-                _curve("acceleration", BLUE, s.t, np.linalg.norm(s.a_S, axis=1)),
-                _curve("speed", VERMILION, s.t, np.linalg.norm(s.v_S, axis=1)),
+                curve("acceleration", BLUE, s.t, np.linalg.norm(s.a_S, axis=1)),
+                curve("speed", VERMILION, s.t, np.linalg.norm(s.v_S, axis=1)),
             ],
             "As the audit understands the motion.",
         ),
@@ -180,9 +175,9 @@ def _run(audit: Audit) -> tuple[ReportedRun, ArmModel | None]:
     scenario = audit.scenario
     first = scenario.payload.first
     samples = audit.motion.samples.of_frame(first.p_EB, first.R_EB)
-    keep = np.unique(np.linspace(0, len(samples.t) - 1, min(len(samples.t), 4001)).astype(int))
+    keep = spread(len(samples.t), 4001)
     keep = keep[np.diff(samples.t[keep], prepend=-np.inf) > 1e-6]
-    thinned = MotionSamples(*(getattr(samples, name)[keep] for name in _NAMES))
+    thinned = samples.only(keep)
     plan = Plan(scenario, "given", SampledReference(thinned), Status("given", audit.source, True))
     arrays: dict[str, Array] = dict(plan.arrays())
     arm, joints = None, audit.given
@@ -193,15 +188,4 @@ def _run(audit: Audit) -> tuple[ReportedRun, ArmModel | None]:
         q = reordered(joints, arm.joint_names).q
         arrays["q"] = interpolated(joints.t, q, arrays["t"])
     summary: Mapping[str, Any] = {"ok": audit.ok, "method": "given", "thinned": len(keep) < len(samples.t)}
-    return ReportedRun(Path(audit.source), scenario, [_Given("plan", arrays, dict(summary))]), arm
-
-
-_NAMES = ("t", "p_SB", "v_S", "a_S", "R_SB", "omega_B", "alpha_B")
-
-
-class _Given(ReportedMotion):
-    """A motion that nobody planned here."""
-
-    @property
-    def label(self) -> str:
-        return "Given"
+    return ReportedRun(Path(audit.source), scenario, [ReportedMotion("plan", arrays, dict(summary))]), arm

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from salver.errors import ScenarioError
-from salver.geometry import Array
+from salver.geometry import Array, spread
 from salver.models.uncertain.parameters import Parameter
 from salver.reports.parameters import pretty
 from salver.reports.style import CYCLE, ROLE_COLOURS
@@ -25,7 +25,7 @@ DASH = {"plan": "", "baseline": "6 3", "nominal": "6 3"}
 
 def thin(t: Array, *curves: Array) -> list[list[float | None]]:
     """Time and curves at no more than 240 instants, more than the pixels of a chart, to five digits."""
-    keep = np.unique(np.round(np.linspace(0, len(t) - 1, min(len(t), 240))).astype(int))
+    keep = spread(len(t), 240)
     return [_digits(x[keep]) for x in (t, *curves)]
 
 
@@ -34,10 +34,14 @@ def _digits(values: Array) -> list[float | None]:
     return [float(f"{v:.5g}") if np.isfinite(v) else None for v in np.asarray(values, dtype=float)]
 
 
+def curve(name: str, colour: str, t: Array, y: Array, **style: Any) -> Spec:
+    x, values = thin(t, y)
+    return {"name": name, "colour": colour, "x": x, "y": values, **style}
+
+
 def series(motion: ReportedMotion, name: str, t: Array, y: Array, **style: Any) -> Spec:
     """A curve in the colour and dash of the motion it belongs to."""
-    x, values = thin(t, y)
-    return {"name": name, "colour": ROLE_COLOURS[motion.stem], "dash": DASH[motion.stem], "x": x, "y": values, **style}
+    return curve(name, ROLE_COLOURS[motion.stem], t, y, dash=DASH[motion.stem], **style)
 
 
 def time_chart(title: str, y: str, curves: list[Spec], note: str = "", unit: str = "", **more: Any) -> Spec:
@@ -126,13 +130,10 @@ def _tip_range(curves: list[Spec]) -> list[float] | None:
 
 def _friction_lines(run: ReportedRun) -> list[Spec]:
     """The friction there is, and the least that is assumed."""
-    mu = run.bodies[0].friction
-    lines: list[Spec] = [{"y": mu, "label": f"available: {mu:g}"}]
-    uncertain = run.scenario.objects[0].uncertainty.friction
-    if uncertain is not None:
-        half = uncertain if isinstance(uncertain, float) else uncertain.relative * mu
-        lines.append({"y": mu - half, "label": f"least assumed: {mu - half:.3g}", "below": True})
-    return lines
+    first = run.bodies[0]
+    least = run.scenario.payload.least_friction(first)
+    lines: list[Spec] = [{"y": first.friction, "label": f"available: {first.friction:g}"}]
+    return lines + [{"y": least, "label": f"least assumed: {least:.3g}", "below": True}] * (least < first.friction)
 
 
 def cone_charts(run: ReportedRun) -> list[Spec]:
@@ -208,10 +209,8 @@ def _by_parameter(plan: ReportedMotion, parameters: list[Parameter]) -> Spec:
     effect = np.abs(plan.arrays["input_sensitivity"] * half).max(axis=1)
     peak = effect.max(axis=0)
     order = [int(i) for i in np.argsort(-peak, kind="stable") if peak[i] >= 0.02 * peak.max()][: len(CYCLE)]
-    curves = []
-    for colour, i in zip(CYCLE, order, strict=False):
-        t, y = thin(plan.t, effect[:, i])
-        curves.append({"name": pretty(parameters[i]), "colour": colour, "x": t, "y": y})
+    shown = zip(CYCLE, order, strict=False)
+    curves = [curve(pretty(parameters[i]), colour, plan.t, effect[:, i]) for colour, i in shown]
     small = [pretty(p) for i, p in enumerate(parameters) if i not in order]
     note = "Share of each parameter in the widest tube."
     if small:
@@ -244,10 +243,10 @@ def joint_charts(run: ReportedRun, limits: JointLimits) -> list[Spec]:
         for what, share in limits.shares(curves).items():
             if not np.all(np.isfinite(getattr(limits, what))):
                 continue
-            joints = []
-            for j, column in enumerate(100 * share.T):
-                t, y = thin(m.t, column)
-                joints.append({"name": f"joint {j + 1}", "colour": CYCLE[j % len(CYCLE)], "width": 1.4, "x": t, "y": y})
+            joints = [
+                curve(f"joint {j + 1}", CYCLE[j % len(CYCLE)], m.t, column, width=1.4)
+                for j, column in enumerate(100 * share.T)
+            ]
             lines = [{"y": s * 100, "label": "limit" if s > 0 else "", "optional": True} for s in (1, -1)]
             charts.append(time_chart(f"{m.label}: joint {what}", "% of the limit", joints, unit="%", lines=lines))
     return charts
@@ -266,7 +265,7 @@ def clearance_charts(run: ReportedRun, arm: ArmModel) -> list[Spec]:
     around = [k for k, (_, j) in enumerate(parts.pairs) if j >= len(parts.names) - parts.obstacles]
     whole, near = [], []
     for m in run.motions:
-        keep = np.unique(np.linspace(0, len(m.t) - 1, 121).astype(int))
+        keep = spread(len(m.t), 121)
         distance = 1e3 * parts.clearance(m.arrays["q"][keep])
         whole.append(series(m, m.label, m.t[keep], distance.min(axis=1)))
         if around:

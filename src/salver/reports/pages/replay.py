@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from salver.geometry import GRAVITY_S, Array, interpolated, matrix_from_quat_wxyz, quat_wxyz_from_matrix
+from salver.geometry import GRAVITY_S, Array, interpolated, matrix_from_quat_wxyz, quat_wxyz_from_matrix, spread
 from salver.models.bodies import Body
 from salver.models.shapes import hulls
 from salver.models.uncertain.parameters import Parameter
@@ -157,7 +157,7 @@ def _variant(motion: ReportedMotion, run: ReportedRun, arm: ArmModel | None) -> 
         "contacts": packed(contacts),
         "forces": packed(np.einsum("tij,tcj->tci", R, forces_B)),
         "liquids": [s and liquid(s, keep) for s in surfaces(motion, run)],
-        "path": np.round(p[_spread(len(p), 90)], 5).tolist(),
+        "path": np.round(p[spread(len(p), 90)], 5).tolist(),
     }
 
 
@@ -294,11 +294,7 @@ def _azimuth(run: ReportedRun, arm: ArmModel | None) -> float:
 
 def _frames(t: Array) -> np.ndarray:
     """Indices of about 60 samples per second, between which the viewer interpolates, both ends included."""
-    return _spread(len(t), int(np.ceil((t[-1] - t[0]) * 60.0)) + 1)
-
-
-def _spread(count: int, wanted: int) -> np.ndarray:
-    return np.unique(np.round(np.linspace(0, count - 1, min(count, wanted))).astype(int))
+    return spread(len(t), int(np.ceil((t[-1] - t[0]) * 60.0)) + 1)
 
 
 def packed(values: npt.ArrayLike) -> str:

@@ -225,12 +225,13 @@ def _run_section(page: Sections, run: ReportedRun, kind: str) -> None:
         return
     rows = []
     for m, record in records:
+        known = true_parameters(run, record.summary) or "nominal"
         rows.append(
             [
                 motion_cell(m.stem, m.label),
                 outcome_cell(record.summary.get("outcome", "unknown")),
                 *(_peak(record, key, factor) for key, factor in _PEAKS),
-                true_parameters(run, record.summary) or "nominal" if kind != "execution" else _source(record),
+                record.summary.get("source", "") if kind == "execution" else known,
             ]
         )
     last = "true parameters" if kind != "execution" else "arm"
@@ -240,10 +241,6 @@ def _run_section(page: Sections, run: ReportedRun, kind: str) -> None:
         extra += _clocks(records)
     title, intro = RUNS[kind]
     page.add(kind, title, intro, charts.run_charts(records), extra)
-
-
-def _source(record: Record) -> str:
-    return str(record.summary.get("source", ""))
 
 
 _PEAKS = (("slip", 1e3), ("lift", 1e3), ("tip_angle", 180 / np.pi), ("e_p", 1e3), ("e_o", 1e3))

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from salver.geometry import log
+from salver.reports.pages.cells import number
 from salver.reports.pages.charts import record_curve
 from salver.reports.parameters import pretty, quantity, ranges
 from salver.wording import listed
@@ -78,7 +80,7 @@ def _margins(run: ReportedRun) -> str:
     else:
         text = f"Needs at most {100 * float(curves.friction.max()):.0f} % of the friction there is"
     if run.scenario.contact.condition == "paper":
-        return f"{text}; least cone coefficient within its tube {_signed(float(plan.cone_floor.min()))} N"
+        return f"{text}; least cone coefficient within its tube {number(float(plan.cone_floor.min()), 3)} N"
     left = 100 * float(curves.worst.min())
     return f"{text}; in the worst case {left:.1f} % of the weight are left before anything moves"
 
@@ -96,9 +98,7 @@ def asked(run: ReportedRun) -> str:
     s, plan = run.scenario, run.plan
     start, goal = (np.array(p.position) for p in (s.motion.start, s.motion.goal))
     far, across = float(np.linalg.norm(goal - start)), goal - start
-    turned = np.rad2deg(
-        np.arccos(np.clip((np.trace(s.motion.start.rotation.T @ s.motion.goal.rotation) - 1) / 2, -1, 1))
-    )
+    turned = np.rad2deg(np.linalg.norm(log(s.motion.start.rotation.T @ s.motion.goal.rotation)))
     what = " and ".join(_thing(run, i) for i in range(len(s.objects)))
     carrier = f"A {_arm_name(s.arm.model)} arm" if s.arm else "A tray"
     parts = [f"{abs(across[i]):.2f} m along {axis}" for i, axis in enumerate("xyz") if abs(across[i]) > 5e-3]
@@ -153,10 +153,6 @@ def true_parameters(run: ReportedRun, summary: Mapping[str, Any]) -> str:
 def length(metres: float) -> str:
     """A small length in the unit that suits it."""
     return f"{1e3 * metres:.3g} mm" if abs(metres) >= 1e-4 else f"{1e6 * metres:.2g} µm"
-
-
-def _signed(value: float) -> str:
-    return f"{value:.3f}".replace("-", "−")
 
 
 def _arm_name(model: str) -> str:

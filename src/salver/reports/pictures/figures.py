@@ -12,9 +12,10 @@ import numpy as np
 from salver.errors import SalverError
 from salver.files import write_atomic
 from salver.reports import perturbed
+from salver.reports.pages.cells import number
 from salver.reports.run import ReportedMotion, ReportedRun, read_run
 from salver.reports.style import BLACK, BLUE, COLUMN, CYCLE, GREY, PAGE, ROLE_COLOURS, ROLE_DASHES, paper_style
-from salver.reports.tables import numbers_table, table_one, write_table
+from salver.reports.tables import numbers_table, scenario_rows, write_table
 from salver.simulation.pictures.drawing import draw_obstacles, within
 
 if TYPE_CHECKING:
@@ -64,7 +65,7 @@ def write_figures(
             figures["fig8-tracking"] = tracking(run.motions, nominal, heavier)
         for name, figure in figures.items():
             made.append(write_atomic(folder / f"{name}.{file_format}", render(figure, file_format)))
-    made += write_table(folder / "table1-parameters", table_one(run))
+    made += write_table(folder / "table1-parameters", [("quantity", "value"), *scenario_rows(run)])
     made += write_table(folder / "numbers", numbers_table(run, rollouts))
     return made
 
@@ -167,7 +168,9 @@ def coefficients(motions: Iterable[ReportedMotion]) -> Figure:
     for ax, m, letter in zip(axes[:, 0], motions, "ab", strict=False):
         ax.plot(m.t, m.arrays["cone_coefficients"], color=ROLE_COLOURS[m.stem], linewidth=0.7)
         _zero_line(ax)
-        ax.set_title(f"({letter}) {m.label}: least {_millinewtons(m.arrays['cone_coefficients'].min())}", loc="left")
+        ax.set_title(
+            f"({letter}) {m.label}: least {number(1e3 * m.arrays['cone_coefficients'].min(), 0, ' mN')}", loc="left"
+        )
         ax.set_ylabel(r"$\Lambda$ [N]")
         ax.margins(x=0)
     axes[-1, 0].set_xlabel("time [s]")
@@ -189,7 +192,7 @@ def perturbed_figure(m: ReportedMotion, runs: perturbed.Perturbed) -> Figure:
     _zero_line(ax)
     ax.set_ylim(bottom=ax.get_ylim()[0] - 0.16 * np.ptp(ax.get_ylim()))
     ax.set(xlabel="time [s]", ylabel=r"$\Lambda$ [N]")
-    ax.set_title(f"{m.label}, {n} perturbed bodies: least {_millinewtons(float(values.min()))}", loc="left")
+    ax.set_title(f"{m.label}, {n} perturbed bodies: least {number(1e3 * float(values.min()), 0, ' mN')}", loc="left")
     ax.margins(x=0)
     ax.legend(loc="lower center", ncols=5, columnspacing=0.8, handlelength=1.1, handletextpad=0.4)
     return figure
@@ -284,7 +287,3 @@ def tradeoff_curve(points: Sequence[TradeoffPoint]) -> Figure:
 def _zero_line(ax: Axes) -> None:
     ax.axhline(0, color=GREY, linewidth=0.7)
     ax.set_ylim(bottom=min(0.0, ax.get_ylim()[0]))
-
-
-def _millinewtons(newtons: float) -> str:
-    return f"{1e3 * newtons:.0f} mN".replace("-", "−")
