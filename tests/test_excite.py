@@ -14,8 +14,7 @@ from salver.cli import app
 from salver.errors import ScenarioError
 from salver.learning import identify
 from salver.learning.load.excite import Information, plan_excite
-from salver.learning.load.sensors import SensedArm, Sensors
-from salver.models.uncertain.parameters import inertial_vector
+from salver.learning.load.sensors import SensedArm, Sensors, nominal_load
 from salver.planning.fastest import AtPosture, Point, transport_problem
 from salver.planning.plan import Plan
 from salver.planning.trajopt.curves import FreeCurve, Grid
@@ -60,7 +59,7 @@ def test_it_is_safe_tells_more_than_the_transport_and_as_much_as_promised(plan: 
     found = []
     for each in (plan, carried):
         arm = SensedArm(each, 3, Sensors(rate=1000.0), joints=False)
-        found.append(identify(each, [arm.log(inertial_vector(each.scenario.payload.first.inertial))], arm.log(None)))
+        found.append(identify(each, [arm.log(nominal_load(each))], arm.log(None)))
     half = [1e3 * seen.ranges["mass"].half for seen in found]
     assert half[0] < half[1]
     assert half[0] == pytest.approx(promised, rel=0.2)

@@ -13,9 +13,8 @@ from rosbags.typesys import Stores, get_typestore
 import salver as sv
 from salver.errors import FileFormatError
 from salver.learning import Log, read_log
-from salver.learning.load.sensors import SensedArm, Sensors
+from salver.learning.load.sensors import SensedArm, Sensors, nominal_load
 from salver.models.arm.arm import load_arm
-from salver.models.uncertain.parameters import inertial_vector
 from salver.planning.plan import Plan
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
@@ -32,8 +31,7 @@ def plan() -> Plan:
 def log(plan: Plan) -> Log:
     assert plan.joint is not None
     t = np.arange(0.0, plan.duration + 0.0025, 0.005)  # a bag has no time before its own beginning
-    load = inertial_vector(plan.scenario.payload.first.inertial)
-    return SensedArm(plan, 1, Sensors(times=0.0)).log(load, "log", (t, *plan.joint.sample(t)[:3]))
+    return SensedArm(plan, 1, Sensors(times=0.0)).log(nominal_load(plan), "log", (t, *plan.joint.sample(t)[:3]))
 
 
 @pytest.fixture(scope="module")

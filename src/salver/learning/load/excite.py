@@ -18,10 +18,9 @@ from salver.learning.load.identify import identify
 from salver.learning.load.narrowing import prior
 from salver.learning.load.noise import RUNS, SensorNoise
 from salver.learning.load.ranges import NAMES
-from salver.learning.load.sensors import SensedArm, Sensors, at_flange
+from salver.learning.load.sensors import SensedArm, Sensors, at_flange, nominal_load
 from salver.learning.load.systematic import SensorBounds
 from salver.models.interfaces import needed_at_tray
-from salver.models.uncertain.parameters import inertial_vector
 from salver.planning.fastest import (
     AtPosture,
     FastestMotion,
@@ -154,7 +153,7 @@ def _planned(scenario: Scenario, found: FastestMotion) -> Plan:
     if not plan.status.ok:
         return plan
     arm = SensedArm(plan, 0, Sensors(rate=1000.0), joints=False)
-    ranges = identify(plan, [arm.log(inertial_vector(plan.scenario.payload.first.inertial))], arm.log(None)).ranges
+    ranges = identify(plan, [arm.log(nominal_load(plan))], arm.log(None)).ranges
     mass, *com = (1e3 * ranges[name].half for name in NAMES)
     sentence = (
         f"In {found.duration:.4g} s from the start pose and back a wrist sensor should tell the mass to "

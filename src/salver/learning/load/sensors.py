@@ -18,7 +18,7 @@ from salver.learning.logs import Log
 from salver.models.interfaces import needed_at_tray, to_tray
 from salver.models.rigid_body import inertia_entries
 from salver.models.tray_motion import wrench_map
-from salver.models.uncertain.parameters import phi_of
+from salver.models.uncertain.parameters import inertial_vector, phi_of
 from salver.planning.plan import Plan
 from salver.sensitivity.arm.terms import motion_terms
 
@@ -221,3 +221,8 @@ def tray_wrench(tray: Tray, arm: ArmModel, w: Array) -> Array:
     """(T, 6) what the tray itself needs at the flange, at w (T, 12)."""
     inertial = np.concatenate([[tray.mass], arm.tray_com_E, inertia_entries(np.diag(tray.inertia))])
     return at_flange(arm, wrench_map(phi_of(inertial)) @ w[:, :, None])[:, :, 0]
+
+
+def nominal_load(plan: Plan) -> Array:
+    """(10,) of the plan's own load."""
+    return inertial_vector(plan.scenario.payload.first.inertial)
