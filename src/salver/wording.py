@@ -11,6 +11,11 @@ def millimetres(metres: float, otherwise: str = "lifts") -> str:
     return f"{1e3 * metres:.1f} mm" if math.isfinite(metres) else otherwise
 
 
+def number(value: float, digits: int, unit: str = "", otherwise: str = "–") -> str:
+    """A number of a page or a figure with a fixed number of digits and its unit; words when it is not finite."""
+    return f"{value:.{digits}f}{unit}".replace("-", "−") if math.isfinite(value) else otherwise
+
+
 def listed(names: Iterable[str], before_last: str = "and") -> str:
     """Names in a row: "a, b and c"."""
     found = list(names)

@@ -17,7 +17,7 @@ from salver.geometry import Array, interpolated, spread
 from salver.motion_files import JointSamples
 from salver.motion_files.samples import reordered
 from salver.planning.plan import Plan
-from salver.reports.pages.cells import number, table
+from salver.reports.pages.cells import table
 from salver.reports.pages.charts import curve, time_chart
 from salver.reports.pages.page import filled, replay
 from salver.reports.pages.sections import Sections, tile_list
@@ -27,6 +27,7 @@ from salver.reports.parameters import ranges
 from salver.reports.run import ReportedMotion, ReportedRun
 from salver.reports.style import BLUE, VERMILION
 from salver.trajectory import SampledReference
+from salver.wording import number
 
 if TYPE_CHECKING:
     from salver.models.arm.arm import ArmModel

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-import numpy as np
 from markupsafe import Markup
 
 from salver.reports.style import GREY, OUTCOME_COLOURS, ROLE_COLOURS
@@ -42,11 +41,6 @@ def outcome_cell(word: object) -> Markup:
 
 def percent(share: float) -> str:
     return f"{100 * share:.1f} %"
-
-
-def number(value: float, digits: int, unit: str = "", otherwise: str = "–") -> str:
-    """A number with a fixed number of digits and its unit; words when it is not finite."""
-    return f"{value:.{digits}f}{unit}".replace("-", "−") if np.isfinite(value) else otherwise
 
 
 def motion_cell(stem: str, label: str) -> Markup:

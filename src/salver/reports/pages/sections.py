@@ -11,11 +11,11 @@ from markupsafe import Markup
 
 from salver.models.arm.arm_limits import LIMITS
 from salver.reports.pages import charts, perturbed_runs
-from salver.reports.pages.cells import NOTHING, joined, motion_cell, number, outcome_cell, table
+from salver.reports.pages.cells import NOTHING, joined, motion_cell, outcome_cell, table
 from salver.reports.pages.speed_bar import speed_bar
 from salver.reports.pages.words import length, true_parameters
 from salver.reports.tables import arm_usage, scenario_rows, solver_rows
-from salver.wording import listed
+from salver.wording import listed, number
 
 if TYPE_CHECKING:
     from salver.models.arm.arm import ArmModel

@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from salver.geometry import log
-from salver.reports.pages.cells import number
 from salver.reports.pages.charts import record_curve
 from salver.reports.parameters import pretty, quantity, ranges
-from salver.wording import listed
+from salver.wording import listed, number
 
 if TYPE_CHECKING:
     from salver.reports.run import ReportedRun

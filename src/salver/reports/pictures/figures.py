@@ -12,11 +12,11 @@ import numpy as np
 from salver.errors import SalverError
 from salver.files import write_atomic
 from salver.reports import perturbed
-from salver.reports.pages.cells import number
 from salver.reports.run import ReportedMotion, ReportedRun, read_run
 from salver.reports.style import BLACK, BLUE, COLUMN, CYCLE, GREY, PAGE, ROLE_COLOURS, ROLE_DASHES, paper_style
 from salver.reports.tables import numbers_table, scenario_rows, write_table
 from salver.simulation.pictures.drawing import draw_obstacles, within
+from salver.wording import number
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
