@@ -356,3 +356,12 @@ def test_a_start_posture_is_followed_once(monkeypatch):
     assert len(starts) == options.attempts // options.batches
     assert 2 <= len(goals) < len(starts)
     assert min(apart) > 1e-6
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_no_joint_begins_a_whole_turn_away(seed: int) -> None:
+    """Joints of a UR5e turn by 360 degrees either way: a posture at 305 degrees is one at -55."""
+    problem = transport_problem(scenario.load("ur5-bottle").with_changes(arm__model="ur5e"))
+    for pair in ends(problem, np.random.default_rng(seed)):
+        assert np.abs(0.5 * (pair.start + pair.goal)).max() <= np.pi
+        assert problem.arm.tray_pose(pair.start)[0] == pytest.approx(problem.start.target.tray_pose[0], abs=1e-6)

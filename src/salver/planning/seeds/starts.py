@@ -231,6 +231,8 @@ class _Found:
         goal = None if goal is None else _slid_free(problem, problem.goal, goal, self.options)
         if goal is None:
             return
+        if problem.start_posture is None:
+            start, goal = _unwound(problem, start, goal)
         others = (_apart(problem, goal, e.goal) + _apart(problem, start, e.start) for e in self.pairs)
         if min(others, default=np.inf) <= APART:
             return
@@ -295,6 +297,14 @@ def standing_at(problem: TransportProblem, end: End, rng: np.random.Generator) -
     known = [] if middle is None else [middle, _slid_free(problem, end, middle)]
     yield from known
     yield from _free_postures(problem, end, known[1:], rng)
+
+
+def _unwound(problem: TransportProblem, start: Array, goal: Array) -> tuple[Array, Array]:
+    """The same two postures by whole turns as near to the middle of the joints' ranges as they can be: nobody wants an
+    arm that begins a turn away, and cables less."""
+    middle, half = problem.limits.range(POSITION)
+    turns = np.where(problem.arm.linear | (half < np.pi), 0.0, np.round((0.5 * (start + goal) - middle) / (2 * np.pi)))
+    return start - 2 * np.pi * turns, goal - 2 * np.pi * turns
 
 
 def _apart(problem: TransportProblem, q: Array, other: Array) -> float:
