@@ -92,6 +92,14 @@ def bottle_plan() -> Plan:
 
 
 @pytest.fixture(scope="session")
+def coffee_plan(coffee: Scenario) -> Plan:
+    """The fastest motion of the open cup of coffee, which keeps it at every speed."""
+    from salver.planning.fastest import plan_fastest
+
+    return plan_fastest(coffee)
+
+
+@pytest.fixture(scope="session")
 def baseline() -> Plan:
     """The paper's cube along the straight line, not optimised."""
     from salver import scenario

@@ -16,7 +16,6 @@ from salver.models.contact_rows import contact_rows
 from salver.models.tray_motion import frame_map, motion_vector, wrench_map
 from salver.models.uncertain.parameters import INERTIAL, phi_jacobian
 from salver.models.uncertain.worst_case import Drift
-from salver.planning.fastest import plan_fastest
 from salver.sensitivity.arm import arm_chain, chain_model
 from salver.sensitivity.arm.load import load_change
 from salver.sensitivity.arm.terms import motion_terms
@@ -339,9 +338,9 @@ def test_where_the_jerk_jumps_the_least_slack_is_that_of_a_fine_grid(panda):
     assert even.least_slack().min() > least.min() + 1e-3
 
 
-def test_a_chain_with_a_liquid_says_no_slack(coffee):
+def test_a_chain_with_a_liquid_says_no_slack(coffee_plan):
     """As a solid the coffee of a safe plan would seem to slide: what its waves take off is not in the chain."""
-    plan = plan_fastest(coffee)
+    plan = coffee_plan
     assert plan.ok
     assert plan.chain.least_slack().min() < 0
     assert "contact_slack" not in plan.summary()["arm_chain"]

@@ -282,7 +282,8 @@ def test_waves_in_a_box_that_turns_go_the_way_that_is_known(coffee):
 @pytest.mark.slow
 def test_a_cup_whose_waves_were_too_high_between_nodes_is_carried():
     """By .06 % of its room, which no longer time mends: it was given up."""
-    motion = {"start": {"position": [0.45, -0.2, 0.4]}, "goal": {"position": [0.45, 0.2, 0.4]}, "goal_yaw": "fixed"}
+    motion = {"start": {"position": [0.45, -0.2, 0.4]}, "goal": {"position": [0.45, 0.2, 0.4]}}
+    motion |= {"goal_yaw": "fixed", "speeds": "full"}
     tray = {"size": [0.25, 0.25], "height": 0.05, "mass": 0.3}
     made = {"motion": motion, "objects": [GLASS], "contact": {"condition": "exact"}, "tray": tray}
     scenario = parse({"name": "glass", **made, "arm": {"model": "xarm7"}}, "glass")
@@ -298,7 +299,7 @@ def test_a_square_box_that_turns_by_a_right_angle_keeps_its_water(coffee):
     inside = {"kind": "water", "size": [0.06, 0.06], "fill": 0.05, "brim": 0.075}
     shape = {"type": "box", "size": [0.07, 0.07, 0.085]}
     goal = sv.load_scenario("panda-cube-yaw").motion.goal
-    turned = {"motion__goal_yaw": "fixed", "motion__goal": goal.model_dump()}
+    turned = {"motion__goal_yaw": "fixed", "motion__goal": goal.model_dump(), "motion__speeds": "full"}
     plan = plan_fastest(coffee.with_changes(objects__0__shape=shape, objects__0__liquid=inside, **turned))
     assert plan.ok, plan.told
     full = {"fill": 0.065, "damping": 0.0, "mass": 0.275, "friction": 0.36}
@@ -308,7 +309,8 @@ def test_a_square_box_that_turns_by_a_right_angle_keeps_its_water(coffee):
 @pytest.mark.slow
 def test_a_box_of_water_planned_fastest_keeps_it_and_the_line_does_not(coffee):
     """Corners and random draws of all that is uncertain, in the engine."""
-    scenario = boxed(coffee, *BOXES["long"], objects__0__yaw_deg=30, arm__start_posture=None)
+    changes = {"objects__0__yaw_deg": 30, "arm__start_posture": None, "motion__speeds": "full"}
+    scenario = boxed(coffee, *BOXES["long"], **changes)
     plan = plan_fastest(scenario)
     assert plan.ok, plan.told
     assert plan.duration < 0.8

@@ -203,6 +203,7 @@ def test_waves_that_a_hasty_stop_leaves_are_not_steeper_than_is_known():
                 "start": {"position": [0.456, -0.109, 0.345]},
                 "goal": {"position": [0.471, -0.178, 0.465]},
                 "goal_yaw": "free",
+                "speeds": "full",
             },
             "objects": [cup],
             "contact": {"condition": "exact"},
@@ -220,11 +221,10 @@ def test_waves_that_a_hasty_stop_leaves_are_not_steeper_than_is_known():
 
 
 @pytest.mark.slow
-def test_fastest_plan_keeps_the_coffee_and_the_engine_agrees(coffee, tmp_path):
-    from salver.planning.fastest import plan_fastest
+def test_fastest_plan_keeps_the_coffee_and_the_engine_agrees(coffee, coffee_plan, tmp_path):
     from salver.reports.pages.page import write_report
 
-    plan = plan_fastest(coffee)
+    plan = coffee_plan
     assert plan.ok, plan.verification.sentence
     assert plan.duration < 0.80
     full = {"mass": 0.275, "com_x": -0.002, "com_y": -0.002, "com_z": -0.00224, "fill": 0.065}
@@ -249,7 +249,7 @@ def test_fastest_plan_keeps_the_coffee_and_the_engine_agrees(coffee, tmp_path):
 def test_a_beaker_is_still_when_it_should_be():
     """Half a second after the arm stands no wave of the engine is higher than was asked for, at either end of the
     fill; two kinds of condition, of the motion and of what comes after it, on another arm."""
-    made = sv.load_scenario("ur10-beaker", physics__settle_after=0.9)
+    made = sv.load_scenario("ur10-beaker", physics__settle_after=0.9, motion__speeds="full")
     plan, liquid = sv.fastest(made), made.payload.first.liquid
     assert plan.ok, plan.verification.sentence
     for fill in (0.0385, 0.0715):
@@ -359,7 +359,7 @@ def test_what_a_check_misses_of_a_room_is_kept_more_and_a_little_besides(coffee)
 
 
 def to_a_goal_that_leans(coffee, degrees):
-    motion = {"motion__goal__rpy_deg": [degrees, 0, 0]}
+    motion = {"motion__goal__rpy_deg": [degrees, 0, 0], "motion__speeds": "full"}
     return sv.fastest(coffee.with_changes(**motion, objects__0__friction=0.3, objects__0__liquid__fill=0.035))
 
 

@@ -13,7 +13,7 @@ from salver.driver.preflight import check_plan
 from salver.liquid.given_way import Sloshing
 from salver.models.arm.arm import load_arm
 from salver.planning.fastest import plan_fastest
-from salver.planning.stops import along, past_of, plan_stops, stop_problem, stopped, with_stops
+from salver.planning.stops import along, past_of, plan_stops, stop_problem, stopped
 from salver.planning.trajopt.ends import Anywhere, AtPosture
 from salver.planning.trajopt.evaluation import MotionEvaluation
 from salver.planning.trajopt.problem import TransportProblem, transport_problem
@@ -75,8 +75,11 @@ def test_waves_of_a_motion_that_goes_on_are_those_of_both_together(shape):
 @pytest.mark.slow
 def test_a_slow_plan_with_coffee_is_stopped_long_before_its_end_and_nothing_spills():
     """In the engine too, at the fullest and with the least damping, when the tray is at its fastest."""
-    case = sv.load_scenario("panda-coffee").with_changes(motion__duration=1.6)
-    plan = with_stops(sv.plan(case, method="safest"))
+    case = sv.load_scenario("panda-coffee").with_changes(motion__duration=1.6, motion__speeds="full")
+    bare = sv.plan(case, method="safest")
+    assert bare.joint is not None
+    plan = replace(bare, stops=plan_stops(stop_problem(bare), bare.joint, every=0.2, space=bare.space))
+    assert plan.stops is not None
     assert plan.stops.longest < 1.0
     now = 0.8
     done = stopped(plan, now)
@@ -94,7 +97,7 @@ def test_a_slow_plan_with_coffee_is_stopped_long_before_its_end_and_nothing_spil
 def test_a_cup_stays_where_the_tray_leans_after_a_stop():
     """At rest on an incline friction must be its tangent, whatever the liquid did when the tray stopped: a stop that
     ended on 16 degrees, with .27 sure, slid 4 mm."""
-    plan = plan_fastest(cup_and_jar())
+    plan = plan_fastest(cup_and_jar().with_changes(motion__speeds="full"))
     problem = stop_problem(plan)
     found = plan_stops(problem, plan.joint, every=0.06)
     assert len(found.t) > 0
