@@ -30,11 +30,11 @@ from typing import Any
 
 import numpy as np
 
+from salver.dynamics.liquid import sloshing
+from salver.dynamics.liquid.liquid import STEEPEST
+from salver.dynamics.liquid.surface import SurfaceMotion
+from salver.dynamics.load_cases import LoadCase
 from salver.errors import ScenarioError
-from salver.liquid import sloshing
-from salver.liquid.wave_cases import SloshingCase
-from salver.liquid.waves import along
-from salver.models.liquid import STEEPEST
 from salver.models.tray_motion import at_rest
 from salver.planning.fastest import plan_fastest
 from salver.planning.fastest.planned import joint_plan
@@ -86,10 +86,10 @@ def flow_rows() -> Iterator[str]:
     ):
         for fill in (0.035, 0.05, 0.065):
             for duration in (1.6, 1.4, 1.25, 1.1, 1.0):
-                case, t = SloshingCase(scenario.payload.first, fill, 0.005), np.linspace(0, duration, 201)
+                case, t = LoadCase(scenario.payload.first, fill, 0.005), np.linspace(0, duration, 201)
                 w = np.tile(at_rest(), (len(t), 1))
                 w[:, :2] = np.outer([push(duration, x) for x in t], [np.cos(angle), np.sin(angle)])
-                waves, times = along((case,), t, w), np.arange(0, duration + 0.5, 0.0015)
+                waves, times = SurfaceMotion.along((case,), t, w), np.arange(0, duration + 0.5, 0.0015)
                 with np.errstate(all="ignore"):
                     seen = flow(basis, fill, lambda x, T=duration: (push(T, x), 9.81), times, 0.005)
                 during, after = seen[times <= duration].max(), seen[times > duration].max()

@@ -25,10 +25,11 @@ from scipy.signal import butter, filtfilt, savgol_filter
 
 import salver as sv
 from salver.auditing import AuditOptions, audit_samples
+from salver.dynamics import modal_motion
+from salver.dynamics.liquid import surface
+from salver.dynamics.liquid.liquid import LEANING, STEEPEST
 from salver.geometry import Array
 from salver.given import simulate_given
-from salver.liquid import waves
-from salver.models.liquid import LEANING, STEEPEST
 
 sys.path += [str(Path(__file__).parents[1] / folder) for folder in ("tests", "docs")]
 import blocks
@@ -154,7 +155,7 @@ def sides(every: list[Predicted]) -> list[str]:
 def _towards_camera(p: Predicted) -> tuple[Array, Array]:
     """Of frames in which a high surface is predicted: cosine of its direction from the camera's, and seen over
     predicted."""
-    x, y = (np.interp(p.seen_t, p.t, axis) for axis in p.waves.eta_B[0].T)
+    x, y = (np.interp(p.seen_t, p.t, axis) for axis in p.waves.seen[0, :, :2].T)
     some = p.during & (p.at_frames > HIGH)
     return np.cos(np.arctan2(y, x) - CAMERA)[some], p.seen[some] / p.at_frames[some]
 
@@ -182,7 +183,7 @@ def damping(p: Predicted, near: float) -> tuple[float, float]:
 
 def damped(every: list[Predicted], first: float) -> str:
     """What the tails say of damping, and what it matters."""
-    low, high = vessel().payload.first.liquid.damping
+    low, high = vessel().payload.first.inner.damping
     tails = [damping(p, first) for p in every if frequency(p)[1] > SWINGS]
     clear = [found for found, share in tails if share > CLEAR]
     quarters, below = np.quantile(clear, [0.25, 0.5, 0.75]), sum(found < low for found in clear)
@@ -227,17 +228,31 @@ def rules(every: list[Predicted]) -> list[str]:
     spun = [p for p in every if not p.name.startswith("Tilt")]
     rising = [p for p in every if "_3D_" in p.name]
     leant = [p for p in every if p.name.startswith("Tilt")]
-    asked: list[tuple[str, str, list[Predicted], str, object]] = [
-        ("a round vessel does not spin its water", "spun", spun, "_spin", lambda _, __, w, ___: 0 * w[..., 0]),
-        ("force along the vessel stiffens waves", "3D", rising, "_upward", lambda _, w: 0 * w[..., 0] + 9.81),
-        ("tilting at a rate raises the crest", "tilted", leant, "TILTING", 0.0),
+    asked: list[tuple[str, str, list[Predicted], object, str, object]] = [
+        (
+            "a round vessel does not spin its water",
+            "spun",
+            spun,
+            modal_motion,
+            "_spin",
+            lambda _, __, w, ___: 0 * w[..., 0],
+        ),
+        (
+            "force along the vessel stiffens waves",
+            "3D",
+            rising,
+            modal_motion,
+            "_upward",
+            lambda _, w: 0 * w[..., 0] + 9.81,
+        ),
+        ("tilting at a rate raises the crest", "tilted", leant, surface, "TILTING", 0.0),
     ]
     rows = [
         "| rule | motions | n | predicted / seen, with it | without | r.m.s., mm | without | correlation | without |",
         "|---|---|---|---|---|---|---|---|---|",
     ]
-    for said, which, some, name, other in asked:
-        with patch.object(waves, name, other):
+    for said, which, some, where, name, other in asked:
+        with patch.object(where, name, other):
             without = [replace(p, waves=waves_of(p.audit)) for p in some]
             cells = [
                 form.format(scale * np.median([of(p) for p in group]))
@@ -314,7 +329,7 @@ def sloshing() -> tuple[list[Predicted], dict[str, str]]:
         said: [p for p in every if kind(p) == said]
         for said in ("valid", f"whole surface above {LEANING:g} R", f"free wave above {STEEPEST:g} R")
     }
-    first = float(vessel().payload.first.liquid.modes(FILL).omega[0, 0]) / (2 * np.pi)
+    first = float(vessel().payload.first.inner.modes(FILL).omega[0, 0]) / (2 * np.pi)
     clear = [f for f, size in map(frequency, every) if size > SWINGS]
     ratios, below = [ratio(p) for p in every], [p for p in every if ratio(p) < 1]
     low = ", ".join(f"{x:.2f}" for x in sorted(ratio(p) for p in below))
@@ -364,7 +379,7 @@ def forces() -> tuple[str, str, Pushed]:
     rows.append(f"| damping, of critical | {seen_damping:.4f} | {told_damping:.4f} |")
     delay, solid, left = _solid(p)
     rows.append("")
-    low, high = vessel().payload.first.liquid.damping
+    low, high = vessel().payload.first.inner.damping
     rows.append(
         prose(
             f"During the motion the force is that of a solid of {solid:.2f} kg beside the waves, the one number that",

@@ -117,7 +117,7 @@ def corner(plan: Plan, rng: np.random.Generator) -> dict[str, float]:
 def runs(plan: Plan, count: int, rng: np.random.Generator) -> dict[str, list[str]]:
     """Outcomes in the engine."""
     found: dict[str, list[str]] = {"constant": [], "override": [], "pause": []}
-    rigid = not plan.scenario.payload.liquids  # of a liquid only constant speeds are promised
+    rigid = not plan.scenario.payload.dynamic  # of a liquid only constant speeds are promised
     for k in range(count):
         factor = float(SLOWEST ** (k / max(1, count - 1)))
         moved = plan.at_speed(factor) if factor < 1.0 else plan

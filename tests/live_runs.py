@@ -8,10 +8,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from salver.liquid.given_way import Sloshing
 from salver.live.replanning.steer import TICK
 from salver.planning.fastest import evaluate
 from salver.planning.trajopt.constraints.constraints import ContactConstraint
+from salver.sensitivity.arm.compliance import LoadResponses
 from salver.sensitivity.arm.tracking import JointLoop
 from salver.trajectory import JointMotion
 
@@ -106,11 +106,11 @@ def rows_of(problem, told):
     motion = executed(told)
     knots = np.array([knot[0] for knot in told.knots]) - told.t[0]
     t = np.unique(np.concatenate([motion.t, knots[knots > JUST] - JUST]))
-    rows = _rows(replace(problem, liquids=()), motion, t, motion.jerk(t))
-    if problem.liquids:  # their filter is a cubic's: it takes what is half way where the jerk jumps
+    rows = _rows(replace(problem, cases=()), motion, t, motion.jerk(t))
+    if problem.cases:  # their filter is a cubic's: it takes what is half way where the jerk jumps
         t = motion.t
         jerk = 0.5 * (motion.jerk(t) + motion.jerk(np.maximum(t - JUST, 0.0)))
-        wet = _rows(replace(problem, liquids=problem.every_case), motion, t, jerk)
+        wet = _rows(replace(problem, cases=problem.every_case), motion, t, jerk)
         rows = {name: max(value, rows.get(name, value)) for name, value in wet.items()}
     rate = np.abs(np.diff(told.tau, axis=0) / np.diff(told.t)[:, None])
     return rows | {"torque rate": float((rate / problem.limits.torque_rate).max()) - 1.0}
@@ -122,9 +122,9 @@ def _rows(problem, motion, t, jerk):
         problem = replace(problem, tracking=Linear(**vars(problem.tracking)))
     at = problem.at(t / motion.duration, np.stack([*motion.sample(t), jerk]), motion.duration, imposed=False)
     rounds = int(ROUNDS * max(1.0, 0.5 * motion.duration))
-    at = at.knowing(waves=Sloshing.of(problem.liquids, t, at.terms.w, at.response, rounds=rounds))
+    at = at.knowing(loads=LoadResponses.of(problem.cases, t, at.terms.w, at.response, rounds=rounds))
     constraints = [constraint.near(motion.q[::5]) for constraint in problem.constraints]
-    if problem.payload.liquids and not problem.liquids:
+    if problem.payload.dynamic and not problem.cases:
         constraints = [constraint for constraint in constraints if not isinstance(constraint, ContactConstraint)]
     return {block.name: float(block.values.max()) for block in evaluate(constraints, at, margins=False)}
 

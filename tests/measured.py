@@ -11,10 +11,10 @@ from scipy.optimize import curve_fit, least_squares
 from scipy.spatial.transform import Rotation
 
 from salver.auditing import Audit, audit_samples
+from salver.dynamics.liquid.liquid import FLUIDS, damping_of
+from salver.dynamics.liquid.surface import SurfaceMotion
+from salver.dynamics.load_cases import LoadCase
 from salver.geometry import Array, continuous
-from salver.liquid.wave_cases import SloshingCase
-from salver.liquid.waves import Waves, along
-from salver.models.liquid import FLUIDS, damping_of
 from salver.models.tray_motion import motion_vector
 from salver.motion_files import JointSamples, TraySamples
 from salver.scenario import Scenario, load, parse
@@ -55,7 +55,7 @@ class Predicted:
     name: str
     audit: Audit
     t: Array
-    waves: Waves
+    waves: SurfaceMotion
     end: float
     seen_t: Array
     seen: Array
@@ -104,11 +104,11 @@ def executed(name: str) -> str:
     return "mirrored" if name.startswith("Tilt_TRD") else "joints"
 
 
-def waves_of(audit: Audit, fill: float = FILL, damping: float = FORMULA) -> Waves:
+def waves_of(audit: Audit, fill: float = FILL, damping: float = FORMULA) -> SurfaceMotion:
     """Those of each vessel along an audited motion."""
     s = audit.motion.samples
     w = motion_vector(s.R_SB, s.a_S, s.omega_B, s.alpha_B)
-    return along(tuple(SloshingCase(body, fill, damping) for body in audit.scenario.payload.bodies), s.t, w)
+    return SurfaceMotion.along(tuple(LoadCase(body, fill, damping) for body in audit.scenario.payload.bodies), s.t, w)
 
 
 def predicted(name: str, way: str | None = None, damping: float = FORMULA) -> Predicted:

@@ -10,6 +10,7 @@ from scipy.interpolate import interp1d
 from arm_rollouts import CUBE, DURATION, STEP, Case, T, case_of, relative
 from salver.errors import ScenarioError
 from salver.geometry import log
+from salver.linear_filter import LinearFilter, QuadratureGrid
 from salver.models.arm.arm import with_load
 from salver.models.contact.wrench_cone import cone_facets
 from salver.models.contact_rows import contact_rows
@@ -19,7 +20,6 @@ from salver.models.uncertain.worst_case import Drift
 from salver.sensitivity.arm import arm_chain, chain_model
 from salver.sensitivity.arm.load import load_change
 from salver.sensitivity.arm.terms import motion_terms
-from salver.sensitivity.filter import LinearFilter, QuadratureGrid
 from salver.sensitivity.tray import TrayLoop
 from salver.trajectory import JointMotion
 

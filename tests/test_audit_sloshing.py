@@ -12,11 +12,11 @@ from recordings import HEADER, write_csv
 from salver.auditing import audit, audit_motion
 from salver.auditing.motion import AuditedMotion, tray_motion
 from salver.auditing.sloshing import _gain, unseen
+from salver.dynamics.liquid.sloshing import SloshingResponse
+from salver.dynamics.liquid.spills import Spill
+from salver.dynamics.liquid.surface import SurfaceMotion
+from salver.dynamics.load_cases import LoadCase
 from salver.geometry import quat_wxyz_from_matrix
-from salver.liquid.sloshing import Slosh
-from salver.liquid.spills import Spill
-from salver.liquid.wave_cases import SloshingCase
-from salver.liquid.waves import along
 from salver.models.tray_motion import at_rest
 from salver.motion_files.samples import TraySamples
 from salver.trajectory import MotionSamples
@@ -56,18 +56,18 @@ def test_a_shake_that_noise_hides_raises_no_wave_by_more_than_is_allowed_for(cup
     """Shakes of every frequency, as large as would just be found, begun anywhere: against the filters themselves."""
     t, p, quat = line(1.2, noise=1e-4)
     motion = tray_motion(TraySamples(t, p, quat, "E", "line", ()), None, np.zeros(3), np.eye(3))
-    case, t = SloshingCase(cup.payload.first, 0.05, 0.0), motion.samples.t
+    case, t = LoadCase(cup.payload.first, 0.05, 0.0), motion.samples.t
     w = np.tile(at_rest(), (len(t), 1))
-    part = Slosh.of(along((case,), t, w))
+    part = SloshingResponse.of(SurfaceMotion.along((case,), t, w))
     most, _ = unseen("cup", (part,), motion)
     noise = motion.recording.sensor.displacement
     for frequency in (1.0, 3.0, 3.35, 4.0, 5.76, 8.0):
         shaken = w.copy()
         amplitude = 7 * noise * np.sqrt(2 * frequency / (800 * frequency * np.ptp(t)))
         shaken[:, 0] += amplitude * (2 * np.pi * frequency) ** 2 * np.sin(2 * np.pi * frequency * t)
-        waves = along((case,), t, shaken)
-        assert np.all(waves.crest <= most.crest), frequency
-    assert np.median(most.crest) < 0.5 * case.room  # and it is no empty statement
+        waves = SurfaceMotion.along((case,), t, shaken)
+        assert np.all(waves.crest <= most.size), frequency
+    assert np.median(most.size) < 0.5 * case.dynamics.room(case.value)  # and it is no empty statement
 
 
 @pytest.mark.parametrize(("first", "last"), [(0, None), (0, -60), (60, None)])
@@ -79,7 +79,7 @@ def test_how_a_liquid_moves_where_the_motion_begins_moving_is_not_known(cup, fir
     begun = first > 0
     for status in (found.nominal, found.worst):
         assert status.details.get("reasons", []) == ["begun"] * begun
-        assert ("how the liquid moves then is not known" in status.sentence) == begun
+        assert ("how what is inside moves then is not known" in status.sentence) == begun
     assert found.outcome == ("cannot_tell" if begun else "holds")
 
 
@@ -94,9 +94,11 @@ def test_what_is_missed_of_a_jolt_is_as_fast_as_the_jolt(cup):
     motion = tray_motion(TraySamples(t, p, quat, "E", "line", ()), None, np.zeros(3), np.eye(3))
     assert motion.missed.max() > 0.5
     t = motion.samples.t
-    part = Slosh.of(along((SloshingCase(cup.payload.first, 0.05, 0.0),), t, np.tile(at_rest(), (len(t), 1))))
+    part = SloshingResponse.of(
+        SurfaceMotion.along((LoadCase(cup.payload.first, 0.05, 0.0),), t, np.tile(at_rest(), (len(t), 1)))
+    )
     most, _ = unseen("cup", (part,), motion)
-    assert 0.0 < (most.crest - part.crest).max() < 1e-4  # m
+    assert 0.0 < (most.size - part.crest).max() < 1e-4  # m
 
 
 @pytest.mark.parametrize("ratio", [0.3, 0.9, 1.0, 1.1, 4.0])
@@ -122,8 +124,8 @@ def test_what_is_kept_is_told_of_each_thing_that_is_allowed(cup):
         (0.075, shaken, "what they may reach"),
         (0.05, falling, "the weight that may be taken from them"),
     ):
-        spill = Spill.of("cup", (Slosh.of(along((SloshingCase(body, fill, 0.01),), t, w)),))
-        kept = spill.kept()
+        spill = Spill.along("cup", (SloshingResponse.of(SurfaceMotion.along((LoadCase(body, fill, 0.01),), t, w)),))
+        kept = spill.kept
         assert min(kept, key=kept.get) == least
         assert min(kept.values()) == spill.slack.min()
 
@@ -131,7 +133,7 @@ def test_what_is_kept_is_told_of_each_thing_that_is_allowed(cup):
 @pytest.mark.parametrize(("share", "code"), [(1.05, "holds"), (0.93, "cannot_tell"), (0.96, "cannot_tell")])
 def test_a_cup_that_is_shaken_near_its_frequency_gives_no_verdict(cup, share, code):
     """Linear waves of 10 to 14 mm of 29. Above resonance what is softer is further from it; below it runs away."""
-    omega = float(cup.payload.first.liquid.modes(cup.payload.first.liquid.fill).omega[0, 0])
+    omega = float(cup.payload.first.inner.modes(cup.payload.first.inner.fill).omega[0, 0])
     t = np.arange(4000) / 800
     size = 0.2 * abs(1 / share**2 - 1) * np.clip(np.minimum(t, t[-1] - t) / 1.5, 0, 1)  # of g
     a = 9.81 * size * np.sin(share * omega * t)
@@ -167,15 +169,15 @@ def test_of_a_recording_that_begins_and_ends_in_a_jolt_the_truth_is_within_what_
         },
         cup,
     )
-    read, (most, _) = found._liquids.nominal["cup"], found._sloshing[False]["cup"]
-    known, fine = Spill.of("cup", read), np.linspace(0.0, t[-1], 2001)
+    read, (most, _) = found._loads.nominal["cup"], found._inner[False]["cup"]
+    known, fine = Spill.along("cup", read), np.linspace(0.0, t[-1], 2001)
     w = np.tile(at_rest(), (len(fine), 1))
     w[1:, 1] += np.where(fine[1:] < 0.5, 0.9, -0.9)  # until then the surface is level
-    truth = along(read[0].waves.cases.each, fine, w).crest.max(axis=0)
-    said, allowed = (np.interp(fine, x.t, x.crest) for x in (known, most))
+    truth = SurfaceMotion.along(read[0].modes.cases.each, fine, w).crest.max(axis=0)
+    said, allowed = (np.interp(fine, x.t, x.size) for x in (known, most))
     inner = np.min(np.abs(fine[:, None] - [0.0, 0.5, t[-1]]), axis=1) > 5 / rate
     assert np.all(np.abs(truth - said)[inner] <= (allowed - said)[inner] + 1e-4)
-    assert np.median(allowed - said) < 0.1 * known.crest.max() or rate == 100.0  # and it is no empty statement
+    assert np.median(allowed - said) < 0.1 * known.size.max() or rate == 100.0  # and it is no empty statement
 
 
 def test_what_a_liquid_does_after_a_recording_that_ends_moving_is_not_known(cup):
@@ -185,7 +187,7 @@ def test_what_a_liquid_does_after_a_recording_that_ends_moving_is_not_known(cup)
     columns = {"t": t[keep], **dict(zip(("x", "y", "z"), p[keep].T, strict=True))}
     columns |= dict(zip(("qw", "qx", "qy", "qz"), quat[keep].T, strict=True))
     found = audit(columns, cup)
-    told = Spill.of("cup", found._liquids.nominal["cup"]).slack
+    told = Spill.along("cup", found._loads.nominal["cup"]).slack
     assert told[:-1].min() > 0
     assert found.outcome == "cannot_tell"
     assert "ended" in found.worst.details["reasons"]
@@ -209,13 +211,13 @@ def test_acceleration_that_grows_from_rest_within_the_outermost_samples_raises_n
     way = cumulative_trapezoid(cumulative_trapezoid(force, fine, initial=0), fine, initial=0)
     t, y = fine[::100], way[::100]
     pose = {"x": 0.5 + 0 * t, "y": y, "z": 0.4 + 0 * t, "qw": 1 + 0 * t, "qx": 0 * t, "qy": 0 * t, "qz": 0 * t}
-    read = audit({"t": t, **pose}, cup)._liquids.nominal["cup"]
+    read = audit({"t": t, **pose}, cup)._loads.nominal["cup"]
     w = np.tile(at_rest(), (len(fine), 1))
     w[:, 1] += force
-    truth = along(read[0].waves.cases.each, fine[::20], w[::20]).crest.max(axis=0)
+    truth = SurfaceMotion.along(read[0].modes.cases.each, fine[::20], w[::20]).crest.max(axis=0)
     some = (fine[::20] > 0.02) & (fine[::20] < 0.4)
-    known = Spill.of("cup", read)
-    assert np.abs(truth - np.interp(fine[::20], known.t, known.crest))[some].max() < 1.5e-4
+    known = Spill.along("cup", read)
+    assert np.abs(truth - np.interp(fine[::20], known.t, known.size))[some].max() < 1.5e-4
 
 
 @pytest.mark.parametrize(("noise", "code"), [(0.0, "spills"), (1e-6, "cannot_tell")])
@@ -230,7 +232,7 @@ def test_waves_that_come_too_high_after_a_recording_that_ends_at_rest_are_known_
     still = 0 * t
     columns = {"t": t, "x": 0.5 + still, "y": y, "z": 0.4 + still, "qw": 1 + still}
     found = audit(columns | dict.fromkeys(("qx", "qy", "qz"), still), cup)
-    slack = Spill.of("cup", found._liquids.nominal["cup"]).slack
+    slack = Spill.along("cup", found._loads.nominal["cup"]).slack
     assert slack[:-1].min() > 0 > slack[-1]
     assert found.nominal.code == code, found.nominal.sentence
     assert "ended" not in found.nominal.details.get("reasons", {})

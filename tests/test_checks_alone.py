@@ -140,7 +140,7 @@ def test_of_each_condition_on_the_load_alone_a_plan_says_no(check: str) -> None:
     assert not plan.ok
     said = {
         "contact": "contact condition",
-        "brim": "room below the brim",
+        "brim": "room of what moves inside",
         "tilt": "limit on tilt",
         "ends": "misses its start or goal",
         "passes": "misses a pose to pass",

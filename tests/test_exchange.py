@@ -129,7 +129,7 @@ class Slower(Constraint):
 def a_joint(constraint: Constraint) -> TransportProblem:
     """From 0 to 1."""
     made: Any = SimpleNamespace(
-        n=1, arm=SimpleNamespace(n=1), limits=None, constraints=(constraint,), liquids=(), moving=False, keep_out=None
+        n=1, arm=SimpleNamespace(n=1), limits=None, constraints=(constraint,), cases=(), moving=False, keep_out=None
     )
     made.start, made.goal = AtPosture(np.zeros(1)), AtPosture(np.ones(1))
 

@@ -17,8 +17,8 @@ from salver.models.uncertain.parameters import Parameter, inertial_vector
 from salver.models.uncertain.worst_case import Drift, WorstCase
 from salver.planning.fastest import object_motion
 from salver.planning.object.evaluation import evaluate
-from salver.planning.trajopt.constraints.brim import Brim
 from salver.planning.trajopt.constraints.constraints import ContactConstraint, TiltConstraint
+from salver.planning.trajopt.constraints.load_limits import LoadConstraint
 from salver.planning.trajopt.curves import FreeCurve, Grid
 from salver.planning.trajopt.ends import AtPosture
 from salver.planning.trajopt.objectives import Duration, Point
@@ -201,7 +201,7 @@ def test_a_step_that_leads_far_astray_is_not_taken_and_nothing_is_said_of_it(mon
     """Waves of a motion that is 1e60 times as wide are higher than numbers are, and so are their forces, of which one
     less the other is none."""
     problem = transport_problem(load("panda-coffee"), robust=False)
-    wet = [each for each in problem.constraints if isinstance(each, ContactConstraint | Brim)]
+    wet = [each for each in problem.constraints if isinstance(each, ContactConstraint | LoadConstraint)]
     spline = RestSpline(5, 6)
     programme = Programme(FreeCurve(problem, Grid.of(spline, spline.nodes(12))), wet, Duration())
     path = programme.at(Point(line(problem, spline), 1.2))
@@ -222,7 +222,7 @@ def test_rows_of_waves_know_all_that_was_felt_before(factor, where):
     """The whole motion in between changes, and its duration. What is interpolated between the nodes has an error of
     fourth order: on twice as many nodes a sixteenth."""
     problem = replace(transport_problem(load("panda-coffee"), robust=False), speeds=(Speed(factor),))
-    wet = [each for each in problem.constraints if isinstance(each, ContactConstraint | Brim)]
+    wet = [each for each in problem.constraints if isinstance(each, ContactConstraint | LoadConstraint)]
     spline, rng = RestSpline(5, 6), np.random.default_rng(4)
     inner = np.r_[0, np.ones(spline.size - 2), 0][:, None]  # at both ends the tray rests level where it was told
     bent, direction = inner * rng.normal(size=(2, spline.size, problem.n))

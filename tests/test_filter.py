@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from salver.sensitivity.filter import LinearFilter, QuadratureGrid, fastest_rate, settled, swinging_at, transition
+from salver.linear_filter import LinearFilter, QuadratureGrid, fastest_rate, settled, swinging_at, transition
 
 
 def forcing(t):

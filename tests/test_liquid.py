@@ -7,9 +7,9 @@ import pytest
 from scipy.sparse import diags, identity, kron
 from scipy.sparse.linalg import spsolve
 
+from salver.dynamics.liquid.liquid import Liquid, damping_of
+from salver.dynamics.load_cases import load_cases
 from salver.errors import ScenarioError
-from salver.liquid.wave_cases import cases
-from salver.models.liquid import Liquid, damping_of
 
 CUP = Liquid((0.04,), 0.005, 0.06, 0.075, 1000.0, (0.0, 0.03))
 
@@ -67,10 +67,10 @@ def test_moving_masses_and_the_rest_weigh_what_the_liquid_weighs(fill):
 
 
 def test_cases_span_fill_and_damping(coffee):
-    found = cases(coffee.payload.first, coffee.payload.uncertain)
-    assert {round(case.fill, 6) for case in found} >= {0.035, 0.065}
+    found = load_cases(coffee.payload.first, coffee.payload.uncertain)
+    assert {round(case.value, 6) for case in found} >= {0.035, 0.065}
     assert len({case.damping for case in found}) == 2
-    assert len(cases(coffee.payload.first, coffee.payload.nominal.uncertain)) == 1
+    assert len(load_cases(coffee.payload.first, coffee.payload.nominal.uncertain)) == 1
 
 
 def test_viscosity_damps_as_boundary_layers_do():
@@ -100,9 +100,12 @@ def liquid(**changes):
         ),
         (liquid(settled_within=0.5), "say with settled_wave"),
         ({"objects__0__uncertainty__fill": 0.06}, "reaches down to nothing"),
-        ({"objects__0__uncertainty__position": [0.01, 0.0]}, "how waves change with it is not known"),
-        ({"uncertainty__tilt_deg": [1.0, 0.0]}, "how waves change with it is not known"),
-        ({"motion__goal": {"position": [0.44, 0.1, 0.411], "rpy_deg": [19.7, 0, 0]}}, "mm below its brim"),
+        ({"objects__0__uncertainty__position": [0.01, 0.0]}, "how that moves with it is not known"),
+        ({"uncertainty__tilt_deg": [1.0, 0.0]}, "how that moves with it is not known"),
+        (
+            {"motion__goal": {"position": [0.44, 0.1, 0.411], "rpy_deg": [19.7, 0, 0]}},
+            "mm off already at rest; it has room",
+        ),
         ({"objects__0__liquid": None}, "needs a liquid"),
     ],
 )

@@ -10,12 +10,12 @@ import pytest
 from scipy.special import jnp_zeros, jv
 
 import salver as sv
-from salver.liquid.given_way import Sloshing
-from salver.liquid.wave_cases import Cases, SloshingCase
-from salver.liquid.waves import along
-from salver.models.liquid import GRAVITY
+from salver.dynamics.liquid.surface import SurfaceCases, SurfaceMotion
+from salver.dynamics.load_cases import LoadCase
+from salver.models.load_dynamics import GRAVITY
 from salver.planning.trajopt.constraints.constraints import TorqueLimit
 from salver.planning.trajopt.problem import transport_problem
+from salver.sensitivity.arm.compliance import LoadResponses
 from shaken import BOX
 
 DURATION, STEPS, EVERY = 0.6, 180, 3
@@ -50,7 +50,7 @@ def with_pendulums(problem, case):
     joint = frame.parentJoint
     to_cup = frame.placement * pin.SE3(body.R_EB, body.p_EB)
     model.appendBodyToJoint(joint, pin.Inertia(own.mass, own.com_B, own.inertia_com), to_cup)
-    to_surface, still = to_cup * pin.SE3(np.eye(3), body.surface_B(case.fill)), modes.still
+    to_surface, still = to_cup * pin.SE3(np.eye(3), body.inner_origin_B(case.value)), modes.still
     model.appendBodyToJoint(joint, pin.Inertia(still.mass, still.com_B, still.inertia_com), to_surface)
     damping = np.zeros(model.nv)
     for mass, height, omega in zip(modes.mass[:, 0], modes.height[:, 0], modes.omega[:, 0], strict=True):
@@ -108,9 +108,9 @@ def tray_at(problem, q):
 def test_an_arm_gives_way_to_its_waves_as_with_pendulums_on_its_tray(problem):
     """Joints, speeds and commanded torques along a small motion, of a load that is known but for its waves."""
     (body,) = problem.items
-    case, swing = SloshingCase(body, body.liquid.fill, 0.01), 0.01 * AWAY
+    case, swing = LoadCase(body, body.inner.fill, 0.01), 0.01 * AWAY
     motion = planned(problem, swing)
-    _, given = Sloshing.of(((case,),), motion.s * DURATION, motion.terms.w, motion.response).each["cup"]
+    _, given = LoadResponses.of(((case,),), motion.s * DURATION, motion.terms.w, motion.response).each["cup"]
     e, rate, torque = followed(problem, case, swing)
     reaction = given.reaction.part(slice(0, 1))
     for seen, told in (
@@ -126,8 +126,8 @@ def test_what_the_liquid_pushes_is_in_what_an_arm_may_stray(problem):
     within what rows allow for, to a fiftieth of it, and do not within what a lid on the liquid would leave."""
     swing = 0.35 * AWAY
     motion = planned(problem, swing)
-    case = max(problem.liquids[0], key=lambda case: (case.fill, -case.damping))
-    assert case.fill == pytest.approx(0.065)
+    case = max(problem.cases[0], key=lambda case: (case.value, -case.damping))
+    assert case.value == pytest.approx(0.065)
     e, rate, torque = followed(problem, case, swing)
     placed, away = (tray_at(problem, q) for q in (motion.z[0], motion.z[0] - e))
     moved = np.array([there.translation - here.translation for here, there in zip(placed, away, strict=True)])
@@ -153,8 +153,10 @@ def test_what_a_wave_lifts_is_the_energy_of_its_surface(problem, shape):
     liquid rises so far."""
     made = sv.load_scenario("panda-coffee").with_changes(**(BOX if shape == "box" else {}))
     body = made.payload.first
-    case = SloshingCase(body, 0.05, 0.01)
-    lifts, gain, half = (x[0] for x in (Cases.of((case,)).rising, Cases.of((case,)).gain, case.modes.half[None]))
+    case = LoadCase(body, 0.05, 0.01)
+    lifts, gain, half = (
+        x[0] for x in (SurfaceCases.of((case,)).rising, SurfaceCases.of((case,)).gain, case.modes.half[None])
+    )
     for n in range(2):
         for axis in range(2):
             if shape == "box":
@@ -164,7 +166,7 @@ def test_what_a_wave_lifts_is_the_energy_of_its_surface(problem, shape):
             else:
                 rho, root = np.linspace(0, 1, 4001), jnp_zeros(1, 2)[n]
                 square = np.pi * half[0] ** 2 * np.trapezoid((jv(1, root * rho) / jv(1, root)) ** 2 * rho, rho)
-            assert lifts[n, axis] / gain[n, axis] ** 2 == pytest.approx(body.liquid.density * square, rel=1e-6)
+            assert lifts[n, axis] / gain[n, axis] ** 2 == pytest.approx(body.inner.density * square, rel=1e-6)
 
 
 def test_waves_are_driven_by_what_the_tray_of_a_late_arm_feels(problem):
@@ -172,7 +174,7 @@ def test_waves_are_driven_by_what_the_tray_of_a_late_arm_feels(problem):
     swing, at_once = 0.35 * AWAY, planned(problem, 0.35 * AWAY)
     late = planned(replace(problem, tracking=replace(problem.tracking, delay=0.01)), swing)
     t, (felt, _) = late.s * DURATION, late.response.felt()
-    swayed = [motion.sloshing["cup"][1].waves.eta for motion in (late, at_once)]
-    alone = [along(problem.liquids[0], t, w).eta for w in (felt, late.terms.w)]
+    swayed = [motion.loads["cup"][1].modes.eta for motion in (late, at_once)]
+    alone = [SurfaceMotion.along(problem.cases[0], t, w).eta for w in (felt, late.terms.w)]
     changes = swayed[0] - swayed[1], alone[0] - alone[1]
     assert np.abs(changes[0] - changes[1]).max() < 0.15 * np.abs(changes[1]).max()

@@ -9,11 +9,11 @@ import pytest
 
 import salver as sv
 from salver.contact_margins import margins
+from salver.dynamics.liquid.liquid import Liquid
+from salver.dynamics.liquid.surface import SurfaceMotion
 from salver.errors import SalverError
 from salver.export.mujoco import write_scene
 from salver.geometry import exp
-from salver.liquid.waves import along
-from salver.models.liquid import Liquid
 from salver.models.rigid_body import RigidBody
 from salver.models.tray_motion import N_MOTION
 from salver.planning.fastest import plan_fastest
@@ -65,7 +65,7 @@ def carrying(scenario, which, **changes):
 
 def modes_by_hand(which, scenario):
     """Of each mode and axis: frequency, mass, height. Of a cylinder, roots of J1'; of a box, k = (2 n - 1) pi / L."""
-    liquid = scenario.payload.first.liquid
+    liquid = scenario.payload.first.inner
     h, density = liquid.fill, liquid.density
     if which == "cup":
         R, xi = 0.04, np.array([1.8411837813, 5.3314427735])[:, None] * np.ones(2)
@@ -93,9 +93,9 @@ def test_what_hangs_in_a_container_is_its_liquid(coffee, which):
     M = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, M)
     frozen = load.modes.frozen
-    held = RigidBody(frozen.mass, frozen.com_B + load.surface_B, frozen.inertia_com).phi + load.inertial.phi
+    held = RigidBody(frozen.mass, frozen.com_B + load.origin_B, frozen.inertia_com).phi + load.inertial.phi
     held = RigidBody.from_phi(held)
-    assert held.mass == pytest.approx(load.inertial.mass + scenario.payload.first.liquid.density * volume(which))
+    assert held.mass == pytest.approx(load.inertial.mass + scenario.payload.first.inner.density * volume(which))
     x, y, z = held.mass * held.com_B
     lever = np.array([[0, z, -y], [-z, 0, x], [y, -x, 0]])
     about_B = held.inertia_com + held.mass * (held.com_B @ held.com_B * np.eye(3) - np.outer(held.com_B, held.com_B))
@@ -118,7 +118,7 @@ def test_what_hangs_in_a_container_is_its_liquid(coffee, which):
             push[axis] = M[axis, j]
             assert push[axis] ** 2 / M[j, j] == pytest.approx(mass[n, axis], rel=2e-5)
             np.testing.assert_allclose(M[:3, j], push, atol=1e-6 * abs(push[axis]))
-            moment = np.cross(load.surface_B + np.array([0, 0, height[n, axis]]), push)
+            moment = np.cross(load.origin_B + np.array([0, 0, height[n, axis]]), push)
             np.testing.assert_allclose(M[3:6, j], moment, atol=1e-6 * abs(push[axis]))
             damping = model.dof_damping[j] / M[j, j] / (2 * omega[n, axis])
             assert damping == pytest.approx(load.damping, rel=2e-5)
@@ -137,7 +137,7 @@ def test_a_long_box_that_weighs_little_turns_about_its_long_side_with_what_swing
     world = true_world(scenario)
     (load,) = world.loads
     rest = load.modes.still
-    rest = RigidBody(rest.mass, rest.com_B + load.surface_B, rest.inertia_com)
+    rest = RigidBody(rest.mass, rest.com_B + load.origin_B, rest.inertia_com)
     exact = RigidBody.from_phi(load.inertial.phi + rest.phi)
     lacking = np.diag(load.still.inertia_com - exact.inertia_com)
     assert exact.inertia_com[0, 0] < 0
@@ -147,7 +147,7 @@ def test_a_long_box_that_weighs_little_turns_about_its_long_side_with_what_swing
     body = model.body("salver:object:0")
     np.testing.assert_allclose(sorted(body.inertia), sorted(np.diag(load.still.inertia_com)), rtol=1e-9, atol=1e-12)
     assert body.mass[0] == pytest.approx(exact.mass)
-    weight = load.inertial.mass + scenario.payload.first.liquid.density * volume("light")
+    weight = load.inertial.mass + scenario.payload.first.inner.density * volume("light")
     assert model.body_subtreemass[body.id] == pytest.approx(weight)
 
 
@@ -190,7 +190,7 @@ def test_waves_of_the_engine_are_those_of_plans(coffee, which):
     def at_commands(x):
         return np.stack([np.interp(t, found.t, of) for of in x.T], axis=1)
 
-    waves = found.liquids.nominal["cup"][0].waves
+    waves = found.loads.nominal["cup"][0].modes
     told, seen = at_commands(waves.eta[0]), record.surface[moving, 0, :2]
     largest = np.abs(told).max(axis=0)
     assert largest.min() > 2e-3
@@ -266,8 +266,10 @@ def test_waves_in_a_box_that_turns_go_the_way_that_is_known(coffee):
         MotionSamples(t, line.p_SB, line.v_S, line.a_S, turned, np.outer(rate, up), np.outer(change, up))
     )
     record, found = simulate_tray(motion, scenario), margins(scenario, motion.sample(np.linspace(0, duration, 201)))
-    known = found.liquids.nominal["cup"][0].waves
-    alone = along(known.cases.each, found.t, found.w * (np.arange(N_MOTION) != 5))  # as if it did not begin to turn
+    known = found.loads.nominal["cup"][0].modes
+    alone = SurfaceMotion.along(
+        known.cases.each, found.t, found.w * (np.arange(N_MOTION) != 5)
+    )  # as if it did not begin to turn
     moving = (record.t >= 0) & (record.t <= duration)
     seen = record.surface[moving, 0, :2]
 
@@ -314,7 +316,7 @@ def test_a_box_of_water_planned_fastest_keeps_it_and_the_line_does_not(coffee):
     plan = plan_fastest(scenario)
     assert plan.ok, plan.told
     assert plan.duration < 0.8
-    uncertain, liquid = scenario.payload.uncertain, scenario.payload.first.liquid
+    uncertain, liquid = scenario.payload.uncertain, scenario.payload.first.inner
     full = {"fill": 0.065, "damping": liquid.damping[0], "mass": 0.275, "friction": 0.36}
     draws = draw(uncertain, 3, seed=1, bodies=scenario.payload.bodies)
     for parameters in (

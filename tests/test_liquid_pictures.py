@@ -12,12 +12,13 @@ from PIL import Image
 
 import browser
 import salver as sv
+from salver.dynamics.liquid.drawn_surface import DrawnSurface
 from salver.geometry import matrix_from_quat_wxyz, matrix_from_rpy, quat_wxyz_from_matrix
+from salver.models.load_dynamics import BEYOND_COLOUR
 from salver.reports.pages.page import write_report
 from salver.reports.pages.replay import replay_scene
 from salver.reports.run import read_run
 from salver.simulation.pictures.render import View, snapshots
-from salver.simulation.scene.liquid_surface import SPILT_COLOUR, DrawnSurface
 
 STICKY = {"objects__0__friction": 2.0, "motion__duration": 0.75, "arm": None}  # it spills, and stays where it is
 
@@ -40,7 +41,7 @@ def drawn(run):
     variant = replay_scene(run, None)["variants"][0]
     count = len(variant["t"])
     poses = floats(variant["objects"]).reshape(count, -1, 7)[:, 0]
-    return np.array(variant["t"]), poses, floats(variant["liquids"][0]["slope"]).reshape(count, 2)
+    return np.array(variant["t"]), poses, floats(variant["inside"][0]["moves"]).reshape(count, 2)
 
 
 def floats(text):
@@ -99,7 +100,7 @@ def test_the_liquid_that_is_drawn_fills_the_cup_to_its_fill(coffee, box):
 
 def red(image):
     """Pixels of about the colour of a brim that was spilt over."""
-    return int(np.sum(np.all(np.abs(image[..., :3] / 255.0 - SPILT_COLOUR) < 0.12, axis=-1)))
+    return int(np.sum(np.all(np.abs(image[..., :3] / 255.0 - BEYOND_COLOUR) < 0.12, axis=-1)))
 
 
 @pytest.fixture(scope="module")

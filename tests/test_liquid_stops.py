@@ -10,13 +10,13 @@ import pytest
 import salver as sv
 from live_runs import ROUNDS
 from salver.driver.preflight import check_plan
-from salver.liquid.given_way import Sloshing
 from salver.models.arm.arm import load_arm
 from salver.planning.fastest import plan_fastest
 from salver.planning.stops import along, past_of, plan_stops, stop_problem, stopped
 from salver.planning.trajopt.ends import Anywhere, AtPosture
 from salver.planning.trajopt.evaluation import MotionEvaluation
 from salver.planning.trajopt.problem import TransportProblem, transport_problem
+from salver.sensitivity.arm.compliance import LoadResponses
 from salver.simulation.physics import simulate
 from salver.trajectory import JointMotion
 from shaken import BOX
@@ -39,7 +39,7 @@ def seen(problem: TransportProblem, motion: JointMotion, t: np.ndarray, since: f
     q, dq, ddq = motion.sample(t)
     takes = END - since
     at = problem.at((t - since) / takes, np.stack([q, dq, ddq, motion.jerk(t)]), takes, imposed=False)
-    return at.knowing(waves=Sloshing.of(problem.liquids, t - since, at.terms.w, at.response, problem.past, ROUNDS))
+    return at.knowing(loads=LoadResponses.of(problem.cases, t - since, at.terms.w, at.response, problem.past, ROUNDS))
 
 
 def left(problem: TransportProblem, motion: JointMotion, now: float = NOW) -> TransportProblem:
@@ -59,8 +59,8 @@ def test_waves_of_a_motion_that_goes_on_are_those_of_both_together(shape):
     motion, after = swinging(problem), np.linspace(NOW, END, 101)
     whole = seen(problem, motion, np.concatenate([np.linspace(0, NOW, 61)[:-1], after]))
     later = seen(left(problem, motion), motion, after, since=NOW)
-    (name, parts), *_ = later.sloshing.items()
-    for found, known in zip(parts, whole.sloshing[name], strict=True):
+    (name, parts), *_ = later.loads.items()
+    for found, known in zip(parts, whole.loads[name], strict=True):
         for what in ("crest", "free_height", "lightness", "wrench"):
             of_both = getattr(known, what)[:, 60:]
             np.testing.assert_allclose(getattr(found, what), of_both, atol=2e-3 * np.abs(of_both).max(), err_msg=what)
@@ -68,7 +68,7 @@ def test_waves_of_a_motion_that_goes_on_are_those_of_both_together(shape):
         np.testing.assert_allclose(found.free_left, known.free_left, rtol=1e-3)
     np.testing.assert_allclose(later.joint_radius(0), whole.joint_radius(0)[60:], atol=2e-4 * 0.3)
     # It matters: as if level when it is left, the waves are others by a third.
-    afresh = seen(replace(left(problem, motion), past=None), motion, after, since=NOW).sloshing[name][0]
+    afresh = seen(replace(left(problem, motion), past=None), motion, after, since=NOW).loads[name][0]
     assert np.abs(afresh.crest - parts[0].crest).max() > 0.3 * parts[0].crest.max()
 
 

@@ -7,10 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from salver import linear_filter as filters
+from salver.dynamics.liquid.sloshing import SloshingResponse
+from salver.dynamics.motion_gradients import Unknowns
 from salver.geometry import Array
-from salver.liquid.given_way import Sloshing
-from salver.liquid.sloshing import Slosh
-from salver.liquid.wave_gradients import Unknowns
+from salver.linear_filter import LinearFilter
 from salver.models.uncertain.worst_contents import SURE
 from salver.planning.fastest.optimum import straight_start
 from salver.planning.trajopt.constraints.constraints import ContactConstraint
@@ -19,8 +20,7 @@ from salver.planning.trajopt.evaluation import MotionEvaluation
 from salver.planning.trajopt.problem import TransportProblem, transport_problem
 from salver.planning.trajopt.spline import RestSpline
 from salver.scenario import load
-from salver.sensitivity import filter as filters
-from salver.sensitivity.filter import LinearFilter
+from salver.sensitivity.arm.compliance import LoadResponses
 
 BOX = {
     "objects__1__shape": {"type": "box", "size": [0.06, 0.07, 0.09]},
@@ -45,7 +45,7 @@ def glasses(request: pytest.FixtureRequest) -> TransportProblem:
     return transport_problem(scenario if request.param == "round" else scenario.with_changes(**BOX))
 
 
-def rows(part: Slosh, unknowns: Unknowns) -> list[Array]:
+def rows(part: SloshingResponse, unknowns: Unknowns) -> list[Array]:
     """All that is read of a part, and its derivatives."""
     K, T, _ = part.wrench.shape
     case, node = np.arange(40) % K, np.arange(40) * 7 % T
@@ -59,13 +59,13 @@ def test_several_side_by_side_are_each_as_if_alone(glasses: TransportProblem) ->
     t, w, response = motion.s * motion.duration, motion.terms.w, motion.response
     rng = np.random.default_rng(0)
     unknowns = Unknowns(rng.standard_normal((len(t), 12, 5)), rng.standard_normal(5))
-    together = Sloshing.of(glasses.liquids, t, w, response).each
-    assert set(together) == {liquid[0].body.name for liquid in glasses.liquids}
-    for liquid in glasses.liquids:
+    together = LoadResponses.of(glasses.cases, t, w, response).each
+    assert set(together) == {liquid[0].body.name for liquid in glasses.cases}
+    for liquid in glasses.cases:
         name = liquid[0].body.name
-        alone = Sloshing.of((liquid,), t, w, response).each[name]
+        alone = LoadResponses.of((liquid,), t, w, response).each[name]
         for part, only in zip(together[name], alone, strict=True):
-            assert part.waves.cases.each == liquid
+            assert part.modes.cases.each == liquid
             for x, y in zip(rows(part, unknowns), rows(only, unknowns), strict=True):
                 np.testing.assert_allclose(x, y, rtol=1e-9, atol=1e-12)
 
@@ -73,8 +73,8 @@ def test_several_side_by_side_are_each_as_if_alone(glasses: TransportProblem) ->
 def test_taken_to_give_way_as_itself_a_motion_is_what_it_was(glasses: TransportProblem) -> None:
     motion = moved(glasses)
     same = moved(glasses).giving_way_as(motion)
-    for name, parts in motion.sloshing.items():
-        for part, other in zip(parts, same.sloshing[name], strict=True):
+    for name, parts in motion.loads.items():
+        for part, other in zip(parts, same.loads[name], strict=True):
             np.testing.assert_allclose(other.crest, part.crest, atol=1e-12)
             np.testing.assert_allclose(other.wrench, part.wrench, atol=1e-12)
             np.testing.assert_allclose(other.left(), part.left(), atol=1e-12)
@@ -83,10 +83,10 @@ def test_taken_to_give_way_as_itself_a_motion_is_what_it_was(glasses: TransportP
 def test_taken_to_give_way_as_one_near_by_waves_err_by_less_than_they_change(glasses: TransportProblem) -> None:
     motion, truly = moved(glasses), moved(glasses, 1.01)
     taken = moved(glasses, 1.01).giving_way_as(motion)
-    for name, parts in truly.sloshing.items():
-        before, after, guessed = (x.sloshing[name][1].crest for x in (motion, truly, taken))
+    for name, parts in truly.loads.items():
+        before, after, guessed = (x.loads[name][1].crest for x in (motion, truly, taken))
         assert np.abs(guessed - after).max() < 0.25 * np.abs(after - before).max(), name
-        assert taken.sloshing[name][1].planned is taken.sloshing[name][0].planned
+        assert taken.loads[name][1].planned is taken.loads[name][0].planned
         assert len(parts) == 2
 
 

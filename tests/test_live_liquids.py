@@ -9,17 +9,17 @@ import pytest
 
 import salver as sv
 from live_runs import APART, LEAD, ROUNDS, check, drive, executed, in_turn, place, rows_of
+from salver.dynamics.modal_history import Past
 from salver.errors import ScenarioError, Status
-from salver.liquid.before import Past
-from salver.liquid.given_way import Sloshing
 from salver.live import Live
 from salver.live.committed.commit import verified
 from salver.live.committed.motion import between
 from salver.live.replanning.steer import HORIZON, TICK, Steering, TwistWanted
 from salver.planning.fastest import evaluate, joint_plan
-from salver.planning.trajopt.constraints.brim import Brim
+from salver.planning.trajopt.constraints.load_limits import LoadConstraint
 from salver.planning.trajopt.evaluation import NOTHING
 from salver.planning.verdict.judged import Judged
+from salver.sensitivity.arm.compliance import LoadResponses
 from transport import cup_and_jar
 
 FULL = {"fill": 0.065, "damping": 0.00168, "mass": 0.275, "friction": 0.36}
@@ -50,7 +50,7 @@ def whole(problem, told) -> Past:
     t = motion.t
     jerk = 0.5 * (motion.jerk(t) + motion.jerk(np.maximum(t - APART, 0.0)))
     at = problem.at(t / motion.duration, np.stack([*motion.sample(t), jerk]), motion.duration, imposed=False)
-    return Sloshing.of(problem.every_case, t, at.terms.w, at.response, rounds=ROUNDS).past(t)
+    return LoadResponses.of(problem.every_case, t, at.terms.w, at.response, rounds=ROUNDS).past(t)
 
 
 def off(mine, other) -> float:
@@ -68,7 +68,7 @@ def test_waves_that_go_on_from_motion_to_motion_are_those_of_all_as_one(changed)
         found = base.left(begins, problem).past.begun(problem.every_case)
         known = replace(one, now=begins).begun(problem.every_case)
         assert np.abs(known.planned.r).max() > 1e-3  # m: there are some
-        for name in ("planned", "waves", "change"):
+        for name in ("planned", "compliant", "change"):
             for what in ("r", "rate"):
                 assert off(getattr(getattr(found, name), what), getattr(getattr(known, name), what)) < 5e-3, (
                     name,
@@ -76,8 +76,8 @@ def test_waves_that_go_on_from_motion_to_motion_are_those_of_all_as_one(changed)
                 )
         assert off(found.planned.r, known.planned.r) < 1e-3
         assert off(found.reaction[0], known.reaction[0]) < 0.02  # by three rounds, against eight
-        np.testing.assert_allclose(found.waves.spin, known.waves.spin, atol=1e-3)
-        np.testing.assert_allclose(found.waves.peak, known.waves.peak, rtol=5e-3)
+        np.testing.assert_allclose(found.compliant.spin, known.compliant.spin, atol=1e-3)
+        np.testing.assert_allclose(found.compliant.peak, known.compliant.peak, rtol=5e-3)
 
 
 @pytest.mark.slow
@@ -126,11 +126,11 @@ def test_rows_of_waves_change_with_a_bend_as_differences_say(changed, monkeypatc
     begin, looked = 0, 0
     for block, mask, one, other in zip(blocks, masks, after, before, strict=True):
         count = int(mask.sum())
-        if isinstance(getattr(block.of, "judged", block.of), Brim) and count:
+        if isinstance(getattr(block.of, "judged", block.of), LoadConstraint) and count:
             change = 0.5 * (one.values - other.values)[mask]
             said = matrix[begin : begin + count] @ bend.ravel()
             # Of waves that the arm gives way to the derivatives are those of waves as planned.
-            planned, most = np.nonzero(mask)[1] < len(live.problem.liquids[0]), np.abs(change).max()
+            planned, most = np.nonzero(mask)[1] < len(live.problem.cases[0]), np.abs(change).max()
             np.testing.assert_allclose(said[planned], change[planned], atol=2e-3 * most, err_msg=block.name)
             np.testing.assert_allclose(said[~planned], change[~planned], atol=0.2 * most, err_msg=block.name)
             looked += count
@@ -157,7 +157,7 @@ def holds(live, told, parameters) -> bool:
 def test_calm_water_is_never_taken_for_granted(changed):
     """A motion that goes on from one that is under way, of which nobody knows the waves, is a mistake."""
     live, (base, *_), _ = changed
-    with pytest.raises(ScenarioError, match="unless it is known how the waves are"):
+    with pytest.raises(ScenarioError, match="unless it is known how it moves"):
         verified(
             live.problem, between(base.motion, 0.2, base.motion.duration), base.begins + 0.2, replace(base, waves=None)
         )
@@ -210,7 +210,7 @@ def test_at_rest_waves_go_on_and_die_away(changed):
     t, z = np.linspace(0.0, 8.0, 801), np.zeros((4, 801, problem.n))
     z[0] = base.motion.q[-1]
     at = begun.at(t / 8.0, z, 8.0)
-    one = Sloshing.of(cases, t, at.terms.w, at.response, begun.past, rounds=4 * ROUNDS).past(t)
+    one = LoadResponses.of(cases, t, at.terms.w, at.response, begun.past, rounds=4 * ROUNDS).past(t)
 
     def both(seconds):
         found = base.left(base.ends + seconds, problem).past.begun(cases)
@@ -218,12 +218,12 @@ def test_at_rest_waves_go_on_and_die_away(changed):
 
     for seconds in (0.3, 1.0, 3.0):
         found, known = both(seconds)
-        for name in ("planned", "waves", "change"):
+        for name in ("planned", "compliant", "change"):
             for what in ("r", "rate"):
                 assert off(getattr(getattr(found, name), what), getattr(getattr(known, name), what)) < 0.01
     found, known = both(8.0)  # the arm that gives way has been left out for a while: it brakes them
     assert off(found.planned.r, known.planned.r) < 1e-3
-    assert off(found.waves.r, known.waves.r) < 0.3
+    assert off(found.compliant.r, known.compliant.r) < 0.3
     end = begun.past.begun(cases)
     which = [case for liquid in cases for case in liquid]
     omega = np.stack([case.modes.omega for case in which])
@@ -247,7 +247,7 @@ def test_a_rest_goes_on_at_whatever_time_it_began(changed):
         assert (begun + ends) - begun != ends
         later = replace(base, begins=begun, nodes=base.nodes - base.begins + begun)
         found = later.left(later.ends + 0.205, problem).past.begun(cases)
-        np.testing.assert_allclose(found.waves.r, known.waves.r, atol=1e-9)
+        np.testing.assert_allclose(found.compliant.r, known.compliant.r, atol=1e-9)
 
 
 def test_on_a_tray_that_leans_a_calm_surface_stays_where_it_is(changed):
@@ -255,9 +255,9 @@ def test_on_a_tray_that_leans_a_calm_surface_stays_where_it_is(changed):
     problem, z = live.problem, np.zeros((4, 21, live.problem.n))
     z[0] = base.motion.q[-1] + 0.1 * (np.arange(live.problem.n) == 5)
     at = problem.at(np.linspace(0.0, 1.0, 21), z, 0.2)
-    now = replace(at.left, now=0.2).begun(problem.liquids).planned.r
+    now = replace(at.left, now=0.2).begun(problem.cases).planned.r
     assert np.abs(now).max() > 1e-3  # m
-    np.testing.assert_allclose(at.rested(2.0).begun(problem.liquids).planned.r, now, atol=1e-9)
+    np.testing.assert_allclose(at.rested(2.0).begun(problem.cases).planned.r, now, atol=1e-9)
 
 
 def test_how_far_the_arm_may_stray_includes_that_it_gives_way_to_waves(changed):
@@ -273,7 +273,7 @@ def test_a_long_stir_does_not_count_for_ever(changed):
     """How far the phase of a high wave may have drifted is a wave as well, and dies away."""
     live, (_, base, _), _ = changed
     cases = live.problem.every_case
-    end, later = (base.left(base.ends + more, live.problem).past.begun(cases).waves.peak for more in (0.0, 65.0))
+    end, later = (base.left(base.ends + more, live.problem).past.begun(cases).compliant.peak for more in (0.0, 65.0))
     damping = np.array([case.damping * case.modes.omega[0, 0] for liquid in cases for case in liquid])
     np.testing.assert_allclose((later / end) ** 3, np.exp(-damping * 60.0), rtol=1e-2)
 

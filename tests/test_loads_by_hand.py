@@ -7,12 +7,13 @@ from itertools import product
 import numpy as np
 import pytest
 
+from salver.dynamics.liquid.liquid import Liquid, damping_of, hollow
 from salver.geometry import Array
 from salver.models.arm.link_shapes import link_shapes
 from salver.models.bodies import Body
 from salver.models.contact.internal_wrench import internal_wrenches
 from salver.models.interfaces import networks, sure_contacts
-from salver.models.liquid import APART, Liquid, damping_of, hollow
+from salver.models.load_dynamics import APART
 from salver.models.shapes import shapes
 from salver.models.shapes.convex_shapes import THINNEST, convex
 from salver.models.shapes.surfaces import surface
@@ -113,11 +114,11 @@ def _glass() -> Body:
 def test_a_fuller_glass_weighs_as_much_more_as_water_does() -> None:
     """And what changes with its parameters changes as it is told to."""
     glass, fill = _glass(), Parameter("glass", "fill")
-    assert glass.liquid is not None
-    water = glass.liquid.density * np.pi * glass.liquid.size[0] ** 2
-    nominal = glass.fill_at({})
+    assert glass.inner is not None
+    water = glass.inner.density * np.pi * glass.inner.size[0] ** 2
+    nominal = glass.inner_value({})
     assert nominal is not None
-    assert glass.fill_at({fill: 0.004}) == pytest.approx(nominal + 0.004)
+    assert glass.inner_value({fill: 0.004}) == pytest.approx(nominal + 0.004)
     assert (glass.phi_at({fill: 0.004}) - glass.phi_at({}))[0] == pytest.approx(0.004 * water)
     slope = glass.phi_jacobian([Parameter("glass", "mass"), fill])
     assert slope[0] == pytest.approx([1.0, water])

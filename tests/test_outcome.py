@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -232,7 +233,8 @@ def quiet(m: int = 1) -> dict[str, np.ndarray]:
 
 def judged(fields, touches=None, names=("a",), thresholds=LIMITS):
     touches = np.ones((COUNT, len(names)), bool) if touches is None else touches
-    return judge(T, Behaviour(**fields), touches, thresholds, names)
+    loads = [SimpleNamespace(name=name, value=None) for name in names]
+    return judge(T, Behaviour(**fields), touches, thresholds, loads, np.zeros((COUNT, len(names), 3)))
 
 
 def test_nothing_happened_holds():

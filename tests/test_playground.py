@@ -18,7 +18,7 @@ from salver.playground import World
 from salver.playground.server import Playground
 from salver.playground.unprotected import Unprotected
 from salver.reports.run import read_run
-from salver.simulation.outcome import surfaces
+from salver.simulation.outcome import inner_motions
 from salver.simulation.trace import Recorder
 
 
@@ -144,8 +144,8 @@ def test_without_protection_the_arm_of_the_engine_goes_no_faster_than_it_can():
 
 def test_a_liquid_is_shown_as_the_whole_run_has_it_and_told_when_it_spills(monkeypatch):
     world = World(sv.load_scenario("panda-coffee"), {"fill": 0.065}, lead=0.02)
-    whole, took, shown, said = Recorder(world.scene, 4000), world.liquids.took, [], None
-    period, late = world.period, world.liquids._late
+    whole, took, shown, said = Recorder(world.scene, 4000), world.inner.took, [], None
+    period, late = world.period, world.inner._late
     first = world.t
 
     def taken(t, q, dq, tau, data):
@@ -153,7 +153,7 @@ def test_a_liquid_is_shown_as_the_whole_run_has_it_and_told_when_it_spills(monke
         whole.joints(t, q, dq, tau)
         whole.take(data)
 
-    monkeypatch.setattr(world.liquids, "took", taken)
+    monkeypatch.setattr(world.inner, "took", taken)
     assert world.say({"protected": False}).ok
     for k in range(1200):
         if k % 60 == 0:
@@ -161,17 +161,17 @@ def test_a_liquid_is_shown_as_the_whole_run_has_it_and_told_when_it_spills(monke
             world.say({"twist": [speed * (-1) ** (k // 120), 0.6 * speed, 0.0, 0.0]})
         world.advance()
         if k % 37 == 0 and k > 200:  # now and then, as a page does, and later than what is kept is long
-            shown.append((world.t, world.frame()["liquids"][0]))
+            shown.append((world.t, world.frame()["inside"][0]))
             if said is None and became(world) == ["spilt"]:
                 said = world.t
-    seen = surfaces(world.scene, whole.trace())[:, 0]
-    liquid, half = world.scenario.payload.bodies[0].liquid, world.scene.loads[0].modes.half
+    seen = inner_motions(world.scene, whole.trace())[:, 0]
+    liquid, half = world.scenario.payload.bodies[0].inner, world.scene.loads[0].modes.half
     for t, drawn in shown:
         eta = seen[round((t - first) / period) - 1 - late, :2]
         if np.linalg.norm(eta) < 0.06:  # all of the bottom is wet
-            np.testing.assert_allclose(np.array(drawn["slope"]) * half, eta, atol=1e-5)
+            np.testing.assert_allclose(np.array(drawn["moves"]) * half, eta, atol=1e-5)
     over = whole.t[late : whole.count - late][seen[late : whole.count - late, 2] > liquid.brim - 0.065][0]
-    assert shown[-1][1]["spilt"] == pytest.approx(over)
+    assert shown[-1][1]["beyond"] == pytest.approx(over)
     assert over < said < over + 0.06
     run(world, 0.5)
     assert "begin again" in world.say({"protected": True}).sentence
@@ -186,9 +186,11 @@ def test_a_liquid_is_given_back_to_the_protection_when_it_is_calm():
     run(world, 0.15)
     world.say({"stop": True})
     run(world, 0.2)
-    slope = np.abs(world.frame()["liquids"][0]["slope"]).max()
+    slope = np.abs(world.frame()["inside"][0]["moves"]).max()
     assert slope * 0.04 > 2e-4
-    assert world.say({"protected": True}).sentence == "The liquid still moves; wait until it is calm, or begin again."
+    assert (
+        world.say({"protected": True}).sentence == "What is inside still moves; wait until it is calm, or begin again."
+    )
     run(world, 1.5)
     assert world.say({"protected": True}).ok
 

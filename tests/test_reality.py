@@ -40,7 +40,7 @@ def test_a_free_surface_swings_at_its_first_frequency():
     left = p.seen[p.seen_t > p.end + 0.3]
     power = np.abs(np.fft.rfft((left - left.mean()) * np.hanning(len(left)), 32 * len(left)))
     f = np.fft.rfftfreq(32 * len(left), 1 / 60)
-    first = vessel().payload.first.liquid.modes(FILL).omega[0, 0] / (2 * np.pi)
+    first = vessel().payload.first.inner.modes(FILL).omega[0, 0] / (2 * np.pi)
     assert f[np.argmax(power)] == pytest.approx(first, rel=0.01)
 
 
@@ -55,7 +55,7 @@ def test_waves_push_the_wrist_along_and_upward_as_predicted():
             amplitudes.append(swing(p.t[early], force[early, axis], order * f))
         seen, told = amplitudes
         assert told == pytest.approx(seen, rel=0.05), order
-    low, high = vessel().payload.first.liquid.damping
+    low, high = vessel().payload.first.inner.damping
     assert low < decay(p.t[late], p.wrench[late, 1], 3.0)[1] < high
     assert damping == pytest.approx(0.0044, rel=0.05)
 

@@ -204,7 +204,7 @@ def test_the_time_of_a_round_is_shared_until_its_legs_keep_the_same_margin(monke
 
 def test_how_far_the_safest_motion_keeps_a_contact_from_its_edge_is_told(monkeypatch):
     """What is sought is beyond the margin that the scenario asks for anyway."""
-    good, problem = Status("optimal", "", True), SimpleNamespace(liquids=())
+    good, problem = Status("optimal", "", True), SimpleNamespace(cases=())
     motion = FastestMotion(problem, RestSpline(5, 8), np.zeros((9, 7)), 0.7, good, {}, (), 0.1, 1)
     monkeypatch.setattr(safest, "quickest_within", lambda *_: (motion, 1.0))
     monkeypatch.setattr(safest, "optima", lambda *_: [replace(motion, margin=x) for x in (0.1, 0.2)])
@@ -278,7 +278,7 @@ def test_the_safest_round_keeps_a_liquid_as_far_below_its_brim_as_the_loads_from
     for leg in found.legs:
         kept = leg.solver["margin"]
         assert kept > 0.1
-        assert min(spill.slack.min() for spill in leg.margins.spills(worst=True)) > kept - 5e-3
+        assert min(spill.slack.min() for spill in leg.margins.load_verdicts(worst=True)) > kept - 5e-3
         assert leg.verification.slack > kept - 5e-3
     least = min(leg.solver["margin"] for leg in found.legs)
     assert f"{100 * least:.2g} % of its room" in found.status.sentence

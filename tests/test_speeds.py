@@ -159,4 +159,4 @@ def test_what_a_planner_looked_at_at_other_speeds_is_not_said_to_be_unchecked(pl
     nominal = plan_fastest(scenario.load("panda-tall-bottle"), robust=False)
     assert nominal.speeds.unchecked == plan.speeds.unchecked == "how far the arm strays from the motion"
     coffee = plan_fastest(scenario.load("panda-coffee").with_changes(motion__speeds="full"))
-    assert coffee.speeds.unchecked.endswith("sloshing while the speed changes")
+    assert coffee.speeds.unchecked.endswith("how loads swing inside while the speed changes")

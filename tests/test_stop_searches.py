@@ -177,7 +177,7 @@ def test_stops_are_planned_backwards_each_to_be_at_rest_before_what_is_ahead(mon
         return None if duration is None else FoundStop(rest, np.zeros(7))
 
     whole = swaying(1.0)
-    nowhere = SimpleNamespace(n=7, liquids=())
+    nowhere = SimpleNamespace(n=7, cases=())
     monkeypatch.setattr(stops, "along", lambda problem, motion, space: (np.linspace(0, 1, 11), None, None))
     monkeypatch.setattr(stops, "stop_from", lambda problem, state, begun, now, beat: stop(now, beat + LEAST))
     monkeypatch.setattr(stops, "brake_on", lambda problem, path, end, now, begun, law, most: stop(now, most))
@@ -213,7 +213,7 @@ def test_where_a_stop_is_late_it_is_sought_anew_and_instants_are_half_as_far_apa
         anew.append(beat + LEAST)
         return stop(0.3) if finds else None
 
-    nowhere = SimpleNamespace(n=7, liquids=())
+    nowhere = SimpleNamespace(n=7, cases=())
     monkeypatch.setattr(stops, "along", lambda problem, motion, space: (np.linspace(0, 1, 11), None, None))
     monkeypatch.setattr(stops, "stop_from", lambda *state, beat, **begin: stop(0.3) if beat > 0.3 else None)
     monkeypatch.setattr(stops, "_anew", otherwise)
@@ -242,7 +242,7 @@ def test_no_stop_is_sought_where_going_on_is_at_rest_soon_anyway(monkeypatch):
         asked.append(beat)
         return FoundStop(JointMotion(np.linspace(0, 0.025, STORED.size), *np.zeros((3, STORED.size, 7))), np.zeros(7))
 
-    nowhere = SimpleNamespace(n=7, liquids=())
+    nowhere = SimpleNamespace(n=7, cases=())
     radius = np.full((11, 7), 0.01)
     radius[5] = 0.02  # rad by which the arm may be off the motion at .5 s
     strayed = SimpleNamespace(joint_radius=lambda order: radius, state_at=lambda t, now: None)

@@ -111,7 +111,7 @@ def test_a_liquid_at_a_part_of_the_speed_is_that_of_the_slower_motion(coffee, fa
     slower = TimeScaled(model, motion(1.0 / factor), True)
     at_part, whole = scaled.margins(factor), slower.margins(1.0)
     np.testing.assert_allclose(at_part.t, whole.t, atol=1e-12)
-    (spill,), (expected,) = (margins.spills(True) for margins in (at_part, whole))
+    (spill,), (expected,) = (margins.load_verdicts(True) for margins in (at_part, whole))
     np.testing.assert_allclose(spill.slack, expected.slack, rtol=1e-9)
     assert scaled.slack(factor) == pytest.approx(slower.slack(1.0), rel=1e-9)
     assert scaled.slack(factor) != pytest.approx(scaled.slack(1.0), rel=0.05)

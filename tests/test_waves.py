@@ -8,25 +8,25 @@ from scipy.integrate import solve_ivp
 from scipy.sparse import diags, identity, kron
 from scipy.sparse.linalg import spsolve
 
-import salver.liquid.waves as waves_module
+import salver.dynamics.modal_motion as waves_module
 from potential_flow import box, cylinder, rectangle, simulate
-from salver.liquid.sloshing import Slosh
-from salver.liquid.underway import Underway
-from salver.liquid.wave_cases import Cases, SloshingCase
-from salver.liquid.wave_changes import changed
-from salver.liquid.wave_gradients import Unknowns, wrench_by
-from salver.liquid.waves import Waves, along
+from salver.dynamics.liquid.sloshing import SloshingResponse
+from salver.dynamics.liquid.surface import SurfaceCases, SurfaceMotion
+from salver.dynamics.load_cases import LoadCase
+from salver.dynamics.modal_changes import changed
+from salver.dynamics.modal_state import ModalState
+from salver.dynamics.motion_gradients import Unknowns, wrench_by
 from salver.models.tray_motion import at_rest
 from shaken import BOX, BOX_IN, shaken
 
 
 def test_a_surface_at_rest_is_level_however_the_tray_is_pushed(coffee):
     """Constant specific force, long enough for waves to die: eta = -R f / f_z, and the liquid's weight hangs aside."""
-    case = SloshingCase(coffee.payload.first, 0.05, 0.1)
+    case = LoadCase(coffee.payload.first, 0.05, 0.1)
     t = np.linspace(0, 12, 4001)
     w = np.tile(at_rest(), (len(t), 1))
     w[:, 0] = 2 * np.minimum(t / 2, 1) ** 2 * (3 - 2 * np.minimum(t / 2, 1))
-    waves = along((case,), t, w)
+    waves = SurfaceMotion.along((case,), t, w)
     np.testing.assert_allclose(waves.eta[0, -1], [-0.04 * 2 / 9.81, 0], atol=1e-7)
     np.testing.assert_allclose(waves.free[0, -1], 0, atol=1e-7)
     assert waves.left()[0] == pytest.approx(0.04 * 2 / 9.81 * (1 + 1.8 * (2 / 9.81) ** 2), rel=2e-2)
@@ -36,8 +36,8 @@ def test_a_surface_at_rest_is_level_however_the_tray_is_pushed(coffee):
 @pytest.mark.parametrize("yaw", [0.0, 25.0])
 def test_filter_agrees_with_the_equations_integrated(coffee, yaw):
     """In axes that do not turn, where the equations of the modes hold, to 1e-6 of the largest displacement."""
-    case = SloshingCase(coffee.payload.first, 0.05, 0.01)
-    which, T = Cases.of((case,)), 0.9
+    case = LoadCase(coffee.payload.first, 0.05, 0.01)
+    which, T = SurfaceCases.of((case,)), 0.9
 
     def rates(t, state):
         w = shaken(np.array([t, T]), yaw)[0]
@@ -50,12 +50,12 @@ def test_filter_agrees_with_the_equations_integrated(coffee, yaw):
 
     t = np.linspace(0, T, 301)
     exact = solve_ivp(rates, (0, T), np.zeros(10), rtol=1e-11, atol=1e-14, t_eval=t).y.T[:, :4].reshape(-1, 2, 2)
-    waves = along((case,), t, shaken(t, yaw))
+    waves = SurfaceMotion.along((case,), t, shaken(t, yaw))
     assert np.abs(waves.r[0] - exact).max() < 1e-6 * np.abs(exact).max()
 
 
-def _functions(waves: Waves, node, weight):
-    case, dry, both = np.arange(len(node)) % 2, Slosh.of(waves), np.arange(2)
+def _functions(waves: SurfaceMotion, node, weight):
+    case, dry, both = np.arange(len(node)) % 2, SloshingResponse.of(waves), np.arange(2)
     return {
         "crest": (waves.crest[case, node], lambda by: dry.crest_by(case, node, by)),
         "free": (dry.free_height[case, node], lambda by: dry.free_by(case, node, by)),
@@ -75,17 +75,21 @@ def test_derivatives_agree_with_differences(coffee, changes, underway, monkeypat
     the walls of a box that turns take along is iterated to the end here."""
     monkeypatch.setattr(waves_module, "SETTLED", 1e-9)
     scenario = coffee.with_changes(**changes) if changes else coffee
-    both = [SloshingCase(scenario.payload.first, fill, 0.01) for fill in (0.05, 0.06)]
+    both = [LoadCase(scenario.payload.first, fill, 0.01) for fill in (0.05, 0.06)]
     rng, t, step = np.random.default_rng(1), np.linspace(0, 0.9, 201), 1e-6
     w, node, weight = shaken(t), np.array([15, 66, 110, 165, 199]), rng.normal(size=(5, 6))
     move = np.sin(np.pi * t / 0.9)[:, None] ** 2 * np.stack([np.cos(k * t) for k in rng.uniform(2, 12, 12)], 1)
     start = None
     if underway:
         places, speeds, turns = rng.normal(size=(2, 2, 2)), rng.normal(size=(2, 2, 2)), rng.normal(size=(2, 2))
-        start = Underway(1e-3 * places, 0.02 * speeds, 0.2 * turns[0], turns[1], np.zeros(2))
-    here = _functions(along(both, t, w, start), node, weight)
-    up, down = (_functions(along(both, t, w + sign * step * move, start), node, weight) for sign in (1, -1))
-    longer, shorter = (_functions(along(both, t * (1 + sign * step), w, start), node, weight) for sign in (1, -1))
+        start = ModalState(1e-3 * places, 0.02 * speeds, 0.2 * turns[0], turns[1], np.zeros(2))
+    here = _functions(SurfaceMotion.along(both, t, w, start), node, weight)
+    up, down = (
+        _functions(SurfaceMotion.along(both, t, w + sign * step * move, start), node, weight) for sign in (1, -1)
+    )
+    longer, shorter = (
+        _functions(SurfaceMotion.along(both, t * (1 + sign * step), w, start), node, weight) for sign in (1, -1)
+    )
     both_ways = Unknowns(np.stack([move, np.zeros_like(move)], axis=2), np.array([0.0, 1.0]))
     for name, (_, derivative) in here.items():
         for ends, found in zip(((up, down), (longer, shorter)), derivative(both_ways).T, strict=True):
@@ -97,16 +101,16 @@ def test_derivatives_agree_with_differences(coffee, changes, underway, monkeypat
 def test_second_derivatives_of_waves_agree_with_differences(coffee, changes):
     """On a tray that is pushed along the ground waves are linear in the push; what is read of them is not."""
     scenario = coffee.with_changes(**changes) if changes else coffee
-    both = [SloshingCase(scenario.payload.first, fill, 0.01) for fill in (0.05, 0.06)]
+    both = [LoadCase(scenario.payload.first, fill, 0.01) for fill in (0.05, 0.06)]
     rng, t, step = np.random.default_rng(2), np.linspace(0, 0.9, 101), 0.02
     w, node = np.tile(at_rest(), (len(t), 1)), np.array([15, 33, 55, 82, 99])
     w[:, :2] = shaken(t)[:, :2]
     move = np.zeros_like(w)
     move[:, :2] = np.sin(np.pi * t / 0.9)[:, None] ** 2 * np.stack([np.cos(k * t) for k in rng.uniform(2, 12, 2)], 1)
-    case, dry, way = np.arange(5) % 2, Slosh.of(along(both, t, w)), Unknowns(move[:, :, None])
+    case, dry, way = np.arange(5) % 2, SloshingResponse.of(SurfaceMotion.along(both, t, w)), Unknowns(move[:, :, None])
     values = {
         "crest": lambda x: x.crest[case, node],
-        "free": lambda x: Slosh.of(x).free_height[case, node],
+        "free": lambda x: SloshingResponse.of(x).free_height[case, node],
         "left": lambda x: x.left(0.2),
     }
     factors = {
@@ -114,7 +118,7 @@ def test_second_derivatives_of_waves_agree_with_differences(coffee, changes):
         "free": dry.free_bends(case, node, way),
         "left": dry.left_bends(np.arange(2), way, 0.2),
     }
-    less, same, more = (along(both, t, w + k * step * move) for k in (-1, 0, 1))
+    less, same, more = (SurfaceMotion.along(both, t, w + k * step * move) for k in (-1, 0, 1))
     for name, of in values.items():
         difference = (of(less) - 2 * of(same) + of(more)) / step**2
         found = (factors[name] ** 2).sum(axis=(1, 2))
@@ -131,7 +135,7 @@ def pushed(duration: float, t: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize(("fill", "duration"), [(0.05, 1.4), (0.05, 1.1), (0.065, 0.95)])
 def test_waves_in_a_box_are_those_of_nonlinear_potential_flow(coffee, fill, duration):
     """Peak during the motion within 6 %; after it never higher than said. No pendulum, no small waves there."""
-    case = SloshingCase(coffee.with_changes(**BOX).payload.first, fill, 0.005)
+    case = LoadCase(coffee.with_changes(**BOX).payload.first, fill, 0.005)
     assert case.modes.half[0] == pytest.approx(0.045)
     times = np.arange(0, duration + 0.4, 0.0015)
     seen = simulate(
@@ -140,7 +144,7 @@ def test_waves_in_a_box_are_those_of_nonlinear_potential_flow(coffee, fill, dura
     t = np.linspace(0, duration, 201)
     w = np.tile(at_rest(), (len(t), 1))
     w[:, 0] = pushed(duration, t)
-    waves, moving = along((case,), t, w), times <= duration
+    waves, moving = SurfaceMotion.along((case,), t, w), times <= duration
     assert waves.crest.max() == pytest.approx(seen[moving].max(), rel=0.06)
     assert waves.left()[0] > 0.95 * seen[~moving].max()
 
@@ -149,7 +153,7 @@ def test_waves_in_a_box_are_those_of_nonlinear_potential_flow(coffee, fill, dura
 def test_waves_across_a_box_are_those_of_nonlinear_potential_flow(coffee, degrees, within):
     """Pushed at an angle to its sides, both of which have waves of their own: they add up in a corner."""
     case, duration, angle = (
-        SloshingCase(coffee.with_changes(**BOX).payload.first, 0.05, 0.005),
+        LoadCase(coffee.with_changes(**BOX).payload.first, 0.05, 0.005),
         1.25,
         np.deg2rad(degrees),
     )
@@ -159,19 +163,19 @@ def test_waves_across_a_box_are_those_of_nonlinear_potential_flow(coffee, degree
     t = np.linspace(0, duration, 201)
     w = np.tile(at_rest(), (len(t), 1))
     w[:, :2] = np.outer(pushed(duration, t), [np.cos(angle), np.sin(angle)])
-    waves = along((case,), t, w)
+    waves = SurfaceMotion.along((case,), t, w)
     assert waves.crest.max() == pytest.approx(seen[times <= duration].max(), rel=within)
     assert waves.left()[0] > 0.95 * seen[times > duration].max()
 
 
 def test_waves_in_a_cup_are_those_of_nonlinear_potential_flow(coffee):
-    case, duration = SloshingCase(coffee.payload.first, 0.05, 0.005), 1.4
+    case, duration = LoadCase(coffee.payload.first, 0.05, 0.005), 1.4
     times = np.arange(0, duration + 0.2, 0.003)
     seen = simulate(cylinder(0.04), 0.05, lambda t: (float(pushed(duration, np.array(t))), 9.81), times, case.damping)
     t = np.linspace(0, duration, 201)
     w = np.tile(at_rest(), (len(t), 1))
     w[:, 0] = pushed(duration, t)
-    assert along((case,), t, w).crest.max() == pytest.approx(seen[times <= duration].max(), rel=0.03)
+    assert SurfaceMotion.along((case,), t, w).crest.max() == pytest.approx(seen[times <= duration].max(), rel=0.03)
 
 
 @pytest.mark.parametrize("shape", [{}, {"box": True}])
@@ -180,22 +184,24 @@ def test_changes_are_first_order_differences(coffee, shape, monkeypatch):
     what is interpolated between nodes of a wave times a change."""
     monkeypatch.setattr(waves_module, "SETTLED", 1e-9)
     made = coffee.with_changes(**BOX) if shape else coffee
-    case, t = SloshingCase(made.payload.first, 0.05, 0.01), np.linspace(0, 0.9, 101)
-    here, step = along((case,), t, shaken(t)), 1e-5
+    case, t = LoadCase(made.payload.first, 0.05, 0.01), np.linspace(0, 0.9, 101)
+    here, step = SurfaceMotion.along((case,), t, shaken(t)), 1e-5
     dw = np.random.default_rng(2).normal(size=12) * np.cos(3 * t)[:, None]
     dw = np.stack([dw, dw * np.sin(np.pi * t / 0.9)[:, None]], axis=2)
     change = changed(here, dw[None])
+    eta, free, _ = here.changed(change, dw[None])
+    by = {"eta": eta, "free": free, "wrench": change.wrench}
     for k in range(2):
-        more, less = (along((case,), t, shaken(t) + sign * step * dw[:, :, k]) for sign in (1, -1))
+        more, less = (SurfaceMotion.along((case,), t, shaken(t) + sign * step * dw[:, :, k]) for sign in (1, -1))
         for name in ("eta", "free", "wrench"):
             difference = (getattr(more, name) - getattr(less, name)) / (2 * step)
-            found = getattr(change, name)[..., k]
+            found = by[name][..., k]
             np.testing.assert_allclose(found, difference, atol=1e-4 * np.abs(difference).max(), err_msg=name)
             if k == 1:  # begins with the motion
                 shifted = getattr(here.shifted(step * dw[None, :, :, k]), name) - getattr(here, name)
                 atol = 1e-3 * np.abs(difference).max()
                 np.testing.assert_allclose(shifted / step, difference, atol=atol, err_msg=name)
-    assert (here.raised(np.abs(step * change.eta).sum(axis=(2, 3)), 0.0) >= here.crest).all()
+    assert (here.raised(np.abs(step * eta).sum(axis=(2, 3)), 0.0) >= here.crest).all()
 
 
 @pytest.mark.parametrize("size", [(0.06, 0.06), (0.09, 0.06), (0.05, 0.09)])
@@ -205,7 +211,7 @@ def test_walls_of_a_box_that_turns_take_waves_along_as_a_flow_without_friction_i
     inside = {**BOX_IN, "size": list(size)}
     shape = {"type": "box", "size": [size[0] + 0.01, size[1] + 0.01, 0.085]}
     made = coffee.with_changes(objects__0__shape=shape, objects__0__liquid=inside)
-    case = SloshingCase(made.payload.first, 0.05, 0.01)
+    case = LoadCase(made.payload.first, 0.05, 0.01)
     (a, b), n, T = size, 120, 0.9
     inner = [diags([1.0, -2.0, 1.0], [-1, 0, 1], shape=(n - 1, n - 1)) / (side / n) ** 2 for side in size]
     laplace = kron(inner[0], identity(n - 1)) + kron(identity(n - 1), inner[1])
@@ -218,7 +224,7 @@ def test_walls_of_a_box_that_turns_take_waves_along_as_a_flow_without_friction_i
         slope = k * np.pi / a * np.cos(k * x)[:, None] * along_x
         pushed = np.trapezoid(np.trapezoid(slope * np.sin(k * y), y, axis=1), x)
         carried.append(abs(pushed) / (np.pi**2 / 2))
-    which, omega, gain = Cases.of((case,)), case.modes.omega, case.modes.gain
+    which, omega, gain = SurfaceCases.of((case,)), case.modes.omega, case.modes.gain
     stiff, C = omega**2, np.array(carried)
 
     def rates(t, state):
@@ -234,12 +240,12 @@ def test_walls_of_a_box_that_turns_take_waves_along_as_a_flow_without_friction_i
 
     t = np.linspace(0, T, 301)
     eta = solve_ivp(rates, (0, T), np.zeros(9), rtol=1e-10, atol=1e-13, t_eval=t).y.T[:, :4].reshape(-1, 2, 2)
-    whole, largest = along((case,), t, shaken(t)), np.abs(eta).max(axis=(0, 2))
+    whole, largest = SurfaceMotion.along((case,), t, shaken(t)), np.abs(eta).max(axis=(0, 2))
     missed = np.abs(gain * whole.r[0] - eta).max(axis=(0, 2))
     np.testing.assert_array_less(missed, 0.01 * largest)
-    lacked = np.abs(gain * along((case,), t, shaken(t, yaw=0.0)).r[0] - eta).max(axis=(0, 2))
+    lacked = np.abs(gain * SurfaceMotion.along((case,), t, shaken(t, yaw=0.0)).r[0] - eta).max(axis=(0, 2))
     np.testing.assert_array_less(2 * missed, lacked)
     assert lacked[0] > 0.2 * largest[0]
     # Gone on with from where it turns fastest, it is the same.
-    later = along((case,), t[150:], shaken(t)[150:], whole.underway().at(t, t[150]))
+    later = SurfaceMotion.along((case,), t[150:], shaken(t)[150:], whole.states().at(t, t[150]))
     assert np.abs(later.r - whole.r[:, 150:]).max() < 2e-3 * np.abs(whole.r).max()

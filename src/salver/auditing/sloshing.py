@@ -1,4 +1,4 @@
-"""Bounds on sloshing that a recording does not show.
+"""Bounds on what moves inside loads that a recording does not show.
 
 What noise hides is a shake a(t) of amplitude A, N cycles and r times a mode's frequency f_n. Its mass, which hardly
 fades, moves by -a + 2 pi f_n times the integral of sin(2 pi f_n (t - s)) a(s), where the shake begins from rest: by
@@ -19,47 +19,48 @@ from salver.auditing.motion import AuditedMotion, Doubt
 from salver.auditing.options import AuditOptions
 from salver.auditing.recorded import FASTER, LEVER, OUTER
 from salver.auditing.slip import hidden_shakes, up_to
+from salver.dynamics.liquid.sloshing import SloshingResponse
+from salver.dynamics.liquid.spills import Spill
+from salver.dynamics.load_limits import LoadVerdict
+from salver.dynamics.load_response import LoadResponse
+from salver.dynamics.modal_motion import ModalMotion
 from salver.geometry import Array
-from salver.liquid.sloshing import Slosh
-from salver.liquid.spills import Spill
-from salver.liquid.waves import Waves, along
-from salver.models.liquid import GRAVITY
+from salver.models.load_dynamics import GRAVITY
 
 FOLLOWED = 2.0  # times the fastest mode: a surface does not follow what shakes it faster, but for what moves a mass
 _SOFTEST = 0.1  # beyond which no second order says anything
 
 
-def unseen(name: str, parts: Sequence[Slosh], motion: AuditedMotion) -> tuple[Spill, float]:
-    """Bounds of a liquid in a recorded motion, from its parts in the motion as read, and the unknown acceleration
-    (m/s^2) of its container."""
-    found, pushed = [], 0.0
+def unseen(name: str, parts: Sequence[LoadResponse], motion: AuditedMotion) -> tuple[LoadVerdict, float]:
+    """Bounds of what moves inside a body in a recorded motion, from its parts in the motion as read, and the unknown
+    acceleration (m/s^2) of the body."""
+    found, pushed = list[LoadResponse](), 0.0
     for part in parts:
-        away, inclined = _away(part.waves, motion)
-        which = part.waves.cases
-        height = (which.gain[:, None] * away).sum(axis=2)
-        higher = height + which.rest_rise[:, None] * inclined
-        freer = height + np.abs(which.half - which.rest_rise)[:, None] * inclined
-        summed = higher[..., 0] if which.round else higher.sum(axis=2)
-        more = (which.gain * away[:, -1]).sum(axis=1)
-        left = more[:, 0] if which.round else more.sum(axis=1)
-        found.append(replace(part, higher=summed, freer=freer, more_left=left))
+        away, inclined = _away(part.modes, motion)
+        which = part.modes.cases
+        found.append(part.unsure(away, inclined))
         load = np.array([case.body.inertial.mass for case in which.each])[:, None, None, None]
         stiff = which.mass[:, None] * which.omega[:, None] ** 2
         pushed = max(pushed, float((stiff * away / load).sum(axis=2).max()))
-    return Spill.of(name, found), pushed
+    return type(found[0]).verdict(name, found), pushed
 
 
-def unmodelled(name: str, parts: Sequence[Slosh], known: Spill, options: AuditOptions) -> list[Doubt]:
+def unmodelled(name: str, parts: Sequence[LoadResponse], known: LoadVerdict, options: AuditOptions) -> list[Doubt]:
     """Near resonance, and in narrow glasses, sloshing goes higher than linear."""
-    highest, slower = float(known.crest.max()), softened(name, parts, options.softening)
-    if slower.slack.min() < 0 and slower.crest.max() > options.runaway * highest:
+    liquids = [part for part in parts if isinstance(part, SloshingResponse)]
+    return _of_liquid(name, liquids, known, options) if isinstance(known, Spill) else []
+
+
+def _of_liquid(name: str, parts: Sequence[SloshingResponse], known: Spill, options: AuditOptions) -> list[Doubt]:
+    highest, slower = float(known.size.max()), softened(name, parts, options.softening)
+    if slower.slack.min() < 0 and slower.size.max() > options.runaway * highest:
         clause = (
             f"the motion is near the sloshing frequency of {name}: high waves are slower, and may reach "
-            f"{1e3 * slower.crest.max():.2g} mm where linear ones reach {1e3 * highest:.2g}; how they swirl is not "
+            f"{1e3 * slower.size.max():.2g} mm where linear ones reach {1e3 * highest:.2g}; how they swirl is not "
             "known either"
         )
         return [("resonance", clause)]
-    half = min(float(part.waves.cases.half.min()) for part in parts)
+    half = min(float(part.modes.cases.half.min()) for part in parts)
     if half < options.narrow and known.left.min() < options.rise * highest:
         clause = (
             f"waves in {name}, {2e3 * half:.2g} mm wide, may be {100 * options.rise:.0f} % higher than predicted: "
@@ -70,7 +71,7 @@ def unmodelled(name: str, parts: Sequence[Slosh], known: Spill, options: AuditOp
     return []
 
 
-def softened(name: str, parts: Sequence[Slosh], softening: float) -> Spill:
+def softened(name: str, parts: Sequence[SloshingResponse], softening: float) -> Spill:
     """A liquid whose frequency falls with the height of its waves: near resonance they grow fast.
 
     A wave of amplitude a has the frequency f (1 - c (a / R)^2), c: softening; each round takes the highest crest so far
@@ -80,29 +81,29 @@ def softened(name: str, parts: Sequence[Slosh], softening: float) -> Spill:
     for part in parts:
         highest = part
         for _ in range(4):
-            which, waves = highest.waves.cases, part.waves
+            which, modes = highest.modes.cases, part.modes
             softer = np.minimum(softening * (highest.crest.max(axis=1) / which.half.min(axis=1)) ** 2, _SOFTEST)
             each = [replace(x, softer=float(k * s)) for k in (0.5, 1) for x, s in zip(which.each, softer, strict=True)]
-            tried = Slosh.of(along(each, waves.t, waves.w[0])).crest.max(axis=1).reshape(2, -1)
+            tried = SloshingResponse.of(modes.along(each, modes.t, modes.w[0])).crest.max(axis=1).reshape(2, -1)
             best = [each[k * len(softer) + i] for i, k in enumerate(np.argmax(tried, axis=0))]
-            other = Slosh.of(along(best, waves.t, waves.w[0]))
+            other = SloshingResponse.of(modes.along(best, modes.t, modes.w[0]))
             if other.crest.max() <= highest.crest.max():
                 break
             highest = other
         found.append(highest)
-    return Spill.of(name, found)
+    return Spill.along(name, found)
 
 
-def _away(waves: Waves, motion: AuditedMotion) -> tuple[Array, Array]:
+def _away(modal: ModalMotion, motion: AuditedMotion) -> tuple[Array, Array]:
     """(K, T, n_modes, 2) m by which each mass may be elsewhere, and (K, T, 1) slope by which the force may be."""
-    which, recording, highest = waves.cases, motion.recording, motion.options.highest
+    which, recording, highest = modal.cases, motion.recording, motion.options.highest
     assert recording is not None
-    up = waves.upward.min(axis=1)[:, None, None]
+    up = modal.upward.min(axis=1)[:, None, None]
     omega = which.omega * np.sqrt(up / GRAVITY)
-    missed, error = (np.broadcast_to(x, waves.t.shape) for x in (motion.missed, motion.acceleration_error))
+    missed, error = (np.broadcast_to(x, modal.t.shape) for x in (motion.missed, motion.acceleration_error))
     if np.isinf(error).any():  # there are no samples
         return np.full((len(omega), len(error), *omega.shape[1:]), np.inf), np.full((len(omega), len(error), 1), np.inf)
-    modes, read = omega / (2 * np.pi), np.broadcast_to(recording.bandwidth / FASTER, waves.t.shape)
+    modes, read = omega / (2 * np.pi), np.broadcast_to(recording.bandwidth / FASTER, modal.t.shape)
     shaken, slope = np.zeros_like(omega), 0.0
     fastest = FOLLOWED * float(modes.max())
     sensor = recording.sensor
@@ -123,9 +124,9 @@ def _away(waves: Waves, motion: AuditedMotion) -> tuple[Array, Array]:
     outer = np.linalg.norm(motion.samples.a_S[[0, -1]], axis=1).sum() * OUTER / recording.rate
     shaken = shaken + 0.5 * outer / omega
     short = missed / (2 * np.pi * read) ** 2
-    shaken = shaken + (short * _gain(read, modes[..., None], read * np.ptp(waves.t))).max(axis=-1)
-    lifted = 1 + which.omega**2 / GRAVITY * np.abs(waves.r).max(axis=1)  # what is wrong upwards stiffens it
-    away = np.broadcast_to((lifted * shaken)[:, None], waves.r.shape)
+    shaken = shaken + (short * _gain(read, modes[..., None], read * np.ptp(modal.t))).max(axis=-1)
+    lifted = 1 + which.omega**2 / GRAVITY * np.abs(modal.r).max(axis=1)  # what is wrong upwards stiffens it
+    away = np.broadcast_to((lifted * shaken)[:, None], modal.r.shape)
     return away, (error + slope + np.where(read <= fastest, missed, 0.0))[:, None] / up
 
 

@@ -23,10 +23,11 @@ from salver.auditing.slip import Slip, slide
 from salver.auditing.sloshing import unmodelled, unseen
 from salver.contact_margins import MarginModel, Margins, SafeSpeeds, margin_model, safe_speeds
 from salver.display import Shown
+from salver.dynamics.load_limits import LoadVerdict
+from salver.dynamics.payload_response import PayloadResponse
 from salver.errors import Status
 from salver.files import provenance
 from salver.geometry import Array, Indices, invert
-from salver.liquid.spills import Liquids, Spill
 from salver.models.tray_motion import at_rest, motion_vector
 from salver.models.uncertain.parameters import unshaken
 from salver.motion_files import JointSamples, Samples, of_columns, read
@@ -63,9 +64,9 @@ class Audit(Shown, Tabular):
         return self._margins_at(self._decisive)
 
     @cached_property
-    def _liquids(self) -> Liquids | None:
-        """Along the whole motion: they remember. Where it stands still at an end nothing accelerates the liquid before
-        or after, whatever the samples there say."""
+    def _loads(self) -> PayloadResponse | None:
+        """Along the whole motion: they remember. Where it stands still at an end nothing accelerates what is inside
+        before or after, whatever the samples there say."""
         s, w, seen = self.motion.samples, self._w.copy(), self.motion.recording
         still, zero = self._resting(), np.zeros((1, 3))
         outside = 0.0 if seen is None else OUTER / seen.rate  # s, in which a recording does not show an acceleration
@@ -74,7 +75,7 @@ class Audit(Shown, Tabular):
                 rest, near = motion_vector(s.R_SB[[k]], zero, zero, zero)[0], np.flatnonzero(away < outside)
                 w[near] = rest + (w[near] - rest) * (away[near] / outside)[:, None]
                 w[k] = rest
-        return Liquids.along(self._model.payload, s.t, w)
+        return PayloadResponse.along(self._model.payload, s.t, w)
 
     def _resting(self) -> tuple[bool, bool]:
         """Whether the tray stands still at the beginning, and at the end."""
@@ -83,8 +84,8 @@ class Audit(Shown, Tabular):
         return bool(speed[0] <= AT_REST), bool(speed[-1] <= AT_REST)
 
     def _margins_at(self, index: Indices) -> Margins:
-        liquids = None if self._liquids is None else self._liquids.at(index)
-        return Margins(self._model, self.motion.samples.t[index], self._w[index], liquids)
+        loads = None if self._loads is None else self._loads.at(index)
+        return Margins(self._model, self.motion.samples.t[index], self._w[index], loads)
 
     @cached_property
     def _model(self) -> MarginModel:
@@ -142,18 +143,19 @@ class Audit(Shown, Tabular):
         return nominal, worst
 
     def _pushed(self, worst: bool) -> float:
-        """m/s^2 by which liquids may push their containers more, or less, than the motion as it was read says."""
-        return max((pushed for _, pushed in self._sloshing[worst].values()), default=0.0)
+        """m/s^2 by which what moves inside may push its body more, or less, than the motion as it was read says."""
+        return max((pushed for _, pushed in self._inner[worst].values()), default=0.0)
 
     @cached_property
-    def _sloshing(self) -> tuple[dict[str, tuple[Spill, float]], dict[str, tuple[Spill, float]]]:
-        """What each liquid comes to at most in the motion that was recorded, and by how much it may push otherwise than
-        in the motion as it was read (m/s^2); nominal, and in the worst case. Nothing where the motion is known."""
-        if self._liquids is None or self.motion.recording is None:
+    def _inner(self) -> tuple[dict[str, tuple[LoadVerdict, float]], dict[str, tuple[LoadVerdict, float]]]:
+        """What moves inside each body comes to at most in the motion that was recorded, and by how much it may push
+        otherwise than in the motion as it was read (m/s^2); nominal, and in the worst case. Nothing where the motion is
+        known."""
+        if self._loads is None or self.motion.recording is None:
             return {}, {}
         nominal, worst = (
             {name: unseen(name, parts, self.motion) for name, parts in which.items()}
-            for which in (self._liquids.nominal, self._liquids.worst)
+            for which in (self._loads.nominal, self._loads.worst)
         )
         return nominal, worst
 
@@ -185,43 +187,43 @@ class Audit(Shown, Tabular):
         return replace(status, sentence=first + status.sentence)
 
     def _begun(self) -> list[Doubt]:
-        """That it is not known how liquids move at the beginning."""
-        if self._liquids is None or self._resting()[0]:
+        """That it is not known how loads move inside at the beginning."""
+        if self._loads is None or self._resting()[0]:
             return []
-        return [("begun", "the motion begins moving, and how the liquid moves then is not known")]
+        return [("begun", "the motion begins moving, and how what is inside moves then is not known")]
 
     def _unsure(self, worst: bool) -> list[Doubt]:
-        """Liquids of which it cannot be told whether they spill."""
-        if self._liquids is None:
+        """What moves inside of which it cannot be told whether it goes too far."""
+        if self._loads is None:
             return []
         doubts = []
-        for name, parts in (self._liquids.worst if worst else self._liquids.nominal).items():
-            known = Spill.of(name, parts)
+        for name, parts in (self._loads.worst if worst else self._loads.nominal).items():
+            known = type(parts[0]).verdict(name, parts)
             if known.slack.min() >= 0:
                 doubts += unmodelled(name, parts, known, self.motion.options)
             if self.motion.recording is None:
                 continue
-            most, pushed = self._sloshing[worst][name]
+            (most, pushed), swings = self._inner[worst][name], f"{known.inner.measure}s in {name}"
             if known.slack[:-1].min() >= 0 > known.slack[-1] and not self._resting()[1]:
                 clause = f"the recording ends moving, and what {name} does after it is not in it"
                 doubts.append(("ended", clause))
                 continue
             told, lost = known.slack.min(), known.slack.min() - most.slack.min()
             if not (told - lost >= 0 or told + lost < 0):
-                higher = 1e3 * float((most.crest - known.crest).max())
-                of = min(most.kept(), key=most.kept().__getitem__)
-                share = 100 * known.kept()[of]
+                higher = 1e3 * float((most.size - known.size).max())
+                of = min(most.kept, key=most.kept.__getitem__)
+                share = 100 * known.kept[of]
                 kept = f"keep {share:.2g} % of {of}" if share >= 0 else f"exceed {of} by {-share:.2g} %"
                 clause = (
-                    f"waves in {name} may be {higher:.2g} mm higher or lower than what is recorded says, and as "
-                    f"recorded they {kept}: a finer recording, or the planned motion with its velocities (salver "
-                    "export --format moveit), would tell"
+                    f"{swings} may be {higher:.2g} mm higher or lower than what is recorded "
+                    f"says, and as recorded they {kept}: a finer recording, or the planned motion with its velocities "
+                    "(salver export --format moveit), would tell"
                 )
                 doubts.append(("sloshing", clause))
             elif told >= 0 and pushed > self._borne[worst].reserve.min():
                 clause = (
-                    f"waves in {name} may push it by {pushed:.2g} m/s^2 more than what is recorded says, and "
-                    f"{self._borne[worst].reserve.min():.2g} are left"
+                    f"{swings} may push it by {pushed:.2g} m/s^2 more than what is recorded says, "
+                    f"and {self._borne[worst].reserve.min():.2g} are left"
                 )
                 doubts.append(("sloshing", clause))
         return doubts
@@ -264,7 +266,7 @@ class Audit(Shown, Tabular):
 
     def _speeds(self, worst: bool) -> SafeSpeeds:
         few = len(self._w) <= AT_ONCE
-        index = slice(None) if few or self._liquids is not None else self._decisive
+        index = slice(None) if few or self._loads is not None else self._decisive
         return safe_speeds(self._model, self.motion.samples.only(index), worst, rate=few)
 
     def _recording(self) -> dict[str, Any] | None:

@@ -78,9 +78,9 @@ def define(
             f"{case.name} is a task of {len(case.legs)} legs; a run of its campaign runs all of them in the physics "
             "engine: leave out --stem and --engine."
         )
-    liquids = [body.name for body in case.bodies if body.liquid is not None]
-    if engine == "closed-loop" and liquids:
-        raise SalverError(f"{liquids[0]} holds a liquid, which the engine closed-loop does not know; use physics.")
+    inner = [body.inside for body in case.bodies if body.inner is not None]
+    if engine == "closed-loop" and inner:
+        raise SalverError(f"The engine closed-loop does not know {inner[0]}; use physics.")
     if stops and engine != "physics":
         raise SalverError(f"Stops are motions of an arm; the engine {engine} has none: use --engine physics.")
     if not case.uncertain.size and not stops:

@@ -203,7 +203,7 @@ def run_scalars(summary: Mapping[str, Any]) -> Scalars:
         scalars |= {prefix + key: value for key, value in own.items() if prefix or key != "outcome"}
     if len(objects) > 1:
         for key in dict.fromkeys(key for item in objects for key in item if key.startswith("peak_")):
-            scalars[key] = max(float(item[key]) for item in objects if key in item)  # only a liquid has a wave
+            scalars[key] = max(float(item[key]) for item in objects if key in item)  # not all have what moves inside
     return scalars
 
 

@@ -22,7 +22,7 @@ MAGIC = b"PAR1"  # at both ends of a Parquet file
 TUBE_TOLERANCE = 0.01  # of the largest radius: what first order may miss before a run counts as outside
 
 # From what was wanted to what must not be; an outcome that is not listed is worst.
-SEVERITY = ("holds", "leaves cone", "limit", "slides", "spills", "lifts", "tips", "lost", "crashed", "error")
+SEVERITY = ("holds", "leaves cone", "limit", "slides", "swings", "spills", "lifts", "tips", "lost", "crashed", "error")
 SUMMARISED = (
     "peak_slip",
     "final_slip",

@@ -54,9 +54,9 @@ class InterfaceMargins:
         required = [needed_at_tray(body, body.inertial.phi) for body in network.bodies]
         wrench_E = self.whole.w @ np.einsum("jik,jkw->iw", network.share[self.index], np.array(required)).T
         for j, body in enumerate(network.bodies):
-            if self.whole.liquids is not None and body.liquid is not None:
-                slosh = self.whole.liquids.nominal[body.name][0].wrench[0]
-                wrench_E = wrench_E + slosh @ network.share[self.index, j].T
+            if self.whole.loads is not None and body.inner is not None:
+                swing = self.whole.loads.nominal[body.name][0].wrench[0]
+                wrench_E = wrench_E + swing @ network.share[self.index, j].T
         if not network.determinate:
             wrench_E = wrench_E + self.whole.nominal_values[self.network][1] @ network.internal[self.index].T
         upper = network.bodies[self.interface.upper]

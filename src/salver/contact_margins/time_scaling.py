@@ -7,8 +7,8 @@ So the tray's motion regressor is
 
 w_static of gravity alone in the same posture, twist = (R^T v, omega) at full speed. A contact margin is concave in w,
 and so in (s^2, s'), also in the worst case. What holds standing still in every posture and at full speed then holds at
-every factor between, and factors at which a motion holds are one interval. Sloshing has its own time scale: with a
-liquid, factors are tried on a grid, finer where little is left.
+every factor between, and factors at which a motion holds are one interval. Inner dynamics have their own time scale:
+with them, factors are tried on a grid, finer where little is left.
 
 The tray is taken to follow its motion exactly at every speed.
 """
@@ -25,14 +25,14 @@ import numpy as np
 
 from salver.contact_margins.model import MarginModel
 from salver.contact_margins.whole import Margins
+from salver.dynamics.payload_response import PayloadResponse
 from salver.errors import Status
 from salver.geometry import Array, Indices
-from salver.liquid.spills import Liquids
 from salver.models.tray_motion import motion_vector
 from salver.trajectory import MotionSamples
 
-TRIED = np.append(0.0, 1.04 ** np.arange(-59.0, 1.0))  # factors at which a motion with a liquid is looked at
-FINEST = 1e-3  # of the factor: edges are found to this with a liquid
+TRIED = np.append(0.0, 1.04 ** np.arange(-59.0, 1.0))  # factors at which a motion with inner dynamics is looked at
+FINEST = 1e-3  # of the factor: edges are found to this with inner dynamics
 SLOWEST, FASTEST = 0.01, 5.0  # factors beyond which none is sought
 MOST_RATE = 100.0  # 1/s
 BEYOND = 1.001  # times what no margin lasts to: worst cases of contents are known to a thousandth of their curvature
@@ -124,16 +124,16 @@ def safe_speeds(model: MarginModel, tray: MotionSamples, worst: bool, *, rate: b
     """The speed factors at which a motion of the tray frame E keeps the load.
 
     tray: (T,) instants of E at full speed. worst: over the whole uncertain set, else at nominal parameters. rate:
-    whether the rate of the factor is asked for; of no liquid it is known.
+    whether the rate of the factor is asked for; of no inner dynamics it is known.
     """
     scaled = TimeScaled(model, tray, worst)
     tried, lacking = 0, tuple[float, ...]()
-    if model.payload.liquids:
+    if model.payload.dynamic:
         intervals, fastest, tried, lacking = _tried(scaled)
     else:
         intervals, fastest = _exact(scaled)
     most = None
-    if rate and not model.payload.liquids:
+    if rate and not model.payload.dynamic:
         most = scaled.largest_rate() if intervals == ((0.0, 1.0),) else None
     fails_at, failure = scaled.failure(intervals)
     return SafeSpeeds(intervals, fastest, worst, fails_at, failure, most, tried, lacking)
@@ -177,15 +177,15 @@ class TimeScaled:
     def margins(self, factor: float) -> Margins:
         """Everything at a constant factor, in the time that it then takes; standing still in that of `SLOWEST`."""
         w, t = self.w(factor**2), (self.tray.t - self.tray.t[0]) / (factor or SLOWEST)
-        return Margins(self.model, t, w, Liquids.along(self.model.payload, t, w))
+        return Margins(self.model, t, w, PayloadResponse.along(self.model.payload, t, w))
 
     def slack(self, factor: float) -> float:
-        """The least of all contact margins and of what liquids keep of what they are allowed, as shares."""
+        """The least of all contact margins and of what inner dynamics keep of their limits, as shares."""
         margins = self.margins(factor)
-        spilt = min((float(spill.slack.min()) for spill in margins.spills(self.worst)), default=np.inf)
-        if spilt < 0:
-            return spilt
-        return min(spilt, float((margins.exact_worst if self.worst else margins.exact).min()) + _TOLERANCE)
+        swings = min((float(each.slack.min()) for each in margins.load_verdicts(self.worst)), default=np.inf)
+        if swings < 0:
+            return swings
+        return min(swings, float((margins.exact_worst if self.worst else margins.exact).min()) + _TOLERANCE)
 
     def failure(self, intervals: Intervals) -> tuple[float | None, Status | None]:
         """A factor beside the uppermost interval at which the load is not kept, and what happens there."""
@@ -233,7 +233,7 @@ class TimeScaled:
 
 
 def _exact(scaled: TimeScaled) -> tuple[Intervals, float | None]:
-    """The interval of factors of a load without a liquid, and the largest of them."""
+    """The interval of factors of a load without inner dynamics, and the largest of them."""
     still, full = scaled.margin(0.0), scaled.margin(1.0)
     squared, here = (1.0, full) if full.min() >= 0 else (0.0, still)
     if here.min() < 0:
@@ -292,8 +292,8 @@ def _edge(scaled: TimeScaled, begin: float, here: Array, end: float, there: Arra
 
 
 def _tried(scaled: TimeScaled) -> tuple[Intervals, float | None, int, tuple[float, ...]]:
-    """The intervals of factors up to 1 of a load with a liquid, the largest of them, how many were tried, and of each
-    range between at which most is missing."""
+    """The intervals of factors up to 1 of a load with inner dynamics, the largest of them, how many were tried, and of
+    each range between at which most is missing."""
     known = {float(s): scaled.slack(float(s)) for s in TRIED}
     while True:
         factors = sorted(known)
@@ -320,7 +320,7 @@ def _tried(scaled: TimeScaled) -> tuple[Intervals, float | None, int, tuple[floa
 
 
 def _above(scaled: TimeScaled) -> float:
-    """The factor from 1 to which all that are tried hold, of a load with a liquid."""
+    """The factor from 1 to which all that are tried hold, of a load with inner dynamics."""
     low, high = 1.0, 1.04
     while high < FASTEST and scaled.slack(high) >= 0:
         low, high = high, 1.04 * high

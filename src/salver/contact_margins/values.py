@@ -7,9 +7,9 @@ from functools import cached_property
 from typing import Self
 
 from salver.contact_margins.model import MarginModel
+from salver.dynamics.load_rows import LoadRows, most_added
+from salver.dynamics.payload_response import PayloadResponse
 from salver.geometry import Array, Indices
-from salver.liquid.slosh_rows import Sloshed, most_added
-from salver.liquid.spills import Liquids
 from salver.models.contact.internal_wrench import internal_wrenches
 from salver.models.contact_rows import ContactRows
 from salver.models.uncertain.worst_case import ALL
@@ -19,12 +19,12 @@ AT_ONCE = 256  # instants
 
 @dataclass(frozen=True)
 class RowValues:
-    """t (T,); w (T, 12): motion of the tray frame E. liquids: what they do along it, or None."""
+    """t (T,); w (T, 12): motion of the tray frame E. loads: what moves inside them along it, or None."""
 
     model: MarginModel
     t: Array
     w: Array
-    liquids: Liquids | None = None
+    loads: PayloadResponse | None = None
 
     @cached_property
     def nominal_values(self) -> list[tuple[Array, Array]]:
@@ -38,20 +38,20 @@ class RowValues:
     def nominal_case(self, rows: ContactRows) -> Array:
         """Rows (T, n) at nominal parameters."""
         value = rows.worst(self.w)
-        return value if self.liquids is None else value + Sloshed.of(rows, self.liquids.nominal).values
+        return value if self.loads is None else value + LoadRows.of(rows, self.loads.nominal).values
 
     def at(self, keep: Indices) -> Self:
         """The values at some of their instants."""
-        liquids = None if self.liquids is None else self.liquids.at(keep)
-        return replace(self, t=self.t[keep], w=self.w[keep], liquids=liquids)
+        loads = None if self.loads is None else self.loads.at(keep)
+        return replace(self, t=self.t[keep], w=self.w[keep], loads=loads)
 
     def worst_case(self, rows: ContactRows) -> Array:
         """Worst case of the rows (T, n)."""
         value = rows.worst(self.w)
-        if self.liquids is not None:  # some instants at a time: of all cases at all of them there is too much
+        if self.loads is not None:  # some instants at a time: of all cases at all of them there is too much
             for first in range(0, len(value), AT_ONCE):
                 at = slice(first, first + AT_ONCE)
-                value[at] += most_added(rows, self.liquids.worst, at, ALL, coarsely=False)
+                value[at] += most_added(rows, self.loads.worst, at, ALL, coarsely=False)
         return value
 
 

@@ -13,12 +13,11 @@ from salver.contact_margins.model import margin_model
 from salver.contact_margins.motion import tray_motion
 from salver.contact_margins.values import RowValues
 from salver.display import Shown
+from salver.dynamics.load_limits import LoadVerdict
+from salver.dynamics.payload_response import PayloadResponse
 from salver.errors import Status
 from salver.geometry import Array
-from salver.liquid.sloshing import LIGHTEST
-from salver.liquid.spills import Liquids, Spill
 from salver.models.interfaces import regions_lost
-from salver.models.liquid import LEAST_WEIGHT
 from salver.scenario import Scenario
 
 if TYPE_CHECKING:
@@ -34,7 +33,7 @@ def margins(scenario: Scenario, samples: MotionSamples, *, edges: int | None = N
     edges: of the friction pyramids, inscribed; unless given the least multiple of the scenario's that is 8 or more.
     """
     w = tray_motion(scenario, samples)
-    return Margins(margin_model(scenario, edges), samples.t, w, Liquids.along(scenario.payload, samples.t, w))
+    return Margins(margin_model(scenario, edges), samples.t, w, PayloadResponse.along(scenario.payload, samples.t, w))
 
 
 @dataclass(frozen=True, repr=False)
@@ -89,28 +88,29 @@ class Margins(Shown, RowValues):
         if worst and lost:
             sentence = f"{lost[0]} may stand beside it: the uncertain position is as large as the contact region."
             return Status("tips", sentence, False, {"interface": lost[0], "time": float(self.t[0])})
-        spilt = next((s for s in (spill_status(spill, case) for spill in self.spills(worst)) if not s.ok), None)
-        if spilt is not None and not any(f[0] <= spilt.details["time"] for f in failures):
-            return spilt
+        inner = self.load_verdicts(worst)
+        beyond = next((s for s in (each.status(case) for each in inner) if not s.ok), None)
+        if beyond is not None and not any(f[0] <= beyond.details["time"] for f in failures):
+            return beyond
         if failures:
             time, _, code, m = min(failures, key=lambda f: (f[0], f[1]))
             sentence = f"{m.name} {case}{code} at {time:.3f} s: {m.reason(code, time, worst)}."
             return Status(code, sentence[0].upper() + sentence[1:], False, {"interface": m.name, "time": time})
-        dry = "".join(f" {spill_status(spill, '').sentence}" for spill in self.spills(worst))
-        blind = f"Not checked: {'; '.join(payload.unmodelled)}. " if dry else ""
+        kept = "".join(f" {each.status().sentence}" for each in inner)
+        blind = f"Not checked: {'; '.join(payload.unmodelled)}. " if kept and payload.unmodelled else ""
         least = min(self.interfaces, key=lambda m: float((m.exact_worst if worst else m.exact).min()))
         margin = least.exact_worst if worst else least.exact
         k = int(np.argmin(margin))
         sentence = (
             f"{blind}Everything holds{' ' + case.rstrip() if case else ''}; the least margin is "
-            f"{100 * max(0.0, float(margin[k])):.1f} % of the weight ({least.name}, at {self.t[k]:.3f} s).{dry}"
+            f"{100 * max(0.0, float(margin[k])):.1f} % of the weight ({least.name}, at {self.t[k]:.3f} s).{kept}"
         )
         details = {"interface": least.name, "time": float(self.t[k]), "margin": float(margin[k])}
         return Status("holds", sentence, True, details)
 
-    def spills(self, worst: bool = False) -> list[Spill]:
-        """How near each liquid comes to its brim."""
-        return [] if self.liquids is None else self.liquids.spills(worst)
+    def load_verdicts(self, worst: bool = False) -> list[LoadVerdict]:
+        """How near what moves inside each load comes to its limits."""
+        return [] if self.loads is None else self.loads.load_verdicts(worst)
 
     def worst_parameters(self) -> dict[str, float]:
         """Values of the uncertain parameters at which the least worst-case margin occurs (to first order)."""
@@ -125,8 +125,8 @@ class Margins(Shown, RowValues):
 
     def only(self, parameter: Parameter) -> Margins:
         """With only this parameter uncertain."""
-        model, liquids = self.model.with_only(parameter), self.liquids
-        return Margins(model, self.t, self.w, liquids and liquids.only(model.payload))
+        model, loads = self.model.with_only(parameter), self.loads
+        return Margins(model, self.t, self.w, loads and loads.only(model.payload))
 
     def costs(self) -> dict[str, float]:
         """What each uncertain parameter, alone, takes from the least exact margin (share of the normal force)."""
@@ -140,42 +140,3 @@ class Margins(Shown, RowValues):
         found = float(self.at(chosen).exact_worst.min())
         others = np.setdiff1d(np.flatnonzero(lower < found), chosen)
         return float(self.at(others).exact_worst.min(initial=found)) if len(others) else found
-
-
-def spill_status(spill: Spill, case: str = "") -> Status:
-    """Whether one liquid stays in its container, in one sentence. case: words for the parameters."""
-    k = int(np.argmin(spill.left))
-    when = {"interface": spill.name, "time": float(spill.t[k]), "left": float(spill.left[k])}
-    end = float(spill.t[-1])
-    if np.isfinite(spill.left[k]) and spill.left[k] < 0:
-        first = float(spill.t[np.argmax(spill.left < 0)])
-        sentence = f"The liquid in {spill.name} {case}comes {_mm(-spill.left[k])} too high at {spill.t[k]:.3f} s"
-        return Status("spills", f"{sentence}, the first time at {first:.3f} s.", False, when | {"time": first})
-    if spill.steep.max() > 1:
-        sentence = (
-            f"The waves in {spill.name} {case}become {spill.steep.max():.2f} times as steep as what the model "
-            "is valid for: they may break."
-        )
-        return Status("spills", sentence, False, when | {"time": float(spill.t[np.argmax(spill.steep > 1)])})
-    if spill.light.max() > 1:
-        k = int(spill.light.argmax())
-        pressing = 100 * max(0.0, 1 - LIGHTEST * float(spill.light[k]))
-        sentence = (
-            f"Of its weight only {pressing:.0f} % hold down the liquid in {spill.name} at {spill.t[k]:.3f} s: below "
-            f"{100 * LEAST_WEIGHT:.0f} % nothing is known of its waves."
-        )
-        return Status("spills", sentence, False, when | {"time": float(spill.t[k])})
-    if spill.after < 0:
-        sentence = f"The liquid in {spill.name} {case}comes {_mm(-spill.after)} too high after the motion."
-        return Status("spills", sentence, False, when | {"time": end})
-    if spill.settled < 0:
-        sentence = f"The waves in {spill.name} {case}are {_mm(-spill.settled)} higher after the motion than is wanted."
-        return Status("unsettled", sentence, False, when | {"time": end})
-    if not np.isfinite(spill.left[k]):
-        return Status("holds", f"The liquid in {spill.name} is kept in by its lid.", True, when)
-    sentence = f"The liquid in {spill.name} stays {_mm(min(spill.left[k], spill.after))} below what it may reach."
-    return Status("holds", sentence, True, when)
-
-
-def _mm(metres: float) -> str:
-    return f"{1e3 * metres:.1f} mm"

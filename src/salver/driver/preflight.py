@@ -247,7 +247,7 @@ def _stops(plan: Plan, arm: ArmModel, bodies: Sequence[Body]) -> Check:
     for k, now in enumerate(stops.t):
         motion = looked_at(stops.motion(k))
         status = verdict(arm, motion, bodies, parts, BETWEEN)
-        if plan.scenario.payload.liquids:  # which slosh already when the stop begins
+        if plan.scenario.payload.dynamic:  # which swing already when the stop begins
             motion = looked_at(stops.after(joint, k))
         contact = margins(plan.scenario, _object_motion(arm, bodies, motion)).verdict(worst=True)
         for judged in (status, contact):

@@ -58,10 +58,8 @@ def judge(
     where = f"{1e3 * moved[k]:.2f} mm at t = {merged['t'][during][k]:.2f} s; {1e3 * SLIP:g} mm can be told from noise"
     if moved[k] > SLIP:
         return Status(SLIDES, f"{object_name} moved on its tray by up to {where}.", False)
-    wet = [body.name for body in carried if body.liquid is not None and not body.liquid.sealed]
-    first = (
-        f"Not judged: whether the liquid in {listed(wet)} was spilt, which motion capture does not see. " if wet else ""
-    )
+    inner = [x.inside for x in carried if x.inner is not None and np.isfinite(x.inner.edge(x.inner.value))]
+    first = f"Not judged: what {listed(inner)} did, which motion capture does not see. " if inner else ""
     return Status(HOLDS, f"{first}{object_name} kept its place on the tray, to {where}.", True)
 
 

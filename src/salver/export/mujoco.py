@@ -33,7 +33,7 @@ def write_scene(directory: str | Path, path: Path, stem: str = "plan", *, unsafe
     The scene is the one that `salver simulate` runs, but for servos on the joints and compensated weight, so that it
     holds itself up: set ctrl to the columns q_... of motion.csv to replay. Keyframe "start" has the arm at the start
     and the objects on the tray. unsafe: as `salver.export.write_export`. Raises SalverError when `path` exists and for
-    a liquid that is no body to such a file, FileFormatError for a directory without such a plan, UnsafeError.
+    inner dynamics that are no body to such a file, FileFormatError for a directory without such a plan, UnsafeError.
     """
     from salver.models.arm.arm import load_arm
     from salver.simulation.scene import scene as scenes
@@ -53,7 +53,7 @@ def write_scene(directory: str | Path, path: Path, stem: str = "plan", *, unsafe
     for load in world.loads:
         if lent(load.still):
             raise SalverError(
-                f"A MuJoCo scene as a file cannot hold the liquid in {load.name}: what of it does not swing turns less "
+                f"A MuJoCo scene as a file cannot hold {load.nominal.inside}: what of it does not swing turns less "
                 "easily about one side than any solid could; a heavier or less oblong container can be written."
             )
     spec = scenes.specify(scenario, world, arm, visual=True)

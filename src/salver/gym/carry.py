@@ -22,7 +22,7 @@ from salver.errors import MissingDependencyError, ScenarioError
 from salver.geometry import Array, matrix_from_quat_wxyz, quat_wxyz_from_matrix
 from salver.live import Live, LiveCourse
 from salver.models.arm.arm import load_arm
-from salver.playground.liquids import LiquidSurfaces
+from salver.playground.inner_motions import InnerMotions
 from salver.playground.unprotected import Unprotected
 from salver.sampling import draw
 from salver.scenario import Scenario, load
@@ -107,7 +107,7 @@ class Carry(gymnasium.Env[Array, Array]):
         self._scene = build(self.scenario, true_world(self.scenario, self.parameters), self.arm, seed=0)
         self._data = mujoco.MjData(self._scene.model)
         self._scene.place(self._data, self._begin)
-        self._liquids, self._t, self._ended = LiquidSurfaces(self._scene, self._period), 0.0, False
+        self._inner, self._t, self._ended = InnerMotions(self._scene, self._period), 0.0, False
         self._live = Live(self.scenario, self._begin, lead=STEP) if self.shield else None
         self._servo = Unprotected(self.arm, self._begin, np.zeros(self.arm.n))
         course = self if self._live is None else LiveCourse(self._live)
@@ -160,7 +160,7 @@ class Carry(gymnasium.Env[Array, Array]):
         data.qfrc_applied[:n] = torque
         scene.shake(data, self._t)
         mujoco.mj_step(scene.model, data)
-        self._liquids.took(self._t, state.q, state.dq, torque, data)
+        self._inner.took(self._t, state.q, state.dq, torque, data)
         if self._steps > 1:
             mujoco.mj_step(scene.model, data, nstep=self._steps - 1)
         self._t += self._period
@@ -181,13 +181,11 @@ class Carry(gymnasium.Env[Array, Array]):
         """Of each object: "", "fallen", "lost" or "spilt"."""
         p, R = self._on_tray()
         half, words = 0.5 * np.array(self.scenario.tray.size), []
-        _ = self._liquids.shown  # up to now
+        _ = self._inner.shown  # up to now
         for k, one in enumerate(self._scene.loads):
             tip = float(np.arccos(np.clip((one.R_EB.T @ R[k])[2, 2], -1.0, 1.0)))
             off = p[k, 2] < 0 or bool(np.any(np.abs(p[k, :2]) > half))
-            words.append(
-                "lost" if off else "fallen" if tip > self.fallen else "spilt" if self._liquids.spilt(k) else ""
-            )
+            words.append("lost" if off else "fallen" if tip > self.fallen else "spilt" if self._inner.beyond(k) else "")
         return words
 
     def _seen(self) -> Array:

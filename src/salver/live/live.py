@@ -142,7 +142,7 @@ class Live:
         # From which motion nothing more can be done, as of which news of what passes.
         self._resigned: tuple[Running | None, int] = (None, 0)
         # Of open liquids: which; and whether how they move is not known any more.
-        self._wet = " and ".join(body.name for body in problem.payload.liquids)
+        self._wet = " and ".join(body.inside for body in problem.payload.dynamic)
         self._unknown = False
         self._lead = Lead(lead, bool(self._wet))
         self._look(self._running)
@@ -400,7 +400,7 @@ class Live:
 
     @property
     def _lost(self) -> str:
-        return f"how the liquid in {self._wet} moves is not known any more; restart(q, calm=True) when it stands still"
+        return f"how {self._wet} moves is not known any more; restart(q, calm=True) when it stands still"
 
     def _lose_sight(self) -> None:
         """How open liquids move is not known any more: the arm is to come to rest, and to wait for `restart`."""
@@ -481,9 +481,7 @@ class Live:
         if self._now < self.committed.ends and not self.committed.at_rest:
             return self._refuse(f"the arm is at rest only in {self.committed.ends - self._now:.2f} s", "A restart")
         if self._wet and not calm:
-            return self._refuse(
-                f"the liquid in {self._wet} may still move; say calm=True when it stands still", "A restart"
-            )
+            return self._refuse(f"{self._wet} may still move; say calm=True when it stands still", "A restart")
         rest = verified(self._beside, resting(posture), self._now, None)
         if rest.committed is None:
             return self._refuse(f"the load is not safe at rest there: {rest.sentence}", "A restart")

@@ -10,7 +10,7 @@ import numpy as np
 
 from salver.geometry import Array, exp
 from salver.models.contact.contact import ContactSet, support_contacts
-from salver.models.liquid import Liquid
+from salver.models.load_dynamics import LoadDynamics
 from salver.models.rigid_body import RigidBody
 from salver.models.shapes import shapes
 from salver.models.shapes.hulls import polytope
@@ -27,8 +27,7 @@ class LooseObject:
     inertial: in B. com: (3,) of the nominal centre of mass from the solid's, m. on: what it stands on, names of objects
     or ("tray",). at: (2,) where the shape's centre stands from the tray's, m. yaw: rad. support_inset: m by which the
     base that carries is smaller than the solid's. any_contents: whether its mass may be spread in any way in the solid.
-    liquid: that is in it, with which it has its mass and centre of mass;
-    empty: without it, in B.
+    inner: what moves inside it, with which it has its mass and centre of mass; empty: without that, in B.
     """
 
     name: str
@@ -41,13 +40,13 @@ class LooseObject:
     yaw: float = 0.0
     support_inset: float = 0.0
     any_contents: bool = False
-    liquid: Liquid | None = None
+    inner: LoadDynamics | None = None
     empty: RigidBody | None = None
 
     @property
     def own(self) -> RigidBody:
-        """The body that mass, centre of mass and inertia are given for, in B: all of it, or the container without
-        its liquid."""
+        """The body that mass, centre of mass and inertia are given for, in B: all of it, or without what moves
+        inside."""
         return self.inertial if self.empty is None else self.empty
 
     @property
@@ -65,7 +64,7 @@ class Body:
     p_EB, R_EB: pose of B in the tray frame E. com_G: origin of B in the shape frame G.
     supports: what it stands on: names of objects, or ("tray",). contacts: with all of them, in B, in the order
     of supports; regions: how many contact points belong to each. any_contents: see `salver.models.uncertain.contents`.
-    liquid, empty: as in `LooseObject`.
+    inner, empty: as in `LooseObject`.
     """
 
     name: str
@@ -84,19 +83,19 @@ class Body:
         """(k, 3) points in B whose convex hull contains the solid."""
         return self.solid.bounding_points_G - self.com_G
 
-    liquid: Liquid | None = None
+    inner: LoadDynamics | None = None
     empty: RigidBody | None = None
 
     @property
     def own(self) -> RigidBody:
-        """The body that mass, centre of mass and inertia are given for, in B: all of it, or the container without
-        its liquid."""
+        """The body that mass, centre of mass and inertia are given for, in B: all of it, or without what moves
+        inside."""
         return self.inertial if self.empty is None else self.empty
 
-    def surface_B(self, fill: float) -> Array:
-        """(3,) centre of the still surface of its liquid in B."""
-        assert self.liquid is not None
-        return np.array([0.0, 0.0, self.solid.base_z + self.liquid.floor + fill]) - self.com_G
+    def inner_origin_B(self, value: float) -> Array:
+        """(3,) origin O of its inner dynamics in B."""
+        assert self.inner is not None
+        return np.array([0.0, 0.0, self.inner.origin(self.solid.base_z, value)]) - self.com_G
 
     @property
     def friction(self) -> float:
@@ -113,29 +112,40 @@ class Body:
         """(n, 3) contact points in B."""
         return self.contacts.p_BC
 
-    def phi(self, inertial: Array, fill: Array | float | None = None) -> Array:
-        """(..., 10) inertial parameters in B at values (..., 10) of `INERTIAL` and fills (...) of its liquid, m,
-        exactly.
+    def phi(self, inertial: Array, value: Array | float | None = None) -> Array:
+        """(..., 10) inertial parameters in B at values (..., 10) of `INERTIAL` and values (...) of the quantity of its
+        inner dynamics, m, exactly.
 
-        Liquid counts as it is while its surface is at rest with it.
+        What moves inside counts as it is while it rests with the body.
         """
         phi = phi_of(inertial)
-        if self.liquid is None:
+        if self.inner is None:
             return phi
-        fill = np.broadcast_to(self.liquid.fill if fill is None else fill, phi.shape[:-1])
-        held = {h: self._liquid_phi(h) for h in np.unique(fill).tolist()}
-        return phi + np.array([held[h] for h in fill.ravel().tolist()]).reshape(phi.shape)
+        value = np.broadcast_to(self.inner.value if value is None else value, phi.shape[:-1])
+        held = {h: self._inner_phi(h) for h in np.unique(value).tolist()}
+        return phi + np.array([held[h] for h in value.ravel().tolist()]).reshape(phi.shape)
 
-    def _liquid_phi(self, fill: float) -> Array:
-        assert self.liquid is not None
-        frozen = self.liquid.modes(fill).frozen
-        return RigidBody(frozen.mass, frozen.com_B + self.surface_B(fill), frozen.inertia_com).phi
+    def _inner_phi(self, value: float) -> Array:
+        assert self.inner is not None
+        frozen = self.inner.modes(value).frozen
+        return RigidBody(frozen.mass, frozen.com_B + self.inner_origin_B(value), frozen.inertia_com).phi
 
-    def fill_at(self, deviation: Mapping[Parameter, float]) -> float | None:
-        """Fill of its liquid, m; None without one."""
-        if self.liquid is None:
+    @property
+    def inside(self) -> str:
+        """What moves inside it, in words: "the liquid in cup"."""
+        assert self.inner is not None
+        return f"the {self.inner.noun} in {self.name}"
+
+    @property
+    def inner_parameter(self) -> Parameter | None:
+        """The parameter that is the quantity of its inner dynamics; None where nothing moves inside."""
+        return None if self.inner is None else Parameter(self.name, self.inner.quantity)
+
+    def inner_value(self, deviation: Mapping[Parameter, float]) -> float | None:
+        """Value of that, m; None where nothing moves inside."""
+        if self.inner is None:
             return None
-        return self.liquid.fill + deviation.get(Parameter(self.name, "fill"), 0.0)
+        return self.inner.value + deviation.get(Parameter(self.name, self.inner.quantity), 0.0)
 
     def phi_at(self, deviation: Mapping[Parameter, float]) -> Array:
         """(10,) inertial parameters in B at parameters that deviate from nominal, exactly."""
@@ -143,13 +153,13 @@ class Body:
         for parameter, value in deviation.items():
             if parameter.owner == self.name and parameter.entry is not None:
                 inertial[parameter.entry] += value
-        return self.phi(inertial, self.fill_at(deviation))
+        return self.phi(inertial, self.inner_value(deviation))
 
     def phi_jacobian(self, parameters: Sequence[Parameter]) -> Array:
         """d phi / d p (10, n_p) at nominal parameters; zero for what is another's or does not act through phi."""
-        if self.liquid is None:
+        if self.inner is None:
             return phi_jacobian(self.inertial, self.name, parameters)
-        step = 1e-3  # of phi, which is quadratic in mass and length and of third order in the fill
+        step = 1e-3  # of phi, which is quadratic in mass and length and of third order in a fill
         moved = [(self.phi_at({p: step}) - self.phi_at({p: -step})) / (2 * step) for p in parameters]
         return np.array(moved).reshape(len(parameters), 10).T
 
@@ -195,7 +205,7 @@ def bodies(objects: Sequence[LooseObject], edges: int = 4, phase: float = 0.0) -
             contacts,
             tuple(len(region) for region in regions),
             item.any_contents,
-            item.liquid,
+            item.inner,
             item.empty,
         )
         top[item.name] = base + solid.height

@@ -36,20 +36,21 @@ class Payload(Outlined):
         return self.bodies[0]
 
     @property
-    def liquids(self) -> tuple[Body, ...]:
-        """The bodies with a liquid in them."""
-        return tuple(body for body in self.bodies if body.liquid is not None)
+    def dynamic(self) -> tuple[Body, ...]:
+        """The bodies in which something moves."""
+        return tuple(body for body in self.bodies if body.inner is not None)
 
     @property
-    def slowest_wave(self) -> float:
-        """s, the longest period of its liquids at their nominal fill; 0 without any."""
-        each = (float(x.liquid.modes(x.liquid.fill).omega.min()) for x in self.liquids if x.liquid is not None)
+    def slowest_period(self) -> float:
+        """s, the longest period of what moves inside its bodies, at nominal values; 0 where nothing does."""
+        each = (float(x.inner.modes(x.inner.value).omega.min()) for x in self.dynamic if x.inner is not None)
         return max((2 * np.pi / omega for omega in each), default=0.0)
 
     @property
     def unmodelled(self) -> tuple[str, ...]:
-        """Parts of its liquids' motion that are not modelled, in words, to stand before any verdict."""
-        return tuple(body.liquid.unmodelled(body.name) for body in self.liquids if body.liquid is not None)
+        """Parts of its inner dynamics that are not modelled, in words, to stand before any verdict."""
+        each = (body.inner.unmodelled(body.name) for body in self.dynamic if body.inner is not None)
+        return tuple(words for words in each if words)
 
     @cached_property
     def networks(self) -> tuple[ContactNetwork, ...]:
@@ -79,13 +80,13 @@ class Payload(Outlined):
 
     def phi(self, body: Body, values: Array) -> Array:
         """(..., 10) inertial parameters of a body in B at values (..., n_p) of the uncertain parameters, exactly."""
-        inertial, fill = np.broadcast_to(inertial_vector(body.own), (*values.shape[:-1], 10)).copy(), None
+        inertial, inner = np.broadcast_to(inertial_vector(body.own), (*values.shape[:-1], 10)).copy(), None
         for column, parameter in enumerate(self.uncertain.parameters):
             if parameter.owner == body.name and parameter.entry is not None:
                 inertial[..., parameter.entry] = values[..., column]
-            elif parameter == Parameter(body.name, "fill"):
-                fill = values[..., column]
-        return body.phi(inertial, fill)
+            elif parameter == body.inner_parameter:
+                inner = values[..., column]
+        return body.phi(inertial, inner)
 
     def check(self) -> None:
         """Raise ValueError when the bodies cannot stand as they are said to: one sentence."""

@@ -32,11 +32,10 @@ def plan_object(scenario: Scenario) -> Plan:
     own check.
     """
     _need_duration(scenario)
-    if scenario.payload.liquids and scenario.motion.may_turn:
+    if scenario.payload.dynamic and scenario.motion.may_turn:
         raise ScenarioError(
-            f"{scenario.name}: the robust plan of a given duration knows liquids on a tray that keeps its orientation, "
-            f"and {scenario.payload.liquids[0].name} holds one; plan with --fastest, or give "
-            'motion.orientation = "fixed".'
+            f"{scenario.name}: the robust plan of a given duration knows {scenario.payload.dynamic[0].inside} on a "
+            'tray that keeps its orientation; plan with --fastest, or give motion.orientation = "fixed".'
         )
     began, z = time.perf_counter(), None
     for nodes in (scenario.motion.nodes, FINER * (scenario.motion.nodes - 1) + 1):

@@ -83,7 +83,7 @@ class Verification:
         where = f"{self.body}, at t = {self.time:.3f} s"
         if self.violation > 0:
             what = {TILT: "limit on tilt"}.get(
-                self.body, "room below the brim" if apart(self.body) else "contact condition"
+                self.body, "room of what moves inside" if apart(self.body) else "contact condition"
             )
             return f"The {what} is missed by {self.violation:.3g} {self.unit} ({where})."
         if self.boundary_error > BOUNDARY_TOLERANCE:
@@ -223,7 +223,7 @@ class Plan(Shown, Tabular):
         """The effects of a shaking tray that the plan does not count, in words."""
         if self.uncertain.shake is None:
             return (unshaken(),)
-        return ("how waves answer a tray that shakes",) if self.scenario.payload.liquids else ()
+        return ("how loads swing inside on a tray that shakes",) if self.scenario.payload.dynamic else ()
 
     @cached_property
     def warnings(self) -> tuple[str, ...]:
@@ -256,13 +256,13 @@ class Plan(Shown, Tabular):
 
     @property
     def _worst(self) -> tuple[float, float, str]:
-        """Least slack of the check, its time, and whose it is; with a liquid, of contact at rest after it too, for a
-        wave: on a tray that leans it pushes more when it has swung back."""
-        found, wave = self._checked.worst(), self.scenario.payload.slowest_wave
-        if wave == 0.0 or found[0] < 0.0:
+        """Least slack of the check, its time, and whose it is; with inner dynamics, of contact at rest after it too,
+        for a period: on a tray that leans it pushes more when it has swung back."""
+        found, period = self._checked.worst(), self.scenario.payload.slowest_period
+        if period == 0.0 or found[0] < 0.0:
             return found
-        count = int(np.ceil(len(self._checked.t) * (1 + wave / self.duration)))
-        return min(found, evaluate(self.scenario, self.reference, count, wave).worst(since=self.duration))
+        count = int(np.ceil(len(self._checked.t) * (1 + period / self.duration)))
+        return min(found, evaluate(self.scenario, self.reference, count, period).worst(since=self.duration))
 
     def _passes(self) -> float:
         """The most by which a pose to pass is missed, m; infinite when they are passed in another order."""
@@ -297,8 +297,8 @@ class Plan(Shown, Tabular):
     def _unchecked_at_other_speeds(self) -> str:
         """What neither this plan nor the planner that made it (`planning.fastest.speeds`) has looked at there."""
         planned = self.method in ("fastest", "safest", "least-sensitive") and self.solver.get("robust", False)
-        if self.scenario.payload.liquids:
-            return "how far the arm strays from the motion; sloshing while the speed changes"
+        if self.scenario.payload.dynamic:
+            return "how far the arm strays from the motion; how loads swing inside while the speed changes"
         return "" if planned and self.scenario.motion.speeds == "any" else "how far the arm strays from the motion"
 
     def at_speed(self, factor: float) -> Plan:

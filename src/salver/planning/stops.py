@@ -20,10 +20,9 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from salver.control.object import Gains
+from salver.dynamics.modal_history import Past
 from salver.errors import SalverError, ScenarioError
 from salver.geometry import Array
-from salver.liquid.before import Past
-from salver.liquid.given_way import Sloshing
 from salver.models.arm.arm import load_arm
 from salver.planning.fastest.retiming import SplinePath
 from salver.planning.follow.forward import tray_motion
@@ -38,6 +37,7 @@ from salver.planning.trajopt.exchange import CurveOf, optimise
 from salver.planning.trajopt.problem import SPARE, TransportProblem, transport_problem, with_missed_cases
 from salver.planning.trajopt.spline import RestSpline, SplineMotion, min_jerk_blend
 from salver.planning.verdict.after import stays
+from salver.sensitivity.arm.compliance import LoadResponses
 from salver.sensitivity.arm.task import task_law
 from salver.sensitivity.arm.terms import motion_terms
 from salver.sensitivity.arm.tracking import Deviation, deviation, late
@@ -114,17 +114,16 @@ def plan_stops(
     is at rest `soon`. Where a stop is late for how slow the arm still is, as while the tray leans into the first
     acceleration, it is sought from another beginning and with more pieces, and instants are half as far apart. What
     will be no sooner at rest than going on is given up.
-    every: s from one instant to the next, twice that with a liquid; doubled, half the stops are found in half the time,
-    and the arm is at rest by up to as much later. soon: s; doubled, a slow plan has fewer stops. space:
-    where the controller closes its loop along the motion. on_path: stops that never leave the motion's own path, of
-    which only the timing is free; often there is none, as where a tray leans into the plan's acceleration.
-    progress: called with how many of how many instants are done.
-    Raises SalverError when the motion has no stop because it begins or ends moving.
-    """
+    every: s from one instant to the next, twice that with inner dynamics; doubled, half the stops are found in half the
+    time, and the arm is at rest by up to as much later. soon: s; doubled, a slow plan has fewer stops. space: where the
+    controller closes its loop along the motion. on_path: stops that never leave the motion's own path, of which only
+    the timing is free; often there is none, as where a tray leans into the plan's acceleration. progress: called with
+    how many of how many instants are done. Raises SalverError when the motion has no stop because it begins or ends
+    moving."""
     if np.abs(motion.dq[[0, -1]]).max() > 1e-6:
         raise SalverError("Stops are planned along motions from rest to rest; this one begins or ends moving.")
     end = motion.duration
-    every = every * (2.0 if problem.liquids else 1.0)  # waves take several beginnings each
+    every = every * (2.0 if problem.cases else 1.0)  # what swings takes several beginnings each
     instants = np.arange(every, end - 0.5 * every, every)
     t, felt, strayed = along(problem, motion, space)
     past = past_of(problem, t, felt, strayed)
@@ -210,9 +209,10 @@ def stop_from(
     problem = _begun(problem, state, deviation)
     if guess is None:
         return _shortest(problem, FreeCurve, _braking(SPLINE, state, braking_time(problem)), beat)
-    # Waves leave few ways to rest: with them a search begins at times of 1.3 and 1.15 the guess's duration too.
+    # Inner dynamics leave few ways to rest: with them a search begins at times of 1.3 and 1.15 the guess's duration
+    # too.
     begins = [(1.0, WARM), (1.3, 1.0), (1.15, WARM)]
-    for longer, damping in begins if problem.liquids else begins[:1]:
+    for longer, damping in begins if problem.cases else begins[:1]:
         duration = longer * guess.duration
         begin = SplineMotion(SPLINE, _fitted(problem, guess, duration), duration)
         if (found := _shortest(problem, FreeCurve, begin, beat, damping)) is not None:
@@ -286,7 +286,7 @@ def _shortest(
     motion = found.problem.at(s, z, found.duration, imposed=False)
     if not found.looked and with_missed_cases(found.problem, motion) is not None:
         return None
-    if problem.liquids and not stays(found.problem, s * found.duration, z):
+    if problem.cases and not stays(found.problem, s * found.duration, z):
         return None
     stray = np.zeros(problem.n) if motion.response is None else motion.joint_radius(0).max(axis=0)
     law = curve.law(found.coefficients, found.duration)[0, ::finer, 0] if isinstance(curve, BrakingCurve) else None
@@ -312,10 +312,10 @@ def along(problem: TransportProblem, motion: JointMotion, space: Space) -> tuple
 
 
 def past_of(problem: TransportProblem, t: Array, felt: Array, strayed: Deviation | None) -> Past | None:
-    """Modal states of liquids along the motion; None without one."""
-    if not problem.liquids:
+    """Modal states of what moves inside loads along the motion; None where nothing does."""
+    if not problem.cases:
         return None
-    return Sloshing.of(problem.every_case, t, felt, strayed).past(t)
+    return LoadResponses.of(problem.every_case, t, felt, strayed).past(t)
 
 
 def _going_on(motion: JointMotion, now: float, begin: float, ahead: JointMotion) -> JointMotion:

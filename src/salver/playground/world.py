@@ -20,7 +20,7 @@ from salver.live import Live, LiveCourse
 from salver.live.replanning.wishes import numbers
 from salver.models.arm.arm import load_arm
 from salver.playground.ball import Ball, Throw, furnish
-from salver.playground.liquids import LiquidSurfaces
+from salver.playground.inner_motions import InnerMotions
 from salver.playground.recording import SessionRecording
 from salver.playground.unprotected import Unprotected
 from salver.scenario import Scenario
@@ -54,7 +54,7 @@ class World:
         self._steps = round(self.period / scenario.physics.timestep)
         self._data = mujoco.MjData(self.scene.model)
         self.ball = Ball(self.scene.model, self.arm, scenario.payload, throw)
-        self.liquids = LiquidSurfaces(self.scene, self.period)
+        self.inner = InnerMotions(self.scene, self.period)
         self._lock = threading.RLock()
         self._course = LiveCourse(self.live)
         self._controller = controller_for(scenario, self, None, arm=self.arm, space="joint")
@@ -106,7 +106,7 @@ class World:
             self.scene.shake(data, self.t)
             recording = self._recording
             mujoco.mj_step(self.scene.model, data)
-            self.liquids.took(self.t, state.q, state.dq, self._torque, data)
+            self.inner.took(self.t, state.q, state.dq, self._torque, data)
             if recording is not None and recording.due():
                 recording.took(self.t, state.q, state.dq, self._torque, self.at(0, 0.0), data)
             if self._steps > 1:
@@ -193,8 +193,8 @@ class World:
             return Status("refused", "The arm moves; press stop first.", False)
         if any(self._displaced()):
             return Status("refused", "The load is not where it stood; begin again.", False)
-        if not self.liquids.calm():
-            return Status("refused", "The liquid still moves; wait until it is calm, or begin again.", False)
+        if not self.inner.calm():
+            return Status("refused", "What is inside still moves; wait until it is calm, or begin again.", False)
         status = self.live.restart(self._free.q, calm=True)
         if status.ok:
             self.live.resume()
@@ -256,7 +256,7 @@ class World:
 
     def _placed(self) -> None:
         self.scene.place(self._data, self.begin)
-        self.liquids.begin()
+        self.inner.begin()
         self._data.qacc_warmstart[:] = 0
         self._controller.reset()
         self._course.instant(self.t)
@@ -283,7 +283,7 @@ class World:
             tip = float(np.arccos(np.clip((R0[k].T @ R[k])[2, 2], -1.0, 1.0)))
             off = p[k, 2] < 0 or bool(np.any(np.abs(p[k, :2]) > half))
             slid = float(np.linalg.norm((p[k] - p0[k])[:2]))
-            spilt = "spilt" if self.liquids.spilt(k) else ""
+            spilt = "spilt" if self.inner.beyond(k) else ""
             words.append(
                 "lost" if off else "fallen" if tip > np.deg2rad(10.0) else spilt or ("slid" if slid > 5e-3 else "")
             )
@@ -323,7 +323,7 @@ class World:
             q = data.qpos[: self.arm.n].copy()
             p_SE, R_SE = scene.tray_pose(data)
             v = (R_SE @ (self.arm.body_jacobian(q) @ data.qvel[: self.arm.n])[:3]).tolist()
-            liquids = self.liquids.shown
+            inside = self.inner.shown
             state, words = self.live.state, self._displaced()
             used = self.friction_used()
             self.measure()
@@ -338,7 +338,10 @@ class World:
                 "joints": np.round(joint_poses(q[None], self.arm)[0], 5).ravel().tolist(),
                 "tray": np.round([*p_SE, *quat_wxyz_from_matrix(R_SE)], 5).tolist(),
                 "objects": [np.round(data.qpos[i : i + 7], 5).tolist() for i in scene.qpos_ids],
-                "liquids": [x and {"slope": np.round(x.slope[0], 4).tolist(), "spilt": x.spilt} for x in liquids],
+                "inside": [
+                    x and {"moves": np.round(x.page(np.array([0]))["moves"][0], 4).tolist(), "beyond": x.beyond}
+                    for x in inside
+                ],
                 "speed": round(float(np.linalg.norm(v)), 4),
                 "friction": [round(min(x, 9.99), 4) for x in used],
                 "load": [{"name": load.name, "became": word} for load, word in zip(scene.loads, words, strict=True)],

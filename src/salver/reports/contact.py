@@ -25,7 +25,7 @@ class ContactCurves:
     exact margin, a share of the weight, at nominal parameters and in the worst case: what the plan was checked to keep
     over its tubes, with the paper's condition along the reference. tip, tip_worst: least distance of a zero-moment
     point from its edge, m; worst of what follows the reference.
-    braking: which stops on the path keep the load, in the worst case; None with a liquid.
+    braking: which stops on the path keep the load, in the worst case; None with inner dynamics.
     """
 
     t: Array
@@ -56,9 +56,9 @@ def contact_curves(scenario: Scenario, a: Mapping[str, np.ndarray]) -> ContactCu
     worst = found.exact_worst
     if scenario.contact.condition == "exact" and "contact_slack" in a:
         slack = a["contact_slack"][keep]  # the plan's own, which knows which errors go together
-        others = len(scenario.payload.liquids) + (scenario.motion.max_tilt_deg is not None)
+        others = len(scenario.payload.dynamic) + (scenario.motion.max_tilt_deg is not None)
         worst = slack[:, : slack.shape[1] - others].min(axis=1)  # brims and the limit on tilt come last
-    first, rigid = scenario.payload.first, not scenario.payload.liquids
+    first, rigid = scenario.payload.first, not scenario.payload.dynamic
     tray = samples.of_frame(*invert(first.p_EB, first.R_EB))
     return ContactCurves(
         t=samples.t,

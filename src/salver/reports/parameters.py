@@ -14,9 +14,10 @@ _UNITS = {
     "tilt": (180 / np.pi, "°"),
     "friction": (1.0, ""),
     "fill": (1e3, "mm"),
+    "length": (1e3, "mm"),
     "damping": (100.0, "% of critical"),
 }
-_SHARES = ("mass", "inertia", "friction", "fill", "damping")
+_SHARES = ("mass", "inertia", "friction", "fill", "length", "damping")
 _NAMES = {"com": "centre of mass", "position": "place on the tray"}
 
 

@@ -22,7 +22,7 @@ from salver.run_directory import RECORDS, STEMS, check_digest, known_stems, plan
 from salver.simulation.record import FOLDER, WHAT_IF
 
 if TYPE_CHECKING:
-    from salver.liquid.spills import Liquids
+    from salver.dynamics.payload_response import PayloadResponse
 
 _NEEDED = (
     "t", "p_SB", "v_S", "a_S", "quat_SB_wxyz", "omega_B", "alpha_B", "wrench_B", "grasp_map", "cone_coefficients",
@@ -134,13 +134,13 @@ class ReportedRun:
         """Stem to how near the motion comes to sliding, tipping or lifting."""
         return {m.stem: contact_curves(self.scenario, m.arrays) for m in self.motions}
 
-    def waves(self, motion: ReportedMotion) -> Liquids | None:
-        """The liquids along a motion as it was planned, at its times; None without any."""
+    def loads(self, motion: ReportedMotion) -> PayloadResponse | None:
+        """What moves inside the loads along a motion as it was planned, at its times; None where nothing does."""
         from salver.contact_margins import tray_motion
-        from salver.liquid.spills import Liquids
+        from salver.dynamics.payload_response import PayloadResponse
 
         w = tray_motion(self.scenario, planned_samples(motion.arrays))
-        return Liquids.along(self.scenario.payload, motion.t, w)
+        return PayloadResponse.along(self.scenario.payload, motion.t, w)
 
     def parameter(self, name: str) -> Parameter:
         """The parameter that one of the files calls so. Raises FileFormatError."""

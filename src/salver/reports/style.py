@@ -26,6 +26,7 @@ OUTCOME_COLOURS = {
     "holds": GREEN,
     "slides": AMBER,
     "spills": AMBER,
+    "swings": AMBER,
     "tips": VERMILION,
     "lifts": MAUVE,
     "lost": BLACK,

@@ -21,6 +21,7 @@ from salver.scenario.objects import (
     Uncertainty,
     UncertaintySet,
 )
+from salver.scenario.pendulum import PendulumIn
 from salver.scenario.task import Contact, Control, Motion, Planning, Pose, SensitivityWeighting
 
 __all__ = [
@@ -39,6 +40,7 @@ __all__ = [
     "Motion",
     "Obstacle",
     "Part",
+    "PendulumIn",
     "Physics",
     "Planning",
     "Pose",

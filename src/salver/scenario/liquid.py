@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
 
-from salver.scenario.fields import Metres, Model, Number
+from salver.scenario.fields import Metres, Number
+from salver.scenario.inner import InnerDynamics
 
 if TYPE_CHECKING:
-    from salver.models.liquid import Liquid
+    from salver.dynamics.liquid.liquid import Liquid
 
 Damped = Annotated[Number, Field(ge=0, le=1)]  # of critical
 
 
-class LiquidIn(Model):
+class LiquidIn(InnerDynamics):
     """A liquid in an upright cylinder (`radius`) or box (`size`), inside measures; `fill` and `brim` are heights over
     the bottom inside, and the brim is the top of the object. What is not said of the liquid is that of `kind`."""
+
+    quantity: ClassVar[str] = "fill"
+    noun: ClassVar[str] = "liquid"
 
     kind: Literal["water", "coffee", "oil"] = "water"
     radius: Metres | None = None
@@ -35,7 +39,7 @@ class LiquidIn(Model):
 
     @model_validator(mode="after")
     def _possible(self) -> LiquidIn:
-        from salver.models.liquid import THICKEST
+        from salver.models.load_dynamics import THICKEST
 
         if (self.radius is None) == (self.size is None):
             raise ValueError("liquid needs the inside of its container: radius of a cylinder, or size of a box")
@@ -70,26 +74,31 @@ class LiquidIn(Model):
 
     @property
     def _viscosity(self) -> float:
-        from salver.models.liquid import FLUIDS
+        from salver.dynamics.liquid.liquid import FLUIDS
 
         return FLUIDS[self.kind].viscosity if self.viscosity is None else self.viscosity
 
     @property
     def damping_range(self) -> tuple[float, float]:
         """Least and most, of critical; that of the viscosity is known to within a factor."""
-        from salver.models.liquid import MOST_OF_WATER, UNKNOWN_DAMPING, damping_of
+        from salver.dynamics.liquid.liquid import MOST_OF_WATER, UNKNOWN_DAMPING, damping_of
 
         if self.damping is not None:
             return self.damping
         clean = damping_of(self.inside, self.fill, self._viscosity)
         return UNKNOWN_DAMPING[0] * clean, max(UNKNOWN_DAMPING[1] * clean, MOST_OF_WATER)
 
-    def check(self, name: str, outside: tuple[float, ...], height: float, fill_range: float) -> None:
-        """Raise ValueError when it cannot be in its object or is beyond what the model is valid for: one sentence.
+    @property
+    def value(self) -> float:
+        return self.fill
 
-        outside: (radius,) or (x, y) of the object, m.
-        """
-        from salver.models.liquid import SHALLOWEST
+    @property
+    def assumed(self) -> float:
+        """m: 10 %, at most half of the way to the brim."""
+        return min(0.1 * self.fill, 0.5 * (self.brim - self.fill))
+
+    def check(self, name: str, outside: tuple[float, ...], height: float, half_range: float) -> None:
+        from salver.dynamics.liquid.liquid import SHALLOWEST
 
         here = f"liquid of {name}"
         if len(outside) != len(self.inside):
@@ -103,11 +112,11 @@ class LiquidIn(Model):
             )
         if self.brim > height:
             raise ValueError(f"{here}: brim = {self.brim:g} m over the bottom; {name} is only {height:g} m high")
-        if fill_range >= self.fill:
+        if half_range >= self.fill:
             raise ValueError(
-                f"uncertainty.fill of {name} = {fill_range:g} m reaches down to nothing from fill = {self.fill:g} m"
+                f"uncertainty.fill of {name} = {half_range:g} m reaches down to nothing from fill = {self.fill:g} m"
             )
-        least, most = self.fill - fill_range, self.fill + fill_range
+        least, most = self.fill - half_range, self.fill + half_range
         if most + self.margin >= self.brim:
             raise ValueError(
                 f"{here}: filled up to {most:g} m, with a margin of {self.margin:g} m, it stands above the brim at "
@@ -120,9 +129,8 @@ class LiquidIn(Model):
                 f"valid from {SHALLOWEST * half:g} m on; in shallower ones waves break"
             )
 
-    def liquid(self, height: float) -> Liquid:
-        """The liquid as mechanics see it, in an object of this height."""
-        from salver.models.liquid import FLUIDS, Liquid
+    def dynamics(self, height: float) -> Liquid:
+        from salver.dynamics.liquid.liquid import FLUIDS, Liquid
 
         known = FLUIDS[self.kind]
         return Liquid(

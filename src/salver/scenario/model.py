@@ -124,7 +124,7 @@ class Scenario(Shown, Model):
     def _consistent_leg(self) -> Scenario:
         self._bounded()
         self.payload.check()
-        self._dry()
+        self._kept_inside()
         for key, pose in (("start", self.motion.start), ("goal", self.motion.goal)):
             tilt = np.rad2deg(np.arccos(np.clip(pose.rotation[2, 2], -1, 1)))
             for body in self.payload.bodies:
@@ -137,31 +137,29 @@ class Scenario(Shown, Model):
                     )
         return self
 
-    def _dry(self) -> None:
-        """Raise ValueError when a liquid spills already at rest, or meets what its model does not know."""
+    def _kept_inside(self) -> None:
+        """Raise ValueError when what moves inside goes too far already at rest, or meets what its model does not
+        know."""
         for item in self.objects:
-            if item.liquid is None:
+            if item.inner is None:
                 continue
             for key, given in (("position", item.uncertainty.position), ("tilt_deg", self.uncertainty.tilt_deg)):
                 if given is not None and any(given):
                     raise ValueError(
-                        f"uncertainty.{key} = {list(given)} with a liquid in {item.name}: how waves change with "
-                        f"it is not "
-                        "known; leave one of the two out"
+                        f"uncertainty.{key} = {list(given)} with a {item.inner.noun} in {item.name}: how that moves "
+                        "with it is not known; leave one of the two out"
                     )
-            liquid = item.loose().liquid
-            assert liquid is not None
+            inner, still = item.inner.dynamics(item.shape.solid().height), np.zeros((1, 2))
             half = item.uncertainty.ranges(item.loose(), True)
-            most = liquid.fill + next((h for p, _, h in half if p.kind == "fill"), 0.0)
+            most = inner.value + next((h for p, _, h in half if p.kind == inner.quantity), 0.0)
             for key, pose in (("start", self.motion.start), ("goal", self.motion.goal)):
                 up = pose.rotation[2]
-                rise = liquid.modes(most).highest(liquid.half * np.abs(up[:2]) / max(float(up[2]), 1e-9))
-                if rise > liquid.room(most):
+                away = float(inner.away(most, still, np.abs(up[:2])[None] / max(float(up[2]), 1e-9))[0])
+                if away > inner.room(most):
                     tilt = np.rad2deg(np.arccos(np.clip(up[2], -1, 1)))
                     raise ValueError(
-                        f"motion.{key} tilts the tray by {tilt:.4g} deg, where the liquid in {item.name} stands "
-                        f"{1e3 * float(rise):.3g} mm higher at the wall already at rest; it has "
-                        f"{1e3 * liquid.room(most):.3g} mm below its brim"
+                        f"motion.{key} tilts the tray by {tilt:.4g} deg, where the {inner.noun} in {item.name} stands "
+                        f"{1e3 * away:.3g} mm off already at rest; it has room for {1e3 * inner.room(most):.3g} mm"
                     )
 
     def _bounded(self) -> None:

@@ -22,7 +22,9 @@ from salver.scenario.fields import (
     Scale,
     Whole,
 )  # fmt: skip
+from salver.scenario.inner import InnerDynamics
 from salver.scenario.liquid import LiquidIn
+from salver.scenario.pendulum import PendulumIn
 
 if TYPE_CHECKING:
     from salver.models.bodies import LooseObject
@@ -150,7 +152,8 @@ class Uncertainty(Model):
 
     A percentage is relative to the nominal value; a number is absolute, in SI units. `inertia` takes three
     (xx, yy, zz) or six (xx, xy, yy, xz, yz, zz) half-ranges; a percentage means the three on the diagonal. Of a
-    container mass, com and inertia are those without its liquid; `fill` is the liquid's height.
+    container mass, com and inertia are those without what moves inside; `fill` is the liquid's height, `length` the
+    pendulum's.
     contents = "any" stands for every distribution of the mass inside the shape, with these mass and centre of mass.
     """
 
@@ -160,6 +163,7 @@ class Uncertainty(Model):
     friction: Range | None = None
     position: tuple[HalfRange, HalfRange] | None = None
     fill: Range | None = None
+    length: Range | None = None
     contents: Literal["known", "any"] = "known"
 
     @model_validator(mode="after")
@@ -172,7 +176,7 @@ class Uncertainty(Model):
         """What is uncertain about an object, with its nominal value and half-range, each above 0."""
         from salver.models.uncertain.parameters import inertial_vector, parameters_of
 
-        inertial, liquid = inertial_vector(item.own), item.liquid
+        inertial, inner = inertial_vector(item.own), item.inner
         half = {
             "mass": [_absolute(self.mass, inertial[0])],
             "com": self.com,
@@ -187,11 +191,11 @@ class Uncertainty(Model):
             heaviest = item.inertial.mass + _absolute(self.mass, inertial[0])
             half["inertia"] = inertia_ranges(points, np.array(self.com or 3 * [0.0]), heaviest, inertial[4:]).tolist()
         others = {"friction": item.friction}
-        if liquid is not None:
-            others |= {"fill": liquid.fill, "damping": liquid.nominal_damping}
+        if inner is not None:
+            others |= {inner.quantity: inner.value, "damping": inner.nominal_damping}
             half |= {
-                "fill": [_absolute(self.fill, liquid.fill)],
-                "damping": [liquid.damping[1] - liquid.nominal_damping],
+                inner.quantity: [_absolute(getattr(self, inner.quantity), inner.value)],
+                "damping": [inner.damping[1] - inner.nominal_damping],
             }
         for kind in half:
             own = [p for p in parameters_of(item.name, lone) if p.kind == kind]
@@ -207,12 +211,12 @@ def _exact(value: Any) -> Any:
     return {} if value == "none" else value
 
 
-def assumed(shape: Shape, on: str | list[str], liquid: LiquidIn | None) -> Uncertainty:
+def assumed(shape: Shape, on: str | list[str], inner: InnerDynamics | None) -> Uncertainty:
     """What is taken to be uncertain of an object of which nothing is said (docs/scenario-file.md says why so much).
 
     friction 15 %, mass 10 %, the centre of mass 3 mm to the sides, at most a tenth of the width, and 5 % of the height,
-    the place on the tray 2 mm; in a container the liquid's height 10 %, at most half of the way to the brim, and not
-    the place, with which waves change in ways that are not known.
+    the place on the tray 2 mm; in a container the liquid's height 10 %, at most half of the way to the brim; where
+    something moves inside not the place, with which that changes in ways that are not known.
     """
     try:
         solid = shape.solid()
@@ -220,8 +224,8 @@ def assumed(shape: Shape, on: str | list[str], liquid: LiquidIn | None) -> Uncer
         return Uncertainty()
     aside = min(0.003, 0.1 * float(np.ptp(solid.outline_polygon, axis=0).min()))
     found: dict[str, Any] = {"friction": "15%", "mass": "10%", "com": (aside, aside, 0.05 * solid.height)}
-    if liquid is not None:
-        found["fill"] = min(0.1 * liquid.fill, 0.5 * (liquid.brim - liquid.fill))
+    if inner is not None:
+        found[inner.quantity] = inner.assumed
     elif on == "tray":
         found["position"] = (0.002, 0.002)
     return Uncertainty(**found)
@@ -230,7 +234,7 @@ def assumed(shape: Shape, on: str | list[str], liquid: LiquidIn | None) -> Uncer
 class CarriedObject(Model):
     """One loose object. `at` is where its shape's centre stands, from the tray's centre whatever it stands `on`, m.
 
-    With a `liquid` in it, mass, com and inertia are those of the container alone.
+    With a `liquid` or a `pendulum` in it, mass, com and inertia are those of the container alone.
     """
 
     name: Annotated[
@@ -255,10 +259,11 @@ class CarriedObject(Model):
     yaw_deg: Degrees = 0.0
     support_inset: Annotated[Number, Field(ge=0, le=5)] = 0.0
     liquid: LiquidIn | None = None
+    pendulum: PendulumIn | None = None
     uncertainty: Annotated[
         Uncertainty, BeforeValidator(_exact, json_schema_input_type=Uncertainty | Literal["none"])
     ] = Field(
-        default_factory=lambda data: assumed(data["shape"], data["on"], data["liquid"]),
+        default_factory=lambda data: assumed(data["shape"], data["on"], data["liquid"] or data["pendulum"]),
         description=f'a table with the keys {", ".join(Uncertainty.model_fields)}, or "none"',
     )
 
@@ -266,7 +271,7 @@ class CarriedObject(Model):
     def _physical(self) -> CarriedObject:
         from salver.models import bodies
 
-        self._check_liquid()
+        self._check_inner()
         loose = self.loose()
         bodies.check(loose)
         away = loose.solid.bounding_points_G - loose.solid.centroid_G - self.com
@@ -294,15 +299,14 @@ class CarriedObject(Model):
         solid: instead of the shape's own, for example with a rounder base.
         """
         from salver.models.bodies import LooseObject
-        from salver.models.liquid import hollow
         from salver.models.rigid_body import RigidBody, inertia_matrix
 
         solid = self.shape.solid() if solid is None else solid
-        liquid = None if self.liquid is None else self.liquid.liquid(solid.height)
+        inner = None if self.inner is None else self.inner.dynamics(solid.height)
         com, unit = np.asarray(self.com), solid.unit_inertia
-        if liquid is not None:
-            hollow_com, unit = hollow(solid, liquid)
-            com = com + hollow_com
+        if inner is not None:
+            shell_com, unit = inner.shell(solid)
+            com = com + shell_com
         if self.inertia is None:
             inertia = self.mass * unit
         elif len(self.inertia) == 3:
@@ -310,11 +314,11 @@ class CarriedObject(Model):
         else:
             inertia = inertia_matrix(self.inertia)
         whole, empty = RigidBody(self.mass, np.zeros(3), inertia), None
-        if liquid is not None:
-            frozen = liquid.modes(liquid.fill).frozen
-            surface = np.array([0.0, 0.0, solid.base_z + liquid.floor + liquid.fill]) - solid.centroid_G
+        if inner is not None:
+            frozen = inner.modes(inner.value).frozen
+            origin = np.array([0.0, 0.0, inner.origin(solid.base_z, inner.value)]) - solid.centroid_G
             phi = RigidBody(self.mass, com, inertia).phi
-            phi += RigidBody(frozen.mass, frozen.com_B + surface, frozen.inertia_com).phi
+            phi += RigidBody(frozen.mass, frozen.com_B + origin, frozen.inertia_com).phi
             whole = RigidBody.from_phi(phi)
             empty = RigidBody(self.mass, com - whole.com_B, inertia)
             com, whole = whole.com_B, RigidBody(whole.mass, np.zeros(3), whole.inertia_com)
@@ -329,26 +333,36 @@ class CarriedObject(Model):
             float(np.deg2rad(self.yaw_deg)),
             self.support_inset,
             self.uncertainty.contents == "any",
-            liquid,
+            inner,
             empty,
         )
 
-    def _check_liquid(self) -> None:
-        """Raise ValueError when there cannot be such a liquid in such an object."""
-        if self.liquid is None:
-            if self.uncertainty.fill is not None:
+    @property
+    def inner(self) -> InnerDynamics | None:
+        """The table of what moves inside; None where nothing does."""
+        return self.liquid or self.pendulum
+
+    def _check_inner(self) -> None:
+        """Raise ValueError when nothing such can move inside such an object."""
+        inner = self.inner
+        for table in (LiquidIn, PendulumIn):
+            if getattr(self.uncertainty, table.quantity) is not None and not isinstance(inner, table):
                 raise ValueError(
-                    f"uncertainty.fill of {self.name} needs a liquid: add [objects.liquid], or leave it out"
+                    f"uncertainty.{table.quantity} of {self.name} needs a {table.noun}: add [objects.{table.noun}], or "
+                    "leave it out"
                 )
+        if self.liquid is not None and self.pendulum is not None:
+            raise ValueError(f"{self.name} has a liquid and a pendulum; give one of the two")
+        if inner is None:
             return
+        noun, shape = inner.noun, self.shape
         if self.uncertainty.contents == "any":
-            raise ValueError(f'liquid of {self.name}: with contents = "any" where a liquid is cannot be said; give one')
-        shape = self.shape
+            raise ValueError(f'{noun} of {self.name}: with contents = "any" where a {noun} is cannot be said; give one')
         if not isinstance(shape, Box | Cylinder):
-            raise ValueError(f"liquid of {self.name}: only a cylinder or a box can hold one, not a {shape.type}")
-        outside = (shape.radius,) if isinstance(shape, Cylinder) else shape.size[:2]
+            raise ValueError(f"{noun} of {self.name}: only a cylinder or a box can hold one, not a {shape.type}")
+        inside = (shape.radius,) if isinstance(shape, Cylinder) else shape.size[:2]
         height = shape.height if isinstance(shape, Cylinder) else shape.size[2]
-        self.liquid.check(self.name, outside, height, _absolute(self.uncertainty.fill, self.liquid.fill))
+        inner.check(self.name, inside, height, _absolute(getattr(self.uncertainty, inner.quantity), inner.value))
 
 
 Tilt = Annotated[Number, Field(ge=0, le=45)]  # degrees

@@ -37,14 +37,12 @@ def _of_ranges(scenario: Scenario) -> Iterator[str]:
     if not scenario.uncertain.size:
         yield "Nothing is uncertain; what is said to be safe is safe for exactly these values."
     for item in scenario.objects:
-        ranges = assumed(item.shape, item.on, item.liquid)
+        ranges = assumed(item.shape, item.on, item.inner)
         if item.uncertainty == ranges:
             com = ", ".join(f"{1e3 * x:.3g}" for x in ranges.com or ())
-            rest = (
-                f", fill {1e3 * ranges.fill:.3g} mm"
-                if isinstance(ranges.fill, float)
-                else ", place 2 mm" * (item.on == "tray")
-            )
+            rest = ", place 2 mm" * (item.on == "tray")
+            if item.inner is not None:
+                rest = f", {item.inner.quantity} {1e3 * item.inner.assumed:.3g} mm"
             yield (
                 f"Nothing is said of how exactly {item.name} is known; assumed are friction 15 %, mass 10 %, centre of "
                 f"mass {com} mm{rest}, either way ([objects.uncertainty] says otherwise)."

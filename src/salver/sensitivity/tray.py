@@ -16,9 +16,9 @@ import numpy as np
 
 from salver.control.object import Gains
 from salver.geometry import GRAVITY_S, Array, Indices
+from salver.linear_filter import LinearFilter, QuadratureGrid
 from salver.models.rigid_body import RigidBody, inertia_matrix
 from salver.sensitivity.dual import Dual, DualRotation, joined
-from salver.sensitivity.filter import LinearFilter, QuadratureGrid
 from salver.trajectory import MotionSamples, Reference
 
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from salver.geometry import Array
-from salver.models.liquid import GRAVITY, LEAST_WEIGHT
+from salver.models.load_dynamics import GRAVITY, LEAST_WEIGHT
 from salver.simulation import creep
 from salver.simulation.scene.elements import DAMPING_WIDTH
 from salver.simulation.scene.loads import Load
@@ -109,22 +109,22 @@ def _creep(
     return creep.on_object(t, bias, load.p_EB, scene.loads[below].p_EB, gain)
 
 
-def surfaces(scene: Scene, trace: Trace) -> Array:
-    """(N, m, 3) of the liquid in each object: its height at the wall along x and y, and its highest point, over the
-    level at rest, m; NaN where there is none. What does not swing of it follows the container's own acceleration."""
+def inner_motions(scene: Scene, trace: Trace) -> Array:
+    """(N, m, 3) m of what moves inside each object, `LoadDynamics.seen`; NaN where nothing does. Of a liquid: its
+    height at the wall along x and y, and its highest point, over the level at rest."""
     out = np.full((len(trace.t), len(scene.loads), 3), np.nan)
     for i, swing in enumerate(scene.swings):
-        modes = scene.loads[swing.load].modes
-        incline = np.tan(trace.swung[:, i]) * HINGE  # of each mass under its hinges
-        incline[..., 1 - swing.first] /= np.cos(trace.swung[:, i, :, swing.first])
-        # A push shorter than its own time moves a wave as its mean over that time would, held: contacts chatter.
-        own = 1 / modes.following
+        load, count = scene.loads[swing.load], len(swing.qpos_ids)
+        swung = trace.swung[:, i, :count]
+        incline = np.tan(swung) * HINGE  # of each mass under its hinges
+        incline[..., 1 - swing.first] /= np.cos(swung[..., swing.first])
+        # A push shorter than its own time moves what follows as its mean over that time would, held: contacts chatter.
+        own = 1 / load.modes.following
         accelerated = _rate(trace.t, trace.moved[:, i], own) - trace.pulled[:, i]
         force = np.einsum("tji,tj->ti", trace.R_XB[:, swing.load], accelerated)
         slope = force[:, :2] / np.maximum(force[:, 2:], LEAST_WEIGHT * GRAVITY)
         turning = np.sum(_rate(trace.t, _sum(trace.t, trace.turned[:, i, :2]), own) ** 2, axis=1)
-        eta = np.einsum("na,tna->ta", modes.rise, incline) - modes.rest_rise * slope
-        out[:, swing.load, :2], out[:, swing.load, 2] = eta, modes.crest(eta, slope, turning)
+        out[:, swing.load] = load.inner.seen(load.inner_value, incline, slope, turning)
     return out
 
 
@@ -140,31 +140,22 @@ def _sum(t: Array, x: Array) -> Array:
     return np.asarray(np.cumsum(x, axis=0) * (t[1] - t[0]))
 
 
-def liquid_room(load: Load) -> float:
-    """m from the surface of its liquid at rest to the brim; infinite under a lid, NaN without a liquid."""
-    liquid = load.nominal.liquid
-    if liquid is None or load.fill is None:
-        return np.nan
-    return np.inf if liquid.sealed else liquid.brim - load.fill
-
-
 def judge(
     t: Array,
     seen: Behaviour,
     touches: Array,
     thresholds: Thresholds,
-    names: tuple[str, ...],
-    room: Sequence[float] = (),
-    surface: Array | None = None,
+    loads: Sequence[Load],
+    inner: Array,
 ) -> dict[str, Any]:
-    """Figures per object and over all, from t = 0 on. The outcome is the worst of tips, lifts, lost, spills, slides,
-    holds. room: (m,) of each liquid (`liquid_room`). surface: (N, m, 3), see `surfaces`.
+    """Figures per object and over all, from t = 0 on. The outcome is the worst of tips, lifts, lost, spills,
+    swings, slides, holds. inner: (N, m, 3), see `inner_motions`.
 
     first_* is the time of the first instant over the threshold, or None. Figures end when an object is lost.
     """
     moving = t >= -1e-9
     objects = []
-    for k, name in enumerate(names):
+    for k, load in enumerate(loads):
         kept = moving & ~np.logical_or.accumulate(seen.lost[:, k])
         at = t[kept]
         slip, lift, tip = seen.slip[kept, k], seen.lift[kept, k], seen.tip_angle[kept, k]
@@ -174,14 +165,14 @@ def judge(
             "first_tip": _first(at, tip > thresholds.tip),
             "lost_at": _first(t[moving], seen.lost[moving, k]),
         }
-        wet: dict[str, Any] = {}
-        if surface is not None and not np.isnan(room[k]):
-            waves = surface[kept, k, 2]
-            events["first_spill"] = _first(at, waves > room[k])
-            wet = {"peak_wave": _largest(waves), "room": float(room[k]) if np.isfinite(room[k]) else None}
+        swung: dict[str, Any] = {}
+        if load.value is not None:
+            size, edge = inner[kept, k, 2], float(load.edge)
+            events[load.inner.event] = _first(at, size > edge)
+            swung = {load.inner.peak: _largest(size), "room": edge if np.isfinite(edge) else None}
         objects.append(
             {
-                "name": name,
+                "name": load.name,
                 "outcome": next(
                     (word for word, event in WORST_FIRST.items() if events.get(event) is not None), "holds"
                 ),
@@ -190,7 +181,7 @@ def judge(
                 "peak_creep": _largest(np.linalg.norm(seen.creep_E[kept, k], axis=-1)),
                 "peak_lift": _largest(lift),
                 "peak_tip_angle": _largest(tip),
-                **wet,
+                **swung,
                 **events,
                 "contact_lost": float(np.sum(~touches[moving, k]) * (t[1] - t[0])),
             }
@@ -211,6 +202,7 @@ WORST_FIRST = {
     "lifts": "first_lift",
     "lost": "lost_at",
     "spills": "first_spill",
+    "swings": "first_swing",
     "slides": "first_slip",
 }
 

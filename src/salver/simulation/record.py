@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -18,9 +18,13 @@ from salver.motion_files.motion import MotionSeries
 from salver.run_directory import check_digest, save_record
 from salver.tables import Table, Tabular, dimensioned
 
+if TYPE_CHECKING:
+    from salver.models.load_dynamics import Drawn
+    from salver.simulation.scene.loads import Load
+
 FOLDER = "simulation"
 WHAT_IF = "-what-if"  # ends the name of a run that says nothing for or against its plan
-OUTCOMES = ("holds", "slides", "spills", "tips", "lifts", "lost", "limit")
+OUTCOMES = ("holds", "slides", "spills", "swings", "tips", "lifts", "lost", "limit")
 
 
 @dataclass(frozen=True, repr=False)
@@ -37,8 +41,8 @@ class SimulationRecord(Shown, Tabular):
     contact_points_B (n_c, 3), contact_forces_B (T, n_c, 3): feet of the first object and the force on it there, in B.
     cone_coefficients (T, n_lambda): Lambda of the net contact wrench on the first object, pinv(G F_hat) F_B, N.
     e_p, e_o (T,): m and rad between the first object and its reference. tray_e_p, tray_e_o: same for the tray.
-    surface (T, m, 3): of the liquid in each object, m: how far it stands over its level at the wall along the object's
-    x and y, and its highest point; NaN where there is none. Empty in runs of versions without liquids.
+    surface (T, m, 3): of what moves inside each object, m, `LoadDynamics.seen`: of a liquid how far it stands over its
+    level at the wall along the object's x and y, and its highest point; NaN where nothing does.
     object_names: m names. parameters: the values that were not nominal. summary: figures, see `salver simulate --help`.
     """
 
@@ -155,3 +159,13 @@ def load_record(directory: str | Path, stem: str = "plan") -> SimulationRecord:
         parameters=parameters,
         summary=summary,
     )
+
+
+def drawn_inside(loads: Sequence[Load], inner: Array, summary: Mapping[str, Any]) -> list[Drawn | None]:
+    """What moves inside each object in a run with these true loads, of `SimulationRecord.surface` and summary; None
+    where nothing does."""
+    out: list[Drawn | None] = [None] * len(loads)
+    for k, load in enumerate(loads):
+        if load.value is not None and inner.shape[1]:
+            out[k] = load.drawn(inner[:, k, :2], summary["objects"][k].get(load.inner.event))
+    return out

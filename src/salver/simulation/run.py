@@ -15,7 +15,7 @@ from salver.geometry import Array, invert, log, quat_wxyz_from_matrix
 from salver.models.arm.arm import ArmModel
 from salver.scenario import Scenario
 from salver.simulation import creep
-from salver.simulation.outcome import Behaviour, Thresholds, behaviour, judge, liquid_room, surfaces
+from salver.simulation.outcome import Behaviour, Thresholds, behaviour, inner_motions, judge
 from salver.simulation.record import SimulationRecord
 from salver.simulation.scene.loads import true_world
 from salver.simulation.scene.scene import Scene, build
@@ -97,7 +97,7 @@ def measure(
     """Measure, judge and thin out. tray_S: pose of the real tray in S. summary: what is known of the run besides.
     began: of `time.perf_counter`, before the run."""
     scene, scenario = run.scene, run.scenario
-    seen, surface = behaviour(scene, trace, bias, scenario.tray.size), surfaces(scene, trace)
+    seen, inner = behaviour(scene, trace, bias, scenario.tray.size), inner_motions(scene, trace)
     p_SE, R_SE = tray_S
     p_SB = p_SE[:, None] + np.einsum("tij,tmj->tmi", R_SE, seen.p_EB)
     R_SB = R_SE[:, None] @ seen.R_EB
@@ -126,7 +126,7 @@ def measure(
         lift=seen.lift[keep],
         tip_angle=seen.tip_angle[keep],
         in_contact=trace.touches[keep],
-        surface=surface[keep],
+        surface=inner[keep],
         contact_force_E=np.einsum("tji,tmj->tmi", trace.R_XE, trace.force_X)[keep],
         contact_points_B=points,
         contact_forces_B=trace.foot_force_B[keep, : len(points)],
@@ -138,7 +138,7 @@ def measure(
         object_names=tuple(load.name for load in scene.loads),
         parameters=run.parameters,
         summary={
-            **_judged(run, trace, seen, surface, summary),
+            **_judged(run, trace, seen, inner, summary),
             **summary,
             "duration": run.reference.duration,
             "collides_at": float(trace.t[np.argmax(trace.collides)]) if trace.collides.any() else None,
@@ -153,11 +153,9 @@ def measure(
     )
 
 
-def _judged(run: Run, trace: Trace, seen: Behaviour, surface: Array, summary: Mapping[str, Any]) -> dict[str, Any]:
+def _judged(run: Run, trace: Trace, seen: Behaviour, inner: Array, summary: Mapping[str, Any]) -> dict[str, Any]:
     """What became of the loads; where all of them stayed, whether the arm kept its limits."""
-    loads = run.scene.loads
-    names, room = tuple(load.name for load in loads), [liquid_room(load) for load in loads]
-    judged = judge(trace.t, seen, trace.touches, run.options.thresholds, names, room, surface)
+    judged = judge(trace.t, seen, trace.touches, run.options.thresholds, run.scene.loads, inner)
     if judged["outcome"] == "holds" and not summary.get("arm", {}).get("limits_kept", True):
         judged["outcome"] = "limit"
     return judged

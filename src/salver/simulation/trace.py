@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from salver.geometry import Array, matrix_from_quat_wxyz
-from salver.models.liquid import MODES
 from salver.simulation.scene.scene import Scene
 from salver.simulation.tray_frame import TrayMotion
 
@@ -22,10 +21,9 @@ class Trace:
     force_X (N, m, 3): sum of contact forces on an object from what it stands on. touches (N, m): whether there is any.
     foreign (N, m): whether it touches what it should not (another object's side, an obstacle, its own side).
     collides (N,): whether tray or objects touch an obstacle.
-    swung (N, k, n_modes, 2): angles of what moves of each of k liquids (`scene.Swing`). moved, turned (N, k, 3):
-    velocity of the centre of its surface in X, turning rate of its container in B. pulled (N, k, 3): acceleration that
-    it would have in X if it were free.
-    """
+    swung (N, k, n_modes, 2): angles of what moves inside each of k objects (`scene.Swing`), of the most modes that
+    one has. moved, turned (N, k, 3): velocity of its origin in X, turning rate of its object in B. pulled (N, k, 3):
+    acceleration that it would have in X if it were free."""
 
     t: Array
     q: Array
@@ -40,7 +38,7 @@ class Trace:
     touches: Array
     foreign: Array
     collides: Array
-    swung: Array = field(default_factory=lambda: np.zeros((0, 0, MODES, 2)))
+    swung: Array = field(default_factory=lambda: np.zeros((0, 0, 0, 2)))
     moved: Array = field(default_factory=lambda: np.zeros((0, 0, 3)))
     turned: Array = field(default_factory=lambda: np.zeros((0, 0, 3)))
     pulled: Array = field(default_factory=lambda: np.zeros((0, 0, 3)))
@@ -106,7 +104,7 @@ class Recorder:
         for swing, pulled in zip(self.scene.swings, self.pulled[k], strict=True):
             sensed = self.sensed[k, swing.sensor : swing.sensor + 6]
             load = self.scene.loads[swing.load]
-            at = load.p_EB + load.R_EB @ load.surface_B
+            at = load.p_EB + load.R_EB @ load.origin_B
             pulled[:] = motion.felt_at(step, at, load.R_EB @ sensed[:3])
             sensed[3:] += load.R_EB.T @ motion.omega[step]
 
@@ -116,7 +114,10 @@ class Recorder:
         bodies = [scene.tray_id, *scene.object_ids]
         position, R = self.position[:count, bodies], matrix_from_quat_wxyz(self.quaternion[:count, bodies])
         R_XB = R[:, 1:]
-        angles = np.array([s.qpos_ids for s in swings], dtype=int).reshape(len(swings), MODES, 2)
+        most = max((len(s.qpos_ids) for s in swings), default=0)
+        angles = np.zeros((len(swings), most, 2), dtype=int)
+        for found, swing in zip(angles, swings, strict=True):
+            found[: len(swing.qpos_ids)] = swing.qpos_ids
         sensors = np.array([s.sensor + np.arange(6) for s in swings], dtype=int).reshape(len(swings), 6)
         sensed = self.sensed[:count, sensors]
         instant = np.repeat(np.arange(count), [len(c[0]) for c in self.contacts])

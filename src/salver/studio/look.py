@@ -124,7 +124,9 @@ def _straight_line(scenario: Scenario) -> Look | None:
     first = scenario.payload.first
     line = min_jerk_line(1.0, *ends).sample(np.linspace(0.0, 1.0, 121)).of_frame(*invert(first.p_EB, first.R_EB))
     scaled = TimeScaled(margin_model(scenario), line, worst=True)
-    durations = np.geomspace(0.3, 6.0, 13 if scenario.payload.liquids else 25)  # s; a liquid takes 20 ms for each
+    durations = np.geomspace(
+        0.3, 6.0, 13 if scenario.payload.dynamic else 25
+    )  # s; what moves inside takes 20 ms for each
     margin = np.array([scaled.slack(1.0 / t) for t in durations])
     found = _shortest(scaled, durations, margin)
     sentence = "A straight line of the load does not hold" + (

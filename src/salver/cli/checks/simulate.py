@@ -279,8 +279,9 @@ def _lines(record: SimulationRecord, several: bool) -> dict[str, str]:
         name = f"{item['name']}: " if several else ""
         lines[f"{name}outcome"] = item["outcome"]
         lines[f"{name}slip, peak / final"] = f"{1e3 * item['peak_slip']:.3f} / {_millimetres(item['final_slip'])} mm"
-        if "peak_wave" in item:
-            lines[f"{name}liquid, peak / brim"] = f"{1e3 * item['peak_wave']:.1f} / {_millimetres(item['room'], 1)} mm"
+        for peak, label in (("peak_wave", "liquid, peak / brim"), ("peak_swing", "swing, peak / room")):
+            if peak in item:
+                lines[f"{name}{label}"] = f"{1e3 * item[peak]:.1f} / {_millimetres(item['room'], 1)} mm"
         lines[f"{name}lift, tip"] = f"{1e3 * item['peak_lift']:.2f} mm, {57.29578 * item['peak_tip_angle']:.2f} deg"
         lines[f"{name}without contact for"] = f"{1e3 * item['contact_lost']:.0f} ms"
     lines["object off its reference, peak"] = _pose(summary["e_p_peak"], summary["e_o_peak"])
@@ -341,6 +342,8 @@ def _fate(item: dict[str, Any], summary: dict[str, Any]) -> str:
         "spills": f"{name} spills from t = {_time(item.get('first_spill'))} on: its liquid rises by "
         f"{1e3 * item.get('peak_wave', 0.0):.1f} mm, and the brim is {1e3 * (item.get('room') or 0.0):.1f} mm "
         f"above it.",
+        "swings": f"{name} is struck from t = {_time(item.get('first_swing'))} on: what swings in it goes "
+        f"{1e3 * item.get('peak_swing', 0.0):.1f} mm aside, and it has {1e3 * (item.get('room') or 0.0):.1f} mm.",
         "tips": f"{name} tips by over {57.3 * limits['tip_angle']:.0f} degrees from t = {_time(item['first_tip'])} on.",
         "lifts": f"{name} lifts off: over {1e3 * limits['lift']:g} mm from t = {_time(item['first_lift'])} on.",
         "lost": f"{name} slid off the tray at t = {_time(item['lost_at'])}.",

@@ -280,7 +280,7 @@ def lone_load(scenario: Scenario) -> Body:
     """The one load, which stands on the tray."""
     if scenario.arm is None:
         raise ScenarioError(f"{scenario.name} has no arm; friction is shown by an arm that carries the load.")
-    if len(scenario.objects) > 1 or scenario.payload.liquids:
+    if len(scenario.objects) > 1 or scenario.payload.dynamic:
         raise ScenarioError(
             f"{scenario.name} carries several objects or a liquid, and what one contact needs is known for one rigid "
             "load on the tray; calibrate each alone."

@@ -111,7 +111,7 @@ def plan_excite(scenario: Scenario, duration: float, *, options: FastestOptions 
 
     Raises ScenarioError for what this cannot be asked of, UnreachableError when no such motion is found.
     """
-    if scenario.arm is None or len(scenario.objects) > 1 or scenario.payload.liquids:
+    if scenario.arm is None or len(scenario.objects) > 1 or scenario.payload.dynamic:
         raise ScenarioError(f"{scenario.name}: an excitation trajectory needs an arm with one rigid load on its tray.")
     if not SHORTEST <= duration <= LONGEST:
         raise ScenarioError(f"A duration of {duration:g} s was asked for; it must be {SHORTEST:g} to {LONGEST:g}.")

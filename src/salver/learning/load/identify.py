@@ -208,9 +208,9 @@ def _one_rigid_load(scenario: Scenario, runs: Sequence[LoggedRun]) -> None:
             f"{scenario.name} carries {len(scenario.objects)} objects, and an arm feels only their sum; load them one "
             "by one, each in a scenario of its own."
         )
-    if scenario.payload.liquids:
+    if scenario.payload.dynamic:
         raise ScenarioError(
-            f"{scenario.name}: the liquid in {scenario.payload.liquids[0].name} moves, and what is identified is one "
+            f"{scenario.name}: {scenario.payload.dynamic[0].inside} moves, and what is identified is one "
             "rigid load; identify the container empty."
         )
 

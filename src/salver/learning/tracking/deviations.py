@@ -22,11 +22,11 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from salver.geometry import Array
+from salver.linear_filter import LinearFilter, settled
 from salver.models.interfaces import needed_at_tray
 from salver.scenario import Scenario
 from salver.sensitivity.arm.terms import motion_terms
 from salver.sensitivity.arm.tracking import late
-from salver.sensitivity.filter import LinearFilter, settled
 from salver.trajectory import JointMotion
 
 
@@ -69,7 +69,7 @@ def lag(t: Array, plan: JointMotion, rate: float, damping: float, delay: float, 
 
 
 def of_lags(t: Array, plan: JointMotion, off: Array) -> list[DeviationFit]:
-    """Lags without and with friction. Begun at 10 Hz; 2 to 60 Hz are tried."""
+    """Lags without and with friction. InitialState at 10 Hz; 2 to 60 Hz are tried."""
     low, high, unit = [12.0, 0.1, -0.05, -100.0], [400.0, 2.0, 0.05, 100.0], np.array([60.0, 0.6, 0.005, 1.0])
     bases, rubbed, tangents = [], [], []
     for j, column in enumerate(off.T):

@@ -42,14 +42,14 @@ class Judge:
 
     @classmethod
     def of(cls, scenario: Scenario) -> Judge:
-        """Raises ScenarioError for a scenario without an arm, or with liquids."""
+        """Raises ScenarioError for a scenario without an arm, or with inner dynamics."""
         if scenario.arm is None:
             raise ScenarioError(f"{scenario.name} has no arm; what is compared are its joints.")
         payload = scenario.payload
-        if payload.liquids:
+        if payload.dynamic:
             raise ScenarioError(
-                f"{scenario.name}: what an executed motion does to the liquid in {payload.liquids[0].name} is not "
-                "judged yet; leave the liquid away."
+                f"{scenario.name}: what an executed motion does to {payload.dynamic[0].inside} is not "
+                "judged yet; leave it away."
             )
         arm = load_arm(scenario.arm, scenario.tray)
         loop, robot = None, scenario.physics.robot

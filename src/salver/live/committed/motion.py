@@ -10,8 +10,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from salver.dynamics.modal_history import Past
 from salver.geometry import Array
-from salver.liquid.before import Past
 from salver.live.committed.profile import SpeedProfile
 from salver.planning.fastest import TransportProblem
 from salver.planning.verdict.after import standing_still
@@ -79,7 +79,7 @@ class Committed:
 
     def left(self, t: float, problem: TransportProblem) -> TransportProblem:
         """The problem of going on from it at live time t: with the deviation, and the waves, that there are then."""
-        if problem.liquids:
+        if problem.cases:
             problem = replace(problem, past=self._waves_at(t, problem))
         return _astray(problem, self.deviation_at(t, problem))
 
@@ -99,13 +99,13 @@ class Committed:
     def _waves_at(self, t: float, problem: TransportProblem) -> Past:
         """The waves at live time t, of which there are some."""
         if self.waves is None:
-            problem.check_dry("a motion that goes on from another")
+            problem.check_still("a motion that goes on from another")
         assert self.waves is not None
         own, ends = t - self.begins, self.waves.t[-1]
         left = own - ends
         if left <= SAME:
             return replace(self.waves, now=min(own, ends))
-        rest = replace(problem, liquids=problem.every_case, past=replace(self.waves, now=ends))
+        rest = replace(problem, cases=problem.every_case, past=replace(self.waves, now=ends))
         rest = _astray(rest, None if self.deviation is None else self.deviation[-1])
         swung = max(left - CALMED, 0.0)  # freely, after the arm that gives way to them has braked them
         left = min(left, CALMED)

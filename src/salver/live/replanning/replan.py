@@ -156,7 +156,7 @@ class Replanner:
         q, dq, ddq = before.state(begins)
         start = AtPosture(q, dq / slow, ddq / slow**2)  # as a motion at full speed has to begin, to go on from it
         # A solid load that stays at full speed and at rest stays at every speed between; a liquid has its own time.
-        sought = replace(self.sought, speeds=(Speed(slow),)) if self.sought.liquids and slow < 1.0 else self.sought
+        sought = replace(self.sought, speeds=(Speed(slow),)) if self.sought.cases and slow < 1.0 else self.sought
         at = before.left(begins, replace(sought, start=start, goal=end))
         options = self.options
         guess = going_on(at, before, begins, options) if isinstance(end, Anywhere) else straight(at, options)
@@ -182,7 +182,7 @@ class Replanner:
         that does not help are nodes added. Among what moves, it seldom does.
         """
         damping, how = 1.0, ExchangeOptions()
-        if not at.liquids and not at.extra:
+        if not at.cases and not at.extra:
             programme = programme_of(at, FreeCurve, guess, guess.spline.nodes(self.options.nodes_per_span))
             begun = programme.begin(guess.coefficients, guess.duration)
             solution = minimise(programme, begun, SqpOptions(watch=watch, gain=self.options.gain))

@@ -14,9 +14,9 @@ from typing import Protocol
 
 import numpy as np
 
+from salver.dynamics.motion_gradients import Unknowns
 from salver.errors import Status
 from salver.geometry import Array, Indices, Mask, exp, hat, log
-from salver.liquid.wave_gradients import Unknowns
 from salver.live.committed.commit import Finding, verified
 from salver.live.committed.motion import SAME, Committed
 from salver.live.replanning.replan import Sought
@@ -302,7 +302,7 @@ class Steering:
         sought = base.left(begins, self.sought)
         motion = replace(sought.at(grid.s, z, HORIZON, grid.nodes), moving=False)
         if (
-            sought.liquids and sought.tracking is not None
+            sought.cases and sought.tracking is not None
         ):  # a wave's filter takes half of a jump of the jerk as before it
             rates = motion.at_nodes[1:].copy()
             rates[2] = 0.5 * (rates[2] + base.motion.jerk(own[grid.nodes] - SAME) * moving[grid.nodes])
@@ -333,7 +333,7 @@ class Steering:
             cost = cost + weighted.T @ part.value
         hessian[range(len(hessian)), range(len(hessian))] += RIDGE
         masks = [block.near(DEPTH) & np.ones(block.values.shape, dtype=bool) for block in blocks]
-        unknowns = self._unknowns(motion) if sought.liquids else None
+        unknowns = self._unknowns(motion) if sought.cases else None
         matrix = self._rows(blocks, masks, unknowns)
         where = [np.nonzero(mask) for mask in masks]
         bound = -np.concatenate([block.values[at] for block, at in zip(blocks, where, strict=True)])
@@ -353,7 +353,7 @@ class Steering:
             bent = replace(sought.at(grid.s, z + added, HORIZON, grid.nodes), moving=False)
             # What the arm strays from what is committed is nearly what it strays from a bend of it.
             bent = bent.knowing(terms=motion_terms(bent.model, bent.frame_id, *bent.at_nodes[:3]))
-            bent = bent.giving_way_as(motion) if sought.liquids else bent.straying_as(motion)
+            bent = bent.giving_way_as(motion) if sought.cases else bent.straying_as(motion)
             trial = evaluate(constraints, bent)
             for block, lack in zip(trial, lacking, strict=True):
                 block.values[:] -= lack

@@ -24,8 +24,10 @@ _AXES = {
     "friction": ("",),
     "position": ("x", "y"),
     "fill": ("",),
+    "length": ("",),
     "damping": ("",),
 }
+INNER_QUANTITIES = ("fill", "length", "damping")  # of what moves inside an object
 
 SetKind = Literal["box", "ellipsoid"]
 
@@ -35,10 +37,8 @@ class Parameter:
     """One parameter that may be uncertain; `name` is its name in files and commands.
 
     owner: the object it belongs to; "" for the tray (tilt), and for the parameters of a model of one's own.
-    kind: mass, com, inertia, friction, position, fill, damping or tilt; whatever else, of one's own. axis: "" for a
-    scalar.
-    lone: whether its object is the only one, so that the name can leave it out.
-    """
+    kind: mass, com, inertia, friction, position, fill, length, damping or tilt; whatever else, of one's own. axis: ""
+    for a scalar. lone: whether its object is the only one, so that the name can leave it out."""
 
     owner: str
     kind: str

@@ -15,7 +15,7 @@ from salver.planning.fastest.found import FastestMotion, FastestOptions, object_
 from salver.planning.fastest.search import fastest
 from salver.planning.fastest.speeds import at_every_speed
 from salver.planning.follow.limits import LIMIT_EXCEEDED
-from salver.planning.object.conditions import LIQUID
+from salver.planning.object.conditions import of_load
 from salver.planning.trajopt.bound import least_by_friction, least_duration
 from salver.planning.trajopt.constraints.constraints import LEVEL_TOLERANCE, ContactConstraint
 from salver.planning.trajopt.exchange import SHORTEST, reached
@@ -79,7 +79,7 @@ def _found(
     watch: Watch | None,
     near: FastestMotion | SplineMotion | None,
 ) -> tuple[FastestMotion, Plan]:
-    """The motion that is found and its plan; a liquid holds at the speeds that the problem names."""
+    """The motion that is found and its plan; inner dynamics hold at the speeds that the problem names."""
     scenario = problem.scenario
     found = fastest(problem, options, near, watch)
     for _ in range(4):  # each adds every case that is missed, and few motions miss any
@@ -90,7 +90,7 @@ def _found(
         found = again.after(found)
     else:
         if found.status.ok and _missed(found) is not None:
-            spilt = "at some fill or damping in its range a liquid spills when the arm gives way to its load"
+            spilt = "in some case in its range what moves inside a load exceeds its limits when the arm gives way"
             found = replace(found, status=Status("unsafe", f"{found.duration:.4f} s is too fast: {spilt}.", False))
     if not np.isfinite(found.duration):
         raise UnreachableError(f"{scenario.name}: {found.status.sentence}")
@@ -111,8 +111,8 @@ def _found(
 def _sterner(found: FastestMotion, plan: Plan) -> TransportProblem:
     """The problem with what a plan of a motion lacks for its check, which looks at other things too."""
     problem, body = found.problem, plan.verification.body
-    if body.startswith(LIQUID):  # waves are driven by what nodes interpolate: these may see room where there is none
-        own = f" in {body.removeprefix(LIQUID)}"
+    if of_load(body):  # driven by what nodes interpolate, which may see room where there is none
+        own = f" in {body.partition(' in ')[2]}"
         seen = -max(value for name, value in found.worst.items() if name.endswith(own))
         return replace(problem, spare=problem.spare + plan.verification.violation + seen + SPARE)
     if plan.verification.time > found.duration:
@@ -189,8 +189,8 @@ def solver_record(found: FastestMotion, robust: bool) -> dict[str, Any]:
 
 
 def _missed(found: FastestMotion) -> TransportProblem | None:
-    """The problem with the liquids' cases that the motion does not keep although it keeps those that were asked for."""
-    if found.looked or not found.problem.liquids:
+    """The problem with the cases of loads that the motion does not keep although it keeps those that were asked for."""
+    if found.looked or not found.problem.cases:
         return None
     t, z = _looked_at(found)
     return with_missed_cases(found.problem, found.problem.at(t / t[-1], z, found.duration, imposed=False))
@@ -238,8 +238,8 @@ def _closer(joint: JointMotion) -> JointMotion:
 
 
 def tracking_record(found: FastestMotion) -> dict[str, float]:
-    """Peak of what the arm may stray under the uncertain load and its waves: the tray's position (m) and orientation
-    (rad)."""
+    """Peak of what the arm may stray under the uncertain load and what moves in it: the tray's position (m) and
+    orientation (rad)."""
     problem = found.problem
     if problem.tracking is None:
         return {}

@@ -149,7 +149,7 @@ def retime(problem: TransportProblem, path: SplinePath, *, spans: int = 20, node
     def curve_of(problem: TransportProblem, grid: Grid) -> PathCurve:
         return PathCurve(problem, grid, path)
 
-    calm = _calm(problem, curve_of, law, float(t[-1])) if problem.liquids else None
+    calm = _calm(problem, curve_of, law, float(t[-1])) if problem.cases else None
     begin = SplineMotion(law, start, 1.5 * float(t[-1])) if calm is None else calm  # jerk asks for more
     found = optimise(problem, curve_of, begin, nodes_per_span)
     wall = time.perf_counter() - begun
@@ -159,8 +159,8 @@ def retime(problem: TransportProblem, path: SplinePath, *, spans: int = 20, node
 
 
 def _calm(problem: TransportProblem, curve_of: CurveOf, law: RestSpline, duration: float) -> SplineMotion | None:
-    """A smooth time law from `duration` on that keeps everything, where a search can begin; one that begins with waves
-    far too high ends in any of many optima. None when none of those tried does."""
+    """A smooth time law from `duration` on that keeps everything, where a search can begin; one that begins
+    with what swings far too high ends in any of many optima. None when none of those tried does."""
     s = np.linspace(0.0, 1.0, 401)
     smooth = law.fit(s, min_jerk_blend(s)[:, None])
     curve = curve_of(problem, Grid.of(law, np.linspace(0.0, 1.0, 81)))

@@ -35,9 +35,9 @@ if TYPE_CHECKING:
 def plan_safest(
     scenario: Scenario, *, robust: bool = True, options: FastestOptions | None = None, watch: Watch | None = None
 ) -> Plan:
-    """The plan that keeps the load furthest from slipping, tipping and lifting, and its liquids from their brims, in
-    the scenario's duration, at the worst parameters of the uncertain set, or at nominal ones; the arm's limits are kept
-    and obstacles avoided, the tray may tilt unless motion.orientation is "fixed".
+    """The plan that keeps the load furthest from slipping, tipping and lifting, and what moves inside it from its
+    limits, in the scenario's duration, at the worst parameters of the uncertain set, or at nominal ones; the arm's
+    limits are kept and obstacles avoided, the tray may tilt unless motion.orientation is "fixed".
 
     It is the best of the local optima from the shortest motion, made slower, and from straight paths between its ends.
     Raises ScenarioError without an arm or a duration, UnreachableError when no motion was found that is as short.
@@ -53,7 +53,7 @@ def plan_safest(
         status = best.status
         if status.ok:
             ended = " The search was ended before it was done." if watch.ended else ""
-            kept = _kept(best.margin, scenario, bool(problem.liquids))
+            kept = _kept(best.margin, scenario, bool(problem.cases))
             sentence = (
                 f"The safest motion found in {duration:.4g} s keeps {kept}; the shortest found takes "
                 f"{quickest.duration:.4f} s.{ended}"
@@ -70,9 +70,9 @@ def plan_safest(
     return at_every_speed(*planned(best), again)[1] if robust else planned(best)[1]
 
 
-def _kept(margin: float, scenario: Scenario, liquids: bool) -> str:
-    wet = f", and every liquid {100 * margin:.2g} % of its room below what it may reach" if liquids else ""
-    return f"every contact {100 * (margin + scenario.contact.margin):.2g} % of the weight from its edge{wet}"
+def _kept(margin: float, scenario: Scenario, inner: bool) -> str:
+    inside = f", and what moves inside {100 * margin:.2g} % of its room below its limits" if inner else ""
+    return f"every contact {100 * (margin + scenario.contact.margin):.2g} % of the weight from its edge{inside}"
 
 
 def quickest_within(
@@ -144,7 +144,7 @@ def plan_safest_legs(
         for leg, motion in zip(quickest.legs, best, strict=True)
     )
     ended = " The search was ended before it was done." if watch.ended else ""
-    kept = _kept(_least(best)[1], scenario, any(leg.payload.liquids for leg in scenario.each_leg))
+    kept = _kept(_least(best)[1], scenario, any(leg.payload.dynamic for leg in scenario.each_leg))
     sentence = (
         f"The safest motions found in {duration:.4g} s ({', '.join(f'{m.duration:.4g} s' for m in best)}) keep {kept}; "
         f"the shortest found take {quickest.duration:.4f} s.{ended}"

@@ -233,7 +233,7 @@ class _Search:
         grid = found.curve.grid
         start = refitted(SplineMotion(self._few, found.coefficients, found.duration), self.options.spans)
         also = np.setdiff1d(grid.s[grid.nodes], self._few.nodes(self.options.nodes_per_span))
-        damping = 0.7 if problem.liquids else REFINED  # waves are new to a rough motion: its first step is shorter
+        damping = 0.7 if problem.cases else REFINED  # what swings is new to a rough motion: its first step is shorter
         best = optimum(problem, self.options, start, self.watch, damping, also=also)
         self.iterations += best.iterations
         return best

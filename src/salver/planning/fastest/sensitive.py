@@ -11,6 +11,7 @@ import numpy as np
 
 from salver.errors import ScenarioError, Status
 from salver.geometry import Array
+from salver.linear_filter import QuadratureGrid
 from salver.planning.fastest.found import FastestMotion, FastestOptions
 from salver.planning.fastest.optimum import nearby
 from salver.planning.fastest.planned import joint_plan, solver_record
@@ -25,7 +26,6 @@ from salver.planning.trajopt.watch import Watch
 from salver.scenario import Scenario
 from salver.sensitivity.arm.terms import motion_terms
 from salver.sensitivity.dual import Dual, DualRotation
-from salver.sensitivity.filter import QuadratureGrid
 from salver.sensitivity.tray import BodyMotion, TrayLoop
 from salver.trajectory import min_jerk_line
 

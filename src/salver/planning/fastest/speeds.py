@@ -20,8 +20,8 @@ Found = TypeVar("Found", bound=Any)  # a motion with its `problem`, as `joint_mo
 
 def at_every_speed(found: Found, plan: Plan, again: Callable[[Found], tuple[Found, Plan]]) -> tuple[Found, Plan]:
     """A motion and its plan, sought again until it holds at every speed, if the scenario asks for that. The tray's
-    motion regressor is linear in the square of the factor; sloshing and what the arm makes of a parameter error have
-    time scales of their own, so speeds at which they fail join those at which the motion must hold.
+    motion regressor is linear in the square of the factor; inner dynamics and what the arm makes of a parameter error
+    have time scales of their own, so speeds at which they fail join those at which the motion must hold.
 
     again: a motion and its plan from one that was found, with a problem that asks for more.
     """
@@ -34,10 +34,10 @@ def at_every_speed(found: Found, plan: Plan, again: Callable[[Found], tuple[Foun
 
 
 def _lacking(found: Found, plan: Plan) -> tuple[Speed, ...]:
-    """Speeds at which a motion fails: with a liquid as its plan says; else of some, with what the arm makes of a
+    """Speeds at which a motion fails: with inner dynamics as its plan says; else of some, with what the arm makes of a
     parameter error."""
     problem = found.problem
-    if problem.liquids:
+    if problem.cases:
         return tuple(Speed(max(factor, SLOWEST)) for factor in plan.speeds.lacking)
     joint = found.joint_motion()
     t = np.linspace(0.0, joint.duration, 401)

@@ -177,7 +177,7 @@ def together(
     watch: Watch,
     iterations: int = 25,
 ) -> tuple[list[SplineMotion], float]:
-    """A first optimum of all legs, unchecked between nodes and without what liquids do, and its largest violation.
+    """A first optimum of all legs, unchecked between nodes and without inner dynamics, and its largest violation.
 
     begin: a motion of each leg, of one spline, each from where the one before it ends.
     """

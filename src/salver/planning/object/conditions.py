@@ -6,8 +6,8 @@ counts too: the least friction, the contact area that every placement keeps, and
 that follows its tray, place and tilt.
 exact: the wrench that the motion needs lies in the contact wrench cone of every interface, in the worst case over
 the uncertain set (`salver.models.contact_rows`), as a share of the normal force at rest. A body that follows its
-tray needs Y(t) phi whatever its phi, so this worst case is not first order. Liquids add their slosh to it, and stay
-below their brims.
+tray needs Y(t) phi whatever its phi, so this worst case is not first order. What moves inside loads adds to it, and
+keeps its own limits.
 
 All are concave in what the tray feels, so at fixed orientation in the plan's variables, but for what the tray's lifting
 makes of waves: their tangents bound them from above.
@@ -21,12 +21,12 @@ from typing import Protocol
 
 import numpy as np
 
+from salver.dynamics.load_response import LoadResponse, slacks
+from salver.dynamics.load_rows import LoadRows
+from salver.dynamics.motion_gradients import Unknowns
+from salver.dynamics.payload_response import PayloadResponse
 from salver.errors import ScenarioError
 from salver.geometry import Array, Indices, exp, invert
-from salver.liquid.slosh_rows import Sloshed
-from salver.liquid.sloshing import Slosh
-from salver.liquid.spills import Liquids, limits, slacks
-from salver.liquid.wave_gradients import Unknowns
 from salver.models.bodies import TRAY, Body
 from salver.models.contact_rows import ContactRows, contact_rows
 from salver.models.interfaces import sure_contacts
@@ -39,7 +39,6 @@ from salver.sensitivity.tray import BodyMotion, TraySensitivity
 
 UNITS = {"paper": "N", "exact": "of the weight"}
 TILT = "tilt limit"
-LIQUID = "liquid in "  # and whose it is
 _PLACE_STEP = 1e-4  # m or rad, of a central difference of what is nearly linear
 
 
@@ -64,32 +63,36 @@ def conditions_along(
     """The contact conditions of everything that a scenario carries, and its limit on tilt, along a motion of the first
     object's B at t (T,), with its closed loop's sensitivity and derivatives by n_z variables.
 
-    Raises ScenarioError when the paper's condition is asked for liquids, for objects that stand on each other, or for a
-    tray that shakes.
-    """
+    Raises ScenarioError when the paper's condition is asked for loads in which something moves, for objects that stand
+    on each other, or for a tray that shakes."""
     payload, largest = scenario.payload, scenario.motion.max_tilt_deg
     payload.check_places()
     tilt = () if largest is None else (TiltRows.along(motion, len(t), float(np.deg2rad(largest)), n_z),)
     if scenario.contact.condition == "paper":
         _check_known_to_paper(scenario)
         return (*(_paper(payload, body, motion, sensitivity, n_z) for body in payload.bodies), *tilt)
-    # How a liquid sloshes at other speeds is looked at along whole motions, not by rows of instants.
-    speeds = (FULL_SPEED,) if payload.liquids else corners(scenario.motion.speeds, scenario.motion.speed_rate)
+    # How loads swing inside at other speeds is looked at along whole motions, not by rows of instants.
+    speeds = (FULL_SPEED,) if payload.dynamic else corners(scenario.motion.speeds, scenario.motion.speed_rate)
     felt = {speed: FeltMotion(payload, t, *felt_at(motion, payload.first, n_z, speed)) for speed in speeds}
     contacts = (MotionRows.of(rows, felt[speed], speed) for rows in contact_rows(payload) for speed in speeds)
-    return (*contacts, *(BrimRows(body.name, felt[FULL_SPEED]) for body in payload.liquids), *tilt)
+    return (*contacts, *(LoadLimitRows(body, felt[FULL_SPEED]) for body in payload.dynamic), *tilt)
 
 
 def unit_of(scenario: Scenario, owner: str) -> str:
     """Unit of the slack of one row."""
-    if owner.startswith(LIQUID):
+    if of_load(owner):
         return "of the room"
     return "rad" if owner == TILT else UNITS[scenario.contact.condition]
 
 
+def of_load(owner: str) -> bool:
+    """Whether a row is of what moves inside a load ("liquid in cup"), whose names have no spaces."""
+    return " in " in owner
+
+
 def apart(owner: str) -> bool:
     """Whether a row is of no contact, and so in a unit of its own."""
-    return owner == TILT or owner.startswith(LIQUID)
+    return owner == TILT or of_load(owner)
 
 
 # The paper's condition ---------------------------------------------------------------------------------------
@@ -130,8 +133,8 @@ def _check_known_to_paper(scenario: Scenario) -> None:
     payload, knows = scenario.payload, f'{scenario.name}: contact.condition = "paper" knows'
     if payload.uncertain.shake is not None:
         raise ScenarioError(f'{knows} no tray that shakes (uncertainty.shake); use "exact".')
-    if payload.liquids:
-        raise ScenarioError(f'{knows} no liquids, and there is one in {payload.liquids[0].name}; use "exact".')
+    if payload.dynamic:
+        raise ScenarioError(f'{knows} nothing of {payload.dynamic[0].inside}; use "exact".')
     for body in payload.bodies:
         if body.supports != (TRAY,):
             below = " and ".join(body.supports)
@@ -202,30 +205,31 @@ def _stacked(force: Dual, torque: Dual, n_z: int) -> tuple[Array, Array]:
 
 @dataclass(frozen=True, eq=False)
 class FeltMotion:
-    """What the tray feels, w (T, 12) at t (T,), its derivative (T, 12, n_z), and what liquids make of it."""
+    """What the tray feels, w (T, 12) at t (T,), its derivative (T, 12, n_z), and what it makes of what moves inside
+    loads."""
 
     payload: Payload
     t: Array
     w: Array
     w_jacobian: Array
-    _sloshing: dict[bytes, Mapping[str, tuple[Slosh, ...]]] = field(default_factory=dict, repr=False)
+    _loads: dict[bytes, Mapping[str, tuple[LoadResponse, ...]]] = field(default_factory=dict, repr=False)
 
     def after(self, step: Array | None) -> Array:
         """(T, 12) w after a step (n_z,) of the linear model."""
         return self.w if step is None else self.w + self.w_jacobian @ step
 
-    def sloshing(self, step: Array | None) -> Mapping[str, tuple[Slosh, ...]]:
-        """What all liquids do after a step; that of the last one is kept."""
+    def loads(self, step: Array | None) -> Mapping[str, tuple[LoadResponse, ...]]:
+        """What moves inside all loads after a step; that of the last one is kept."""
         key = b"" if step is None else step.tobytes()
-        if key not in self._sloshing:
-            self._sloshing.clear()
-            self._sloshing[key] = Liquids(self.payload, self.t, self.after(step)).worst
-        return self._sloshing[key]
+        if key not in self._loads:
+            self._loads.clear()
+            self._loads[key] = PayloadResponse(self.payload, self.t, self.after(step)).worst
+        return self._loads[key]
 
 
 @dataclass(frozen=True)
 class MotionRows:
-    """Contact rows, and what liquids add to them, in the worst case, with the sign of a slack."""
+    """Contact rows, and what loads add to them, in the worst case, with the sign of a slack."""
 
     owner: tuple[str, ...]
     rows: ContactRows
@@ -237,39 +241,39 @@ class MotionRows:
 
     def slack(self, step: Array | None = None) -> Array:
         slack = -self.rows.worst(self.felt.after(step))
-        return slack - Sloshed.of(self.rows, self.felt.sloshing(step)).values if self.felt.payload.liquids else slack
+        return slack - LoadRows.of(self.rows, self.felt.loads(step)).values if self.felt.payload.dynamic else slack
 
     def tangents(self, step: Array, instant: Indices, row: Indices) -> tuple[Array, Array]:
         w, by_step = self.felt.after(step)[instant], self.felt.w_jacobian
         own = -self.rows.slope(w, row)
         value = np.einsum("mi,mi->m", own, w) - self.rows.shaken[row]
         slope = np.einsum("mi,miz->mz", own, by_step[instant])
-        if self.felt.payload.liquids:
-            sloshed = Sloshed.of(self.rows, self.felt.sloshing(step))
-            value = value - sloshed.values[instant, row]
-            slope = slope - sloshed.history(instant, row, Unknowns(by_step))
+        if self.felt.payload.dynamic:
+            added = LoadRows.of(self.rows, self.felt.loads(step))
+            value = value - added.values[instant, row]
+            slope = slope - added.history(instant, row, Unknowns(by_step))
         return value - slope @ step, slope
 
 
 @dataclass(frozen=True)
-class BrimRows:
-    """The least share that one liquid leaves of all that it must keep, `salver.liquid.spills.limits`, in any case;
-    at the last instant, of what it does after the motion too."""
+class LoadLimitRows:
+    """The least share that what moves in one body leaves of all its limits, `LoadResponse.limits`, in any case; at the
+    last instant, of what it does after the motion too."""
 
-    name: str
+    body: Body
     felt: FeltMotion
 
     @property
     def owner(self) -> tuple[str, ...]:
-        return (LIQUID + self.name,)
+        return (self.body.inside.removeprefix("the "),)
 
     def slack(self, step: Array | None = None) -> Array:
-        (part,) = self.felt.sloshing(step)[self.name]
+        (part,) = self.felt.loads(step)[self.body.name]
         return slacks(part).min(axis=0)[:, None]
 
     def tangents(self, step: Array, instant: Indices, row: Indices) -> tuple[Array, Array]:
-        (part,) = self.felt.sloshing(step)[self.name]
-        found, unknowns = limits(part), Unknowns(self.felt.w_jacobian)
+        (part,) = self.felt.loads(step)[self.body.name]
+        found, unknowns = part.limits(), Unknowns(self.felt.w_jacobian)
         left = np.stack([limit.left(len(self.felt.t))[:, instant] for limit in found])  # (kinds, K, m)
         kind, case = np.unravel_index(left.reshape(-1, len(instant)).argmin(axis=0), left.shape[:2])
         slope = np.empty((len(instant), len(step)))

@@ -8,10 +8,10 @@ import numpy as np
 
 from salver.control.object import Gains
 from salver.geometry import Array, Indices
+from salver.linear_filter import fastest_rate
 from salver.models.bodies import Body
 from salver.scenario import Scenario
 from salver.sensitivity.dual import Dual
-from salver.sensitivity.filter import fastest_rate
 from salver.sensitivity.tray import TrayLoop, TraySensitivity
 
 _STEP = 0.35  # of the fastest rate times h: the integral of the cost is then right to some 1e-4

@@ -13,12 +13,12 @@ import numpy as np
 
 from salver.display import Outlined
 from salver.geometry import Array, Mask
+from salver.linear_filter import QuadratureGrid
 from salver.models.uncertain.parameters import UncertainSet
 from salver.planning.object.conditions import apart, conditions_along
 from salver.planning.object.cost import tray_loop
 from salver.scenario import Scenario
 from salver.sensitivity.dual import joined
-from salver.sensitivity.filter import QuadratureGrid
 from salver.sensitivity.tray import BodyMotion, TrayLoop, TraySensitivity
 from salver.sensitivity.tubes import radius
 from salver.trajectory import MotionSamples, Reference

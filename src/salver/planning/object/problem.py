@@ -20,12 +20,12 @@ from functools import cached_property
 import numpy as np
 
 from salver.geometry import Array, hat, log, right_jacobian_inverse
+from salver.linear_filter import QuadratureGrid
 from salver.models.bodies import Body
 from salver.models.uncertain.parameters import UncertainSet
 from salver.planning.object.conditions import Rows, conditions_along
 from salver.planning.object.cost import CostWeights, base_radius, cost_residual, refinement, tray_loop
 from salver.scenario import Scenario
-from salver.sensitivity.filter import QuadratureGrid
 from salver.sensitivity.tray import BodyMotion, TrayLoop
 from salver.trajectory import (
     MotionSamples,
@@ -105,14 +105,14 @@ class Problem:
     def is_affine(self) -> bool:
         """Whether cost residuals and constraints are affine in z, so that one convex solve is the answer.
 
-        Waves on a tray that lifts are stiffer, which is a product of two things that depend on z.
+        What swings on a tray that lifts is stiffer, which is a product of two things that depend on z.
         In the closed loop an uncertain centre of mass turns the object against the reference, and the force it
         feels is then turned: a product of two things that depend on z.
         """
         turned = any(parameter.kind == "com" for parameter in self.uncertain.parameters)
         return (
             not self.rotates
-            and not self.scenario.payload.liquids
+            and not self.scenario.payload.dynamic
             and not (turned and self.scenario.contact.condition == "paper")
         )
 

@@ -35,7 +35,7 @@ def least_duration(limits: JointLimits, q_start: Array, q_goal: Array) -> float:
 
 def least_by_friction(arm: ArmModel, payload: Payload, max_tilt: float, q_start: Array, q_goal: Array) -> float:
     """The least time, s, in which friction can carry what stands on the tray from q_start to q_goal (n,), from rest to
-    rest, while the tray leans by `max_tilt` (rad) at most. 0 where nothing is known, as of liquids."""
+    rest, while the tray leans by `max_tilt` (rad) at most. 0 where nothing is known, as of inner dynamics."""
     least = 0.0
     for friction, centre in _stacks(payload):
         cone = math.atan(friction) + max_tilt
@@ -51,7 +51,7 @@ def _stacks(payload: Payload) -> Iterator[tuple[float, Array]]:
     (3,) in E."""
     ranges = payload.uncertain.ranges
     for network in payload.networks:
-        if any(body.liquid is not None for body in network.bodies):
+        if any(body.inner is not None for body in network.bodies):
             continue
         on_tray = [network.bodies[face.upper] for face in network.interfaces if face.lower is None]
         friction = max(body.friction - ranges.get(Parameter(body.name, "friction"), 0.0) for body in on_tray)

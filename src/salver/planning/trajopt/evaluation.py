@@ -9,15 +9,14 @@ from typing import Any
 
 import numpy as np
 
+from salver.dynamics.load_response import ArmReaction, LoadResponse
+from salver.dynamics.load_rows import given_way
+from salver.dynamics.modal_history import CaseGroups, Past
 from salver.geometry import Array, Indices
-from salver.liquid.before import Past
-from salver.liquid.given_way import Sloshing
-from salver.liquid.slosh_rows import given_way
-from salver.liquid.sloshing import Slosh
-from salver.liquid.wave_cases import SloshingCase
 from salver.models.uncertain.worst_case import Drift
+from salver.sensitivity.arm.compliance import LoadResponses
 from salver.sensitivity.arm.terms import MotionTerms, motion_terms
-from salver.sensitivity.arm.tracking import Deviation, JointLoop, Reaction
+from salver.sensitivity.arm.tracking import Deviation, JointLoop
 
 EASING = 0.25  # of a motion that begins moving: over this share of it margins grow from nothing
 
@@ -32,7 +31,7 @@ class Known:
     terms: MotionTerms | None = None
     response: Deviation | None = None
     sag: Drift | None = None
-    waves: Sloshing | None = None
+    loads: LoadResponses | None = None
 
 
 NOTHING = Known()
@@ -45,9 +44,9 @@ class MotionEvaluation:
     model: Pinocchio's, with all objects bolted on at nominal parameters; frame_id: of the tray in it. tracking: what a
     parameter error does to the arm, or None. nodes: (N,) indices of the points at which dynamics and distances are
     checked; the joints' own motion costs little and is checked at all points. imposed: whether the rows are conditions
-    of a programme; otherwise they are checked between its nodes. moving: whether it begins moving. liquids: the cases
-    of each; past: what they come from, if not from rest. coarsely: whether of rows that are far from their edge a bound
-    is enough. known: quantities that need not be computed.
+    of a programme; otherwise they are checked between its nodes. moving: whether it begins moving. cases: of what
+    moves inside each load; past: what they come from, if not from rest. coarsely: whether of rows that are far from
+    their edge a bound is enough. known: quantities that need not be computed.
 
     All further quantities are computed when they are first read, and once.
     """
@@ -61,7 +60,7 @@ class MotionEvaluation:
     nodes: Indices
     imposed: bool
     moving: bool
-    liquids: tuple[tuple[SloshingCase, ...], ...] = ()
+    cases: CaseGroups = ()
     past: Past | None = None
     coarsely: bool = False
     known: Known = NOTHING
@@ -147,35 +146,35 @@ class MotionEvaluation:
         return self.knowing(terms=self.terms, response=like.along(self.terms), sag=other.sag)
 
     def giving_way_as(self, other: MotionEvaluation) -> MotionEvaluation:
-        """This motion, with an arm that gives way to its load and to its waves as along a motion like it, at the same
-        shares of its time."""
+        """This motion, with an arm that gives way to its load and to what moves in it as along a motion like it, at the
+        same shares of its time."""
         straying = self.straying_as(other)
-        return straying.knowing(waves=other.waves.along(self.shares * self.duration, straying.terms.w))
+        return straying.knowing(loads=other.load_responses.along(self.shares * self.duration, straying.terms.w))
 
     @cached_property
-    def sloshing(self) -> dict[str, tuple[Slosh, ...]]:
-        """Sloshing of each body's liquid, by the body's name: its cases."""
-        return self.waves.each
+    def loads(self) -> dict[str, tuple[LoadResponse, ...]]:
+        """What moves inside each body, by the body's name: its cases."""
+        return self.load_responses.each
 
     @cached_property
-    def waves(self) -> Sloshing:
-        """The waves of all cases of its liquids."""
-        return self.known.waves or Sloshing.of(
-            self.liquids, self.shares * self.duration, self.terms.w, self.response, self.past
+    def load_responses(self) -> LoadResponses:
+        """What moves inside its loads, all cases."""
+        return self.known.loads or LoadResponses.of(
+            self.cases, self.shares * self.duration, self.terms.w, self.response, self.past
         )
 
     @property
     def left(self) -> Past:
-        """The waves along it, for a motion that goes on from it: at instants of its own time, s."""
-        return self.waves.past(self.shares * self.duration)
+        """The modal states along it, for a motion that goes on from it: at instants of its own time, s."""
+        return self.load_responses.past(self.shares * self.duration)
 
     def rested(self, seconds: float) -> Past:
         """The evaluation after so many seconds at rest at the end."""
-        return self.waves.rested(seconds + np.array([0.0, self.steps[-1]]))
+        return self.load_responses.rested(seconds + np.array([0.0, self.steps[-1]]))
 
     def joint_radius(self, order: int) -> Array:
         """(N, n) most by which the joints' position (order 0) or velocity (1) can differ from the plan's at the nodes:
-        for a parameter error, the zero-order hold and what liquids push."""
+        for a parameter error, the zero-order hold and what loads push."""
         assert self.response is not None
         name = ("q", "dq")[order]
         return self._wider(self.response.joint_radius(order), lambda reaction: getattr(reaction.joints, name))
@@ -193,9 +192,9 @@ class MotionEvaluation:
         moved = self._wider(position, lambda reaction: reaction.tray.state[:, :3])
         return moved, self._wider(turn, lambda reaction: reaction.tray.state[:, 3:6])
 
-    def _wider(self, radius: Array, what: Callable[[Reaction], Array]) -> Array:
-        """A radius (N, m), and what liquids add to it."""
-        return np.asarray(radius + given_way(self.sloshing, what)) if self.liquids else radius
+    def _wider(self, radius: Array, what: Callable[[ArmReaction], Array]) -> Array:
+        """A radius (N, m), and what loads add to it."""
+        return np.asarray(radius + given_way(self.loads, what)) if self.cases else radius
 
     @cached_property
     def steps(self) -> Array:

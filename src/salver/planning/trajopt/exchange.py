@@ -39,7 +39,7 @@ class ExchangeOptions:
     rounds: of adding nodes, at most; doubled, what six do not mend is tried for longer. repairs: iterations of each, at
     most. repair: damping of the first step of the first round, four times more in each that follows; doubled, a repair
     stays nearer to what is repaired.
-    added: nodes of each spline piece beside what is asked for; as liquids remember what was between them.
+    added: nodes of each spline piece beside what is asked for; as inner dynamics remember what was between them.
     finer: the check's points from node to node; doubled, it takes twice the time.
     hopeless: a row broken by this share of its scale on the check's grid, or by `hopeless_at_nodes` at the nodes, is
     not repaired.
@@ -59,18 +59,18 @@ class ExchangeOptions:
 
     @classmethod
     def of(cls, problem: TransportProblem) -> ExchangeOptions:
-        """The usual ones; waves need not become lower in a longer time."""
-        return cls(repair=4.0, added=1, finer=4, left=3e-4, excess=5e-4) if problem.liquids else cls()
+        """The usual ones; what swings need not become calmer in a longer time."""
+        return cls(repair=4.0, added=1, finer=4, left=3e-4, excess=5e-4) if problem.cases else cls()
 
 
 @dataclass(frozen=True)
 class Checked:
     """Coefficients (size, m), duration and margin (as in `Point`) of a motion whose rows were checked on the fine grid.
 
-    problem: with all the cases of liquids that were checked.
+    problem: with all the cases of inner dynamics that were checked.
     worst: largest row of each block there, <= 0 when kept. binding: names of those blocks that hinder a shorter time:
     that depend on time, and come near their edge. iterations: of all rounds. looked: whether the check looked at every
-    fill and damping of a liquid, along this very motion.
+    case of a load, along this very motion.
     """
 
     problem: TransportProblem
@@ -134,7 +134,7 @@ def optimise(
     programme = programme_of(problem, curve_of, start, nodes, objective)
     begun = programme.begin(start.coefficients, start.duration)
     first = SqpOptions(iterations, watch, gain=gain, beat=beat)
-    if problem.liquids:  # more cases of them will join, which a loose optimum shows as well
+    if problem.cases:  # more cases of them will join, which a loose optimum shows as well
         first = SqpOptions(iterations, watch, gain=5e-3, violation=1e-2, poor=0.6)
     solution = minimise(programme, begun, first, Trust(damping))
     done = solution.iterations
@@ -157,7 +157,7 @@ def optimise(
         if excess <= 0.0 or hopeless or exchange == how.rounds or late:
             break
         before, nodes = nodes, united(nodes, fine.grid.s[peaks])
-        if len(nodes) == len(before):  # what is broken is driven by what was between them: waves
+        if len(nodes) == len(before):  # what is broken is driven by what was between them
             nodes = united(nodes, 0.5 * (nodes[1:] + nodes[:-1]))
         options, repair = _repair(problem, how, exchange, iterations, gain, watch)
         # A repair leads nowhere else: unless something that was not watched came too near, the same is watched.
@@ -165,7 +165,7 @@ def optimise(
         watched = programme.constraints if same else None
         start = SplineMotion(spline, point.coefficients, point.duration)
         programme = programme_of(problem, curve_of, start, nodes, objective, watched=watched)
-        programme = replace(programme, given=bool(problem.liquids))
+        programme = replace(programme, given=bool(problem.cases))
         begun = programme.begin(start.coefficients, start.duration)
         solution = minimise(programme, begun, options, Trust(repair, 0.02))  # of rows only what is near
         done += solution.iterations
@@ -180,7 +180,7 @@ def _repair(
     """Options of solving a programme once more with added nodes, and the damping of its first step: ever more
     repair, ever less search."""
     damping = how.repair * 4.0**exchange
-    if problem.liquids and exchange == 0:  # what was loose is now sought in earnest
+    if problem.cases and exchange == 0:  # what was loose is now sought in earnest
         return SqpOptions(iterations, watch, gain=0.5 * gain), damping
     kept = SqpOptions(how.repairs, watch, gain=gain, violation=how.left, least_damping=damping, mending=True)
     return kept, damping

@@ -14,8 +14,8 @@ from enum import Enum
 import numpy as np
 
 from salver.geometry import Array
-from salver.planning.trajopt.constraints.brim import Brim
 from salver.planning.trajopt.constraints.constraints import Block, ContactConstraint
+from salver.planning.trajopt.constraints.load_limits import LoadConstraint
 from salver.planning.trajopt.curves import Curve
 
 
@@ -103,8 +103,8 @@ class Duration(Objective):
 
 @dataclass(frozen=True)
 class LeastMargin(Objective):
-    """The least distance of the contact rows from their edge, as a share of the weight, and of liquids from what they
-    may reach, as a share of their room, made large; T is given."""
+    """The least distance of the contact rows from their edge, as a share of the weight, and of what moves inside loads
+    from what it may reach, as a share of their room, made large; T is given."""
 
     scalar = Scalar.MARGIN
 
@@ -118,7 +118,7 @@ class LeastMargin(Objective):
         return QuadraticModel(np.zeros(at.coefficients.size), -1.0)
 
     def counts(self, block: Block) -> bool:
-        return isinstance(block.of, ContactConstraint | Brim)
+        return isinstance(block.of, ContactConstraint | LoadConstraint)
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,12 +9,11 @@ from typing import Any
 
 import numpy as np
 
+from salver.dynamics.load_cases import VERDICT_APART, LoadCase, load_cases
+from salver.dynamics.load_response import slacks
+from salver.dynamics.modal_history import CaseGroups, Past
 from salver.errors import ScenarioError
 from salver.geometry import Array, Indices
-from salver.liquid.before import Past
-from salver.liquid.given_way import Sloshing
-from salver.liquid.spills import slacks
-from salver.liquid.wave_cases import VERDICT_APART, SloshingCase, cases
 from salver.models.arm.arm import ArmModel, load_arm, with_load
 from salver.models.arm.arm_geometry import arm_geometry
 from salver.models.arm.arm_limits import JointLimits
@@ -25,7 +24,6 @@ from salver.models.tray_motion import FULL_SPEED, Speed, corners
 from salver.models.uncertain.parameters import UncertainSet
 from salver.planning.postures import PoseTarget
 from salver.planning.postures import start_posture as corrected_posture
-from salver.planning.trajopt.constraints.brim import Brim
 from salver.planning.trajopt.constraints.constraints import (
     FINEST,
     LEVEL_TOLERANCE,
@@ -38,14 +36,18 @@ from salver.planning.trajopt.constraints.constraints import (
     TorqueLimit,
     TorqueRateLimit,
 )
+from salver.planning.trajopt.constraints.load_limits import LoadConstraint
 from salver.planning.trajopt.constraints.obstacles import KeepOut
 from salver.planning.trajopt.constraints.via_poses import PassPose
 from salver.planning.trajopt.ends import AtPose, AtPosture, End
 from salver.planning.trajopt.evaluation import MotionEvaluation
 from salver.scenario import Motion, Scenario
+from salver.sensitivity.arm.compliance import LoadResponses
 from salver.sensitivity.arm.tracking import JointLoop, joint_loop
 
-SPARE = 2e-3  # share of the room of liquids that is kept more where another check looks between the nodes
+SPARE = (
+    2e-3  # share of the room of what moves inside loads that is kept more where another check looks between the nodes
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,11 +63,9 @@ class TransportProblem:
     without masses.
     keep_out: what must not touch: parts of the arm, tray, load, obstacles; None for nothing.
     speeds: at which contact must hold. extra: constraints beside those that follow from all this.
-    liquids: for each, the cases that stand for all there are; every_case: those that a verdict looks at; past: what
-    they come from where the motion begins moving. through: poses that are passed on the way.
-    spare: share of their room that liquids keep. calm: share of the steepest wave that they are known in, that may be
-    left at the end.
-    """
+    cases: of what moves inside each load, those that stand for all there are; every_case: those that a verdict looks
+    at; past: what they come from where the motion begins moving. through: poses that are passed on the way. spare:
+    share of their room that loads keep. calm: share of the limits of what is left of their swing at the end."""
 
     scenario: Scenario
     arm: ArmModel
@@ -81,8 +81,8 @@ class TransportProblem:
     keep_out: KeepOut | None
     speeds: tuple[Speed, ...] = (FULL_SPEED,)
     extra: tuple[Constraint, ...] = ()
-    liquids: tuple[tuple[SloshingCase, ...], ...] = ()
-    every_case: tuple[tuple[SloshingCase, ...], ...] = ()
+    cases: CaseGroups = ()
+    every_case: CaseGroups = ()
     past: Past | None = None
     through: tuple[AtPose, ...] = ()
     spare: float = 0.0
@@ -102,9 +102,9 @@ class TransportProblem:
 
     @cached_property
     def roughly(self) -> TransportProblem:
-        """For a first guess: without what liquids do, which costs most and changes least of the way; nor what a
+        """For a first guess: without what moves inside loads, which costs most and changes least of the way; nor what a
         parameter error does to the arm, where there are obstacles and much is to be tried."""
-        return replace(self, liquids=(), tracking=None if self.scenario.obstacles else self.tracking)
+        return replace(self, cases=(), tracking=None if self.scenario.obstacles else self.tracking)
 
     @property
     def start_posture(self) -> Array | None:
@@ -116,12 +116,12 @@ class TransportProblem:
         """Whether the motion begins moving."""
         return isinstance(self.start, AtPosture) and self.start.moving
 
-    def check_dry(self, what: str) -> None:
-        """Raise ScenarioError when a liquid is on the tray, of whose waves `what` knows nothing."""
-        for body in self.payload.liquids:
+    def check_still(self, what: str) -> None:
+        """Raise ScenarioError when something moves inside a load, of which `what` knows nothing."""
+        for body in self.payload.dynamic:
             raise ScenarioError(
-                f"{self.scenario.name}: {what} is not planned with a liquid on the tray ({body.name}) unless it is "
-                "known how the waves are just then; salver.Live knows, and salver plan --stops."
+                f"{self.scenario.name}: {what} is not planned with {body.inside} unless it is known how it moves "
+                "just then; salver.Live knows, and salver plan --stops."
             )
 
     @cached_property
@@ -134,9 +134,9 @@ class TransportProblem:
         if np.isfinite(self.max_tilt):
             found.append(LevelConstraint() if self.level else TiltConstraint(self.max_tilt))
         if self.moving and self.past is None:
-            self.check_dry("a motion that begins moving")
+            self.check_still("a motion that begins moving")
         moving = [speed for speed in self.speeds if speed.factor]
-        found += [Brim(each[0].body, self.spare, self.calm, speed) for each in self.liquids for speed in moving]
+        found += [LoadConstraint(each[0].body, self.spare, self.calm, speed) for each in self.cases for speed in moving]
         found += [PassPose(self.arm, end.target, f"pose {k} to pass") for k, end in enumerate(self.through, 1)]
         if self.keep_out is not None:
             found.append(Clearance(self.keep_out))
@@ -149,31 +149,31 @@ class TransportProblem:
         nodes = np.arange(len(s)) if nodes is None else nodes
         frame_id = self.arm.tray_id
         return MotionEvaluation(
-            self.model, frame_id, self.tracking, s, duration, z, nodes, imposed, self.moving, self.liquids, self.past
+            self.model, frame_id, self.tracking, s, duration, z, nodes, imposed, self.moving, self.cases, self.past
         )
 
 
 def with_missed_cases(
     problem: TransportProblem, motion: MotionEvaluation, margin: float = 0.0
 ) -> TransportProblem | None:
-    """The problem with those fills and dampings added at which a liquid comes nearer than a margin, a share of its
-    room, to what it may reach, with what the arm makes of it; None for none."""
-    if not problem.liquids:
+    """The problem with those cases added in which a load comes nearer than a margin, a share of its room, to its
+    limits, with what the arm makes of it; None for none."""
+    if not problem.cases:
         return None
     t, whole = motion.s[motion.nodes] * motion.duration, problem.every_case
-    missing = tuple(_others(known, every) for known, every in zip(problem.liquids, whole, strict=True))
-    sloshing, found = Sloshing.of(missing, t, motion.terms.w, motion.response, motion.past).each, []
-    for known, others in zip(problem.liquids, missing, strict=True):
-        parts = sloshing.get(known[0].body.name, ())
+    missing = tuple(_others(known, every) for known, every in zip(problem.cases, whole, strict=True))
+    responses, found = LoadResponses.of(missing, t, motion.terms.w, motion.response, motion.past).each, []
+    for known, others in zip(problem.cases, missing, strict=True):
+        parts = responses.get(known[0].body.name, ())
         left = np.min([np.ones(len(others)), *(slacks(part).min(axis=1) for part in parts)], axis=0)
         found.append((*known, *(others[k] for k in np.flatnonzero(left < FINEST + margin))))
-    return replace(problem, liquids=tuple(found)) if found != list(problem.liquids) else None
+    return replace(problem, cases=tuple(found)) if found != list(problem.cases) else None
 
 
-def _others(known: tuple[SloshingCase, ...], more: tuple[SloshingCase, ...]) -> tuple[SloshingCase, ...]:
-    """Cases of a liquid that are not known yet."""
-    here = {(case.fill, case.damping) for case in known}
-    return tuple(case for case in more if (case.fill, case.damping) not in here)
+def _others(known: tuple[LoadCase, ...], more: tuple[LoadCase, ...]) -> tuple[LoadCase, ...]:
+    """Cases of a load that are not known yet."""
+    here = {case.name for case in known}
+    return tuple(case for case in more if case.name not in here)
 
 
 def _tracking(scenario: Scenario, payload: Payload) -> JointLoop | None:
@@ -220,8 +220,8 @@ def transport_problem(
     if given is not None:
         start = AtPosture(corrected_posture(arm, given, begin, first.name))
     parts = arm_geometry(arm, payload.bodies, scenario.around)
-    liquids = tuple(cases(body, payload.uncertain) for body in payload.liquids)
-    more = (cases(body, payload.uncertain, VERDICT_APART) for body in payload.liquids)
+    cases = tuple(load_cases(body, payload.uncertain) for body in payload.dynamic)
+    more = (load_cases(body, payload.uncertain, VERDICT_APART) for body in payload.dynamic)
     return TransportProblem(
         scenario=scenario,
         arm=arm,
@@ -235,10 +235,10 @@ def transport_problem(
         uncertain=payload.uncertain,
         tracking=_tracking(scenario, payload) if robust and not arm.weightless else None,
         keep_out=KeepOut.of(parts, start.q[None] if isinstance(start, AtPosture) else None) if parts.pairs else None,
-        speeds=(FULL_SPEED,) if liquids else corners(motion.speeds, motion.speed_rate),
+        speeds=(FULL_SPEED,) if cases else corners(motion.speeds, motion.speed_rate),
         extra=tuple(extra),
-        liquids=liquids,
-        every_case=tuple((*known, *_others(known, every)) for known, every in zip(liquids, more, strict=True)),
+        cases=cases,
+        every_case=tuple((*known, *_others(known, every)) for known, every in zip(cases, more, strict=True)),
         through=tuple(
             AtPose(PoseTarget(np.array(pose.position), pose.rotation, first.p_EB, first.R_EB, yaw_free))
             for pose in scenario.motion.through

@@ -16,8 +16,8 @@ from functools import cached_property
 
 import numpy as np
 
+from salver.dynamics.motion_gradients import Unknowns
 from salver.geometry import Array, Indices, Mask
-from salver.liquid.wave_gradients import Unknowns
 from salver.planning import qp
 from salver.planning.trajopt.constraints.constraints import Block, Constraint, evaluate, worst_of
 from salver.planning.trajopt.curves import Curve

@@ -1,5 +1,5 @@
-"""The load after the end of a motion: on a tray that leans a liquid pushes more when it has swung back than when the
-tray stopped."""
+"""The load after the end of a motion: on a tray that leans a liquid pushes more when it has swung back than when
+the tray stopped."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from salver.geometry import Array
-from salver.planning.trajopt.constraints.brim import Brim
 from salver.planning.trajopt.constraints.constraints import ContactConstraint, evaluate
+from salver.planning.trajopt.constraints.load_limits import LoadConstraint
 from salver.planning.trajopt.evaluation import MotionEvaluation
 from salver.planning.trajopt.problem import TransportProblem
 
@@ -18,9 +18,11 @@ HOLD_STEP = 1e-2  # s between nodes of an arm at rest
 
 def stays(problem: TransportProblem, t: Array, z: Array) -> bool:
     """Whether what is carried stays, and what is in it, to the edge of their rows: along a motion z (4, P, n) at t (P,)
-    s, from 0 on, and at rest at its end for a wave of the slowest liquid. With one instant: at rest there, with the
-    waves that there are."""
-    carried = [constraint for constraint in problem.constraints if isinstance(constraint, ContactConstraint | Brim)]
+    s, from 0 on, and at rest at its end for a period of the slowest load. With one instant: at rest there, with the
+    modal states that there are."""
+    carried = [
+        constraint for constraint in problem.constraints if isinstance(constraint, ContactConstraint | LoadConstraint)
+    ]
     blocks = evaluate(carried, _rested(problem, t, z), margins=False)
     return all(block.values.max() <= 0 for block in blocks if len(block.points) > 1)  # but for what is left for good
 
@@ -34,17 +36,19 @@ def standing_still(problem: TransportProblem, q: Array, seconds: float) -> Motio
 
 
 def calmer(problem: TransportProblem, t: Array, z: Array) -> TransportProblem:
-    """The problem with so much less of a wave left after it that contact lasts at the end of a motion z (4, P, n) at
-    t (P,), s, which loses it there: what a wave adds to the rows grows with it. As given, if no wave is to blame."""
+    """The problem with so much less of a swing left after it that contact lasts at the end of a motion z (4, P, n) at
+    t (P,), s, which loses it there: what a swing adds to the rows grows with it. As given, if none is to blame."""
     still = np.zeros_like(z)
     still[0] = z[0, -1]
     moved, stood = _rested(problem, t, z), _rested(problem, t, still)
     most, without = (_contact(problem, motion)[len(t) :].max() for motion in (moved, stood))
     if not without < 0.0 < most:
         return problem
-    parts = [part for each in moved.sloshing.values() for part in each]
-    left = max(float((part.free_left / part.waves.cases.steepest).max()) for part in parts)
-    return replace(problem, calm=0.9 * left * without / (without - most))  # rows are not quite linear in the wave
+    limits = [limit for each in moved.loads.values() for part in each for limit in part.limits() if limit.residual]
+    left = max((float((limit.values / limit.most[:, None]).max()) for limit in limits), default=0.0)
+    if left == 0.0:
+        return problem
+    return replace(problem, calm=0.9 * left * without / (without - most))  # rows are not quite linear in the swing
 
 
 def _contact(problem: TransportProblem, motion: MotionEvaluation) -> Array:
@@ -54,9 +58,9 @@ def _contact(problem: TransportProblem, motion: MotionEvaluation) -> Array:
 
 
 def _rested(problem: TransportProblem, t: Array, z: Array) -> MotionEvaluation:
-    """A motion and the wave after it."""
+    """A motion and a period of rest after it."""
     instants = 40  # of one period: the peak between two of them is missed by 0.3 %
     rest = np.zeros((4, instants, problem.n))
     rest[0] = z[0, -1]
-    t = np.concatenate([t, t[-1] + np.arange(1, instants + 1) * (problem.payload.slowest_wave / instants)])
+    t = np.concatenate([t, t[-1] + np.arange(1, instants + 1) * (problem.payload.slowest_period / instants)])
     return problem.at(t / t[-1], np.concatenate([z, rest], axis=1), float(t[-1]), imposed=False)

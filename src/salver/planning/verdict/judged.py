@@ -11,7 +11,6 @@ import numpy as np
 from salver.geometry import Array, Indices
 from salver.models.arm.arm_geometry import ArmGeometry
 from salver.models.arm.arm_limits import LIMITS
-from salver.planning.trajopt.constraints.brim import Brim
 from salver.planning.trajopt.constraints.constraints import (
     FINEST,
     Block,
@@ -21,6 +20,7 @@ from salver.planning.trajopt.constraints.constraints import (
     TorqueRateLimit,
     strayed,
 )
+from salver.planning.trajopt.constraints.load_limits import LoadConstraint
 from salver.planning.trajopt.constraints.obstacles import NEAR
 from salver.planning.trajopt.evaluation import MotionEvaluation
 from salver.planning.trajopt.problem import TransportProblem
@@ -71,7 +71,7 @@ class VerdictOptions:
 
     def margin(self, block: Block, constraint: Constraint | None) -> float:
         """What a motion keeps from the boundary of a constraint, in the unit of its rows."""
-        least = {ContactConstraint: self.contact, TorqueRateLimit: self.torque_rate, Brim: self.brim}
+        least = {ContactConstraint: self.contact, TorqueRateLimit: self.torque_rate, LoadConstraint: self.brim}
         return max(block.margins[1], *(x for kind, x in least.items() if isinstance(constraint, kind)), 0.0)
 
 
@@ -115,21 +115,21 @@ class Judged:
     def of(cls, problem: TransportProblem, motion: JointMotion, options: VerdictOptions = STANDARD) -> Judged:
         """Every knot is an instant, and between two of them they are evenly spaced."""
         closer = max(motion.duration / options.instants, options.period)
-        step = options.step_with_liquids if problem.liquids else min(options.step, closer)
+        step = options.step_with_liquids if problem.cases else min(options.step, closer)
         counts = np.maximum(1, np.ceil(np.diff(motion.t) / step - 1e-9)).astype(int)
         counts[0] += max(0, 4 - int(counts.sum()))  # a filter of cubics needs five
         t, z = motion.evenly(counts)
         before, knots = z[3].copy(), np.append(0, np.cumsum(counts))
         before[knots] = motion.jerk_before
-        if problem.tracking is not None and not problem.liquids:
+        if problem.tracking is not None and not problem.cases:
             seconds = problem.tracking.settling
             rest = np.zeros((4, options.at_rest_instants, problem.n))
             rest[0], z[3, -1] = motion.q[-1], 0.0
             t = np.append(t, t[-1] + seconds * np.linspace(0.0, 1.0, rest.shape[1] + 1)[1:] ** 2)
             z, before = np.concatenate([z, rest], axis=1), np.concatenate([before, rest[3]])
-        whole = replace(problem, liquids=problem.every_case).at(t / t[-1], z, float(t[-1]), imposed=False)
+        whole = replace(problem, cases=problem.every_case).at(t / t[-1], z, float(t[-1]), imposed=False)
         derived = np.union1d(np.append(knots, len(t) - 1), np.arange(0, len(t), options.deriving))
-        more = {"jerk_before": before, "derived": derived, "moving": False, "coarsely": bool(problem.liquids)}
+        more = {"jerk_before": before, "derived": derived, "moving": False, "coarsely": bool(problem.cases)}
         return cls(problem, motion, t, VerdictEvaluation(**(vars(whole) | more)), options)
 
     def of_kind(self, *kinds: type[Constraint]) -> list[Constraint]:
@@ -201,7 +201,7 @@ class Judged:
     def after(self) -> TransportProblem:
         """The problem of going on from the end of the motion: with the deviation and the waves that there are then."""
         problem, tracking = self.problem, self.problem.tracking
-        if problem.liquids:
+        if problem.cases:
             left = self.along.left
             problem = replace(problem, past=replace(left, now=left.t[-1]))
         if tracking is None or self.deviation is None:

@@ -16,7 +16,6 @@ import numpy as np
 from salver.geometry import Array
 from salver.planning.follow.clearance import EXACT as TOUCHING
 from salver.planning.follow.clearance import sweep
-from salver.planning.trajopt.constraints.brim import Brim
 from salver.planning.trajopt.constraints.constraints import (
     PER_METRE,
     Block,
@@ -30,6 +29,7 @@ from salver.planning.trajopt.constraints.constraints import (
     both_sides,
     strayed,
 )
+from salver.planning.trajopt.constraints.load_limits import LoadConstraint
 from salver.planning.trajopt.problem import TransportProblem
 from salver.planning.verdict.after import standing_still, stays
 from salver.planning.verdict.judged import STANDARD, Judged, VerdictOptions, no_gradient, subsample
@@ -133,7 +133,7 @@ def contact_standing(judged: Judged) -> Iterator[Block]:
 def liquids(judged: Judged) -> Iterator[Block]:
     """Crest below the brim, waves no steeper than linear theory holds for, at every fill and damping that a verdict
     looks at, during the motion and after it."""
-    for constraint in judged.of_kind(Brim):
+    for constraint in judged.of_kind(LoadConstraint):
         yield from judged.rows(constraint)
 
 
@@ -146,7 +146,7 @@ def clearance(judged: Judged) -> Iterator[Block]:
 
 def others(judged: Judged) -> Iterator[Block]:
     """Whatever else the problem asks for: what is predicted to pass, and constraints of one's own."""
-    known = JointLimit, LevelConstraint, TiltConstraint, TorqueRateLimit, TorqueLimit, ContactConstraint, Brim
+    known = JointLimit, LevelConstraint, TiltConstraint, TorqueRateLimit, TorqueLimit, ContactConstraint, LoadConstraint
     for constraint in judged.problem.constraints:
         own = type(constraint) is Clearance and constraint.keep_out is judged.problem.keep_out
         if type(constraint) not in known and not own:
@@ -229,7 +229,7 @@ def settles(judged: Judged, blocks: Sequence[Block]) -> tuple[float, str]:
     """The clearance at the end of a motion with open liquids, less what the tray strays further than there while it
     settles. The excess, and its name. Without liquids that rest is judged with the motion."""
     tracking = judged.problem.tracking
-    if tracking is None or not judged.problem.liquids:
+    if tracking is None or not judged.problem.cases:
         return -np.inf, ""
     rest = standing_still(judged.after, judged.motion.q[-1], tracking.settling).response
     assert rest is not None
@@ -242,7 +242,7 @@ def settles(judged: Judged, blocks: Sequence[Block]) -> tuple[float, str]:
 def rests(judged: Judged) -> bool:
     """Whether what is carried stays while waves die away after the end."""
     end = np.pad(judged.motion.q[-1:], ((0, 3), (0, 0)))[:, None]
-    return not judged.problem.liquids or stays(judged.after, np.zeros(1), end)
+    return not judged.problem.cases or stays(judged.after, np.zeros(1), end)
 
 
 def _refused(blocks: Sequence[Block], judged: Judged) -> Verdict:

@@ -51,8 +51,8 @@ function paint() {
   live.joints = new Float32Array(frame.joints);
   live.tray = new Float32Array(frame.tray);
   live.objects = new Float32Array(frame.objects.flat());
-  frame.liquids.forEach((seen, i) => {
-    if (seen) Object.assign(live.liquids[i], { slope: new Float32Array(seen.slope), spilt: seen.spilt === null ? null : 0 });
+  frame.inside.forEach((seen, i) => {
+    if (seen) Object.assign(live.inside[i], { moves: new Float32Array(seen.moves), beyond: seen.beyond === null ? null : 0 });
   });
   viewer.options.path = frame.path.length > 1;
   if (viewer.options.path) viewer.refill(live.path, tube(frame.path, 0.0025));

@@ -33,6 +33,12 @@ const Mat = {
       p[o], p[o + 1], p[o + 2], 1,
     ]);
   },
+  // A pose, shifted by p along its own axes.
+  moved(m, p) {
+    const out = m.slice();
+    out.set(Mat.point(m, p), 12);
+    return out;
+  },
   // Frame at `origin` whose z axis is along `axis`, columns scaled by (across, across, along).
   along(origin, axis, across, length) {
     const z = Vec.unit(axis), helper = Math.abs(z[2]) < 0.9 ? [0, 0, 1] : [1, 0, 0];
@@ -167,6 +173,9 @@ function column(bottom, level, [sx, sy]) {
   return shade(points, triangles);
 }
 
+// Triangles, each of three corners.
+const solid = (triangles) => shade(triangles.flat(2), triangles.flatMap((_, i) => [3 * i, 3 * i + 1, 3 * i + 2]));
+
 function tube(path, radius, sides = 6) {
   const points = [], triangles = [];
   const n = path.length;
@@ -297,7 +306,7 @@ function createViewer(canvas, scene) {
       ...v,
       joints: float32(v.joints), tray: float32(v.tray), objects: float32(v.objects), forces: float32(v.forces), contacts: float32(v.contacts),
       path: made(tube(v.path, 0.0011 * reach)),
-      liquids: v.liquids.map((l) => l && { ...l, slope: float32(l.slope), shape: made(column(l.bottom, l.level, [0, 0])) }),
+      inside: v.inside.map((l) => l && { ...l, moves: float32(l.moves), shape: made(l.triangles ? solid(l.triangles) : column(l.bottom, l.level, [0, 0])) }),
     }));
   }
   furnish({});
@@ -331,7 +340,7 @@ function createViewer(canvas, scene) {
     list.push([shapes.tray, tray, marked(variant, { name: "tray", colour: paint })]);
     if (scene.meshes.length) list.push([shapes.post, tray, [0.35, 0.37, 0.4]]);
     const poses = posesAt(variant.objects, variant.t, objects.length, t);
-    objects.forEach((o, i) => list.push([o.shape, Mat.pose(poses, 7 * i), marked(variant, o), { ...o, liquid: variant.liquids[i] }]));
+    objects.forEach((o, i) => list.push([o.shape, Mat.pose(poses, 7 * i), marked(variant, o), { ...o, inside: variant.inside[i] }]));
     return { list, poses };
   }
 
@@ -373,11 +382,15 @@ function createViewer(canvas, scene) {
     }
   }
 
-  function drawLiquid(liquid, variant, t, model) {
-    refill(liquid.shape, column(liquid.bottom, liquid.level, valuesAt(liquid.slope, variant.t, 2, t)));
-    draw(liquid.shape, model, [...liquid.colour, 1]);
-    const spilt = liquid.spilt !== null && t >= liquid.spilt;
-    drawEdges(loop(liquid.brim), model, [...(spilt ? scene.brim.spilt : scene.brim.dry), 1], spilt ? 0.0016 : 0.0009);
+  // What moves inside an object: a liquid with slopes along x and y, or a solid that is moved along x, y and z.
+  function drawInside(inside, variant, t, model) {
+    if (inside.triangles) draw(inside.shape, Mat.moved(model, valuesAt(inside.moves, variant.t, 3, t)), [...inside.colour, 1]);
+    else {
+      refill(inside.shape, column(inside.bottom, inside.level, valuesAt(inside.moves, variant.t, 2, t)));
+      draw(inside.shape, model, [...inside.colour, 1]);
+    }
+    const beyond = inside.beyond !== null && t >= inside.beyond;
+    drawEdges(loop(inside.edge), model, [...(beyond ? scene.edge.beyond : scene.edge.kept), 1], beyond ? 0.0016 : 0.0009);
   }
 
   const FOV = 0.6;  // rad, upright
@@ -453,9 +466,9 @@ function createViewer(canvas, scene) {
       }
       const seenThrough = [];
       for (const [shape, model, colour, object] of list) {
-        if (object?.liquid) drawLiquid(object.liquid, variant, t, model);
+        if (object?.inside) drawInside(object.inside, variant, t, model);
         if (object && seeInside) drawEdges(object.edges, model, [...colour.map((x) => 0.55 * x), 1]);
-        if (object && (seeInside || object.liquid)) seenThrough.push([shape, model, [...colour, seeInside ? 0.22 : scene.wallOpacity]]);
+        if (object && (seeInside || object.inside)) seenThrough.push([shape, model, [...colour, seeInside ? 0.22 : scene.wallOpacity]]);
         else draw(shape, model, [...colour, 1]);
       }
       const cones = seeInside ? drawContacts(variant, t, Mat.pose(poses)) : [];

@@ -109,7 +109,7 @@ def margin_charts(run: ReportedRun) -> list[Spec]:
 
 
 def braking_charts(run: ReportedRun) -> list[Spec]:
-    """Effect of a stop on the path on the load; not with liquids."""
+    """Effect of a stop on the path on the load; not with inner dynamics."""
     found = [(m, run.contact[m.stem].braking) for m in run.motions]
     curves = [series(m, m.label, known.durations, 100 * known.kept) for m, known in found if known is not None]
     note = (
@@ -277,39 +277,40 @@ def clearance_charts(run: ReportedRun, arm: ArmModel) -> list[Spec]:
     return charts
 
 
-def liquid_charts(run: ReportedRun) -> list[Spec]:
-    """Height of each liquid over its level at rest, and its brim: along the plans, with the range over fills and
+def inside_charts(run: ReportedRun) -> list[Spec]:
+    """How far what moves inside each object goes, and its edge: along the plans, with the range over its values and
     dampings, and in the physics engine."""
     payload, charts = run.scenario.payload, []
     for k, body in enumerate(run.bodies):
-        liquid = body.liquid
-        if liquid is None:
+        inner = body.inner
+        if inner is None:
             continue
         curves, bands = [], []
         for m in run.motions:
-            whole = run.waves(m)
+            whole = run.loads(m)
             assert whole is not None
-            found = whole.worst[body.name][0].waves.crest
+            found = whole.worst[body.name][0].modes.seen[..., 2]
             x, low, high = thin(m.t, 1e3 * found.min(axis=0), 1e3 * found.max(axis=0))
             bands.append({"x": x, "low": low, "high": high, "colour": ROLE_COLOURS[m.stem]})
-            curves.append(series(m, f"{m.label}, nominal", m.t, 1e3 * whole.nominal[body.name][0].waves.crest[0]))
+            nominal = whole.nominal[body.name][0].modes.seen[0, :, 2]
+            curves.append(series(m, f"{m.label}, nominal", m.t, 1e3 * nominal))
             if m.simulation is not None and m.simulation.arrays.get("surface", np.zeros((0, 0))).shape[1]:
                 seen = m.simulation.arrays["surface"][:, k, 2]
                 curves.append(
                     series(m, f"{m.label}, in the engine", m.simulation.t, 1e3 * seen, width=1.0, opacity=0.55)
                 )
-        half = payload.uncertain.ranges.get(Parameter(body.name, "fill"), 0.0)
-        lines = [] if liquid.sealed else [{"y": 1e3 * (liquid.brim - liquid.fill - half), "label": "brim, fullest"}]
+        half = payload.uncertain.ranges.get(Parameter(body.name, inner.quantity), 0.0)
+        edge = min(inner.edge(inner.value - half), inner.edge(inner.value + half))
         charts.append(
             time_chart(
-                f"Highest point of the liquid in {body.name}",
-                "over its level at rest, mm",
+                f"{inner.chart[0]} {body.inside}",
+                inner.chart[1],
                 curves,
-                "Band: all fills and dampings within their ranges. The brim is that over the fullest filling.",
+                f"Band: every {inner.quantity} and damping within their ranges; the line is the least edge of them.",
                 "mm",
                 zero=True,
                 bands=bands,
-                lines=lines,
+                lines=[{"y": 1e3 * edge, "label": inner.chart[2]}] if np.isfinite(edge) else [],
             )
         )
     return charts

@@ -11,13 +11,14 @@ import numpy.typing as npt
 
 from salver.geometry import GRAVITY_S, Array, interpolated, matrix_from_quat_wxyz, quat_wxyz_from_matrix, spread
 from salver.models.bodies import Body
+from salver.models.load_dynamics import BEYOND_COLOUR, EDGE_COLOUR, Drawn, LoadDynamics
 from salver.models.shapes import hulls
 from salver.models.uncertain.parameters import Parameter
 from salver.reports.pages.meshes import LinkMesh, decimate, link_meshes, obstacle_meshes, pack
 from salver.reports.style import OBJECT_COLOURS, ROLE_COLOURS, TRAY_COLOUR, rgb
 from salver.simulation.pictures.drawing import OBSTACLE_COLOUR
-from salver.simulation.scene import liquid_surface
-from salver.simulation.scene.liquid_surface import DrawnSurface
+from salver.simulation.record import drawn_inside
+from salver.simulation.scene.elements import WALL_OPACITY
 from salver.simulation.scene.loads import true_world
 
 if TYPE_CHECKING:
@@ -48,8 +49,8 @@ def stage(scenario: Scenario, bodies: Sequence[Body], arm: ArmModel | None) -> d
             "owner": first.name,
             "coneHeight": 0.03,  # m
         },
-        "brim": {"dry": liquid_surface.BRIM_COLOUR, "spilt": liquid_surface.SPILT_COLOUR},
-        "wallOpacity": liquid_surface.WALL_OPACITY,
+        "edge": {"kept": EDGE_COLOUR, "beyond": BEYOND_COLOUR},
+        "wallOpacity": WALL_OPACITY,
         "loadHeight": max(float(b.p_EB[2] - b.com_G[2] + b.solid.base_z + b.solid.height) for b in bodies),
     }
 
@@ -71,7 +72,7 @@ def replay_scene(run: ReportedRun, arm: ArmModel | None) -> dict[str, Any]:
 def still(
     key: str, colour: str, bodies: Sequence[Body], tray: tuple[Array, Array], joints: Array, path: list[list[float]]
 ) -> dict[str, Any]:
-    """A variant for the viewer that does not move: the tray at (p_SE, R_SE), its load on it, liquids level.
+    """A variant for the viewer that does not move: the tray at (p_SE, R_SE), its load on it, what swings hanging.
 
     joints: (n + 1, 7), as `joint_poses`. path: points of a line that is drawn, m.
     """
@@ -88,16 +89,15 @@ def still(
         "forces": "",
         "friction": 0.0,
         "metresPerNewton": 0.0,
-        "liquids": [None if b.liquid is None else _level(b, R_SE) for b in bodies],
+        "inside": [None if b.inner is None else _at_rest(b, b.inner, R_SE) for b in bodies],
         "path": path,
     }
 
 
-def _level(body: Body, R_SE: Array) -> dict[str, Any]:
-    assert body.liquid is not None
+def _at_rest(body: Body, inner: LoadDynamics, R_SE: Array) -> dict[str, Any]:
     up_B = (R_SE @ body.R_EB)[2]
-    slope = -up_B[:2] / max(float(up_B[2]), 0.1)  # of one that has fallen over nothing is drawn
-    return liquid(DrawnSurface(body, body.liquid.fill, slope[None], None), np.array([0]))
+    slope = up_B[None, :2] / max(float(up_B[2]), 0.1)  # of one that has fallen over nothing is drawn
+    return inside(inner.drawn(body, inner.value, inner.at_rest(inner.value, slope), None), np.array([0]))
 
 
 def viewpoint(corners: Array, base: Array, ahead: Array, floor: float | None) -> dict[str, Any]:
@@ -156,44 +156,42 @@ def _variant(motion: ReportedMotion, run: ReportedRun, arm: ArmModel | None) -> 
         "metresPerNewton": 0.024 * len(points_B) / (body.inertial.mass * abs(GRAVITY_S[2])),
         "contacts": packed(contacts),
         "forces": packed(np.einsum("tij,tcj->tci", R, forces_B)),
-        "liquids": [s and liquid(s, keep) for s in surfaces(motion, run)],
+        "inside": [each and inside(each, keep) for each in drawn(motion, run)],
         "path": np.round(p[spread(len(p), 90)], 5).tolist(),
     }
 
 
-def surfaces(motion: ReportedMotion, run: ReportedRun) -> list[DrawnSurface | None]:
-    """The liquid of each object as the engine saw it, as planned where nothing was run; a real arm sees none.
-    Of a given motion whose samples were thinned waves are not known, which are quicker than what is left of them."""
-    out: list[DrawnSurface | None] = [None] * len(run.bodies)
-    if not run.scenario.payload.liquids or motion.summary.get("thinned"):
+def drawn(motion: ReportedMotion, run: ReportedRun) -> list[Drawn | None]:
+    """What moves inside each object as the engine saw it, as planned where nothing was run; a real arm sees none.
+    Of a given motion whose samples were thinned it is not known, for it is quicker than what is left of them."""
+    out: list[Drawn | None] = [None] * len(run.bodies)
+    if not run.scenario.payload.dynamic or motion.summary.get("thinned"):
         return out
     if motion.seen is not None:
         arrays, summary = motion.seen.arrays, motion.seen.summary
         if not np.size(arrays.get("surface", ())):
             return out
-        return liquid_surface.of_run(
-            true_world(run.scenario, summary.get("parameters")).loads, arrays["surface"], summary
-        )
-    planned = run.waves(motion)
+        return drawn_inside(true_world(run.scenario, summary.get("parameters")).loads, arrays["surface"], summary)
+    planned = run.loads(motion)
     assert planned is not None
     for k, body in enumerate(run.bodies):
-        if body.liquid is not None:
-            waves = planned.nominal[body.name][0].waves
-            over = waves.crest[0] > (np.inf if body.liquid.sealed else body.liquid.brim - body.liquid.fill)
-            spilt = float(motion.t[np.argmax(over)]) if np.any(over) else None
-            out[k] = DrawnSurface.of_heights(body, body.liquid.fill, waves.eta_B[0], spilt)
+        if body.inner is not None:
+            seen = planned.nominal[body.name][0].modes.seen[0]
+            over = seen[:, 2] > body.inner.edge(body.inner.value)
+            beyond = float(motion.t[np.argmax(over)]) if np.any(over) else None
+            out[k] = body.inner.drawn(body, body.inner.value, seen[:, :2], beyond)
     return out
 
 
-def liquid(surface: DrawnSurface, keep: np.ndarray) -> dict[str, Any]:
-    """In B: corners of the bottom and of the brim, centre and slope of the surface; when it came over the brim, s."""
-    return {
-        "bottom": np.round(surface.bottom_B, 6).tolist(),
-        "brim": np.round(surface.brim_B, 6).tolist(),
-        "level": surface.level_B.tolist(),
-        "slope": packed(surface.slope[keep]),
-        "spilt": surface.spilt,
-        "colour": surface.colour,
+def inside(each: Drawn, keep: np.ndarray) -> dict[str, Any]:
+    """What moves inside an object, in B: what is drawn of it and how that moves, its edge, and when it went over that,
+    s."""
+    page = each.page(keep)
+    return page | {
+        "moves": packed(page["moves"]),
+        "edge": np.round(each.edge_B, 6).tolist(),
+        "beyond": each.beyond,
+        "colour": each.colour,
     }
 
 
@@ -248,7 +246,7 @@ def _outline(body: Body, shape: object, colour: str) -> dict[str, Any]:
             "polygon": np.round(polygon + offset[:2], 6).tolist(),
             "low": float(low),
             "high": float(low + body.solid.height),
-            "open": body.liquid is not None and not body.liquid.sealed,
+            "open": body.inner is not None and body.inner.open,
             "colour": rgb(colour),
         }
     points, triangles = body.solid.bounding_points_G, hulls.triangles(body.solid.bounding_points_G)

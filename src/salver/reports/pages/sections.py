@@ -25,7 +25,7 @@ NAVIGATION = {
     "replay": "Replay",
     "margins": "Margins",
     "known": "How it is known",
-    "liquid": "Liquid",
+    "inside": "Inside",
     "campaign": "Perturbed runs",
     "simulation": "Simulation",
     "what_if": "What if",
@@ -85,8 +85,8 @@ def build(run: ReportedRun, arm: ArmModel | None) -> Sections:
         charts.margin_charts(run) + stops,
         speed_bar(run.plan.summary.get("speeds")),
     )
-    if run.scenario.payload.liquids:
-        page.add("liquid", "Liquid", "How near it comes to its brim.", charts.liquid_charts(run))
+    if run.scenario.payload.dynamic:
+        page.add("inside", "What moves inside", "How near it comes to its edge.", charts.inside_charts(run))
     if run.campaign is not None:
         found, specs, extra = perturbed_runs.section(run, run.campaign)
         page.add("campaign", "Perturbed runs", found, specs, extra)

@@ -178,7 +178,7 @@ class ArmChain(Outlined):
 
     def summary(self) -> dict[str, Any]:
         """Figures for a report: largest tube radii along the motion, least contact slack with and without tracking; no
-        slack with a liquid, of whose waves the chain does not know."""
+        slack with inner dynamics, of which the chain does not know."""
         tray, torque = self.radius(self.tray), self.radius(self.torque)
         limits = self.model.arm.limits.torque
         found = {
@@ -188,7 +188,7 @@ class ArmChain(Outlined):
             "torque_radius": torque.max(axis=0).tolist(),
             "torque_share": float(((np.abs(self.nominal.torque + self.held.torque) + torque) / limits).max()),
         }
-        if self.model.scenario.payload.liquids:
+        if self.model.scenario.payload.dynamic:
             return found
         least, planned = self.least_slack(), self.least_slack(tracking=False)
         k = int(np.argmin(least))

@@ -16,11 +16,11 @@ import numpy as np
 from salver.control.arm import POSTURE_GAINS
 from salver.control.object import Gains
 from salver.geometry import Array, hat
+from salver.linear_filter import LinearFilter, settled
 from salver.models.bodies import Body
 from salver.models.tray_motion import PRODUCTS, frame_map
 from salver.sensitivity.arm.terms import MotionTerms
 from salver.sensitivity.arm.tracking import JointDeviation, Law, TrayDeviation
-from salver.sensitivity.filter import LinearFilter, settled
 
 _FIRST, _SECOND = ([pair[k] for pair in PRODUCTS] for k in (0, 1))
 

@@ -9,7 +9,7 @@ is commanded and missing, whatever the law for the commanded acceleration. A law
 
     e'' + kd e' + kp e = m(t),            e = q* - q,
 
-the same linear filter as the paper's object has (`salver.sensitivity.filter`). The wrong load also feels the deviation
+the same linear filter as the paper's object has (`salver.linear_filter`). The wrong load also feels the deviation
 that it makes: of second order, answered by the same filter, with the products of two parameters.
 
 A command is held for a period, so it acts late: M^-1 dtau/dt times the delay is missing too, the same in every run.
@@ -27,13 +27,13 @@ from typing import Protocol
 import numpy as np
 
 from salver.geometry import Array, Indices, hat
+from salver.linear_filter import LinearFilter, at_instant, settled
 from salver.models.payload import Payload
 from salver.models.tray_motion import N_MOTION
 from salver.models.uncertain.worst_case import Drift
 from salver.scenario import Scenario
 from salver.sensitivity.arm.load import LoadChange, load_change
 from salver.sensitivity.arm.terms import MotionTerms
-from salver.sensitivity.filter import LinearFilter, at_instant, settled
 
 
 @dataclass(frozen=True)

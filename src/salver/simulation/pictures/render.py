@@ -13,18 +13,18 @@ import numpy as np
 
 from salver.geometry import Array, matrix_from_quat_wxyz
 from salver.models.arm.arm import ArmModel, load_arm
+from salver.models.load_dynamics import Colour, Drawn
 from salver.scenario import Scenario
 from salver.simulation.pictures.drawing import draw_obstacles
-from salver.simulation.record import SimulationRecord
+from salver.simulation.record import SimulationRecord, drawn_inside
 from salver.simulation.scene.engine import mujoco
-from salver.simulation.scene.liquid_surface import Colour, DrawnSurface, of_run
 from salver.simulation.scene.loads import true_world
 from salver.simulation.scene.scene import Scene, build
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-BRIM_RADIUS = 0.0012  # m, of the ring in pictures
+EDGE_RADIUS = 0.0012  # m, of the ring in pictures
 _BACKENDS = ("egl", "osmesa", "glfw")  # the first two need no display
 
 
@@ -106,7 +106,7 @@ def painter(
     scene.model.vis.global_.offwidth, scene.model.vis.global_.offheight = width, height
     data = mujoco.MjData(scene.model)
     camera = _camera(view or View(), record, arm)
-    liquids = of_run(scene.loads, record.surface, record.summary)
+    inside = drawn_inside(scene.loads, record.surface, record.summary)
     drawn, option = mujoco.MjvScene(scene.model, maxgeom=20000), mujoco.MjvOption()
     size = mujoco.MjrRect(0, 0, width, height)
     context = _context(width, height)
@@ -118,9 +118,9 @@ def painter(
             _pose(scene, data, record, k)
             mujoco.mjv_updateScene(scene.model, data, option, None, camera, mujoco.mjtCatBit.mjCAT_ALL.value, drawn)
             _add_trail(drawn, path)
-            for j, liquid in enumerate(liquids):
-                if liquid is not None:
-                    _add_liquid(drawn, liquid, record, j, k)
+            for j, each in enumerate(inside):
+                if each is not None:
+                    _add_inside(drawn, each, record, j, k)
             mujoco.mjr_render(size, drawn, resources)
             image = np.empty((height, width, 3), dtype=np.uint8)
             mujoco.mjr_readPixels(image, None, size, resources)
@@ -210,18 +210,18 @@ def _add(scene: Any, kind: Any, size: Array, at: Array, axes: Array, rgba: Seque
         scene.ngeom += 1
 
 
-def _add_liquid(scene: Any, liquid: DrawnSurface, record: SimulationRecord, j: int, k: int) -> None:
-    """The liquid in object j at sample k, and its brim."""
+def _add_inside(scene: Any, inside: Drawn, record: SimulationRecord, j: int, k: int) -> None:
+    """What moves inside object j at sample k, and its edge."""
     p, R = record.p_SB[k, j], matrix_from_quat_wxyz(record.quat_SB_wxyz[k, j])
-    for a, b, c in p + liquid.triangles_B(k) @ R.T:
+    for a, b, c in p + inside.triangles_B(k) @ R.T:
         across = np.cross(b - a, c - a)
         axes = np.column_stack([b - a, c - a, across / np.linalg.norm(across)])
-        _add(scene, mujoco.mjtGeom.mjGEOM_TRIANGLE, np.ones(3), a, axes, (*liquid.colour, 1))
-    brim = p + liquid.brim_B @ R.T
-    colour = (*liquid.brim_colour(record.t[k]), 1)
-    for a, b in zip(brim, np.roll(brim, -1, axis=0), strict=True):
+        _add(scene, mujoco.mjtGeom.mjGEOM_TRIANGLE, np.ones(3), a, axes, (*inside.colour, 1))
+    edge = p + inside.edge_B @ R.T
+    colour = (*inside.edge_colour(record.t[k]), 1)
+    for a, b in zip(edge, np.roll(edge, -1, axis=0), strict=True):
         _add(scene, mujoco.mjtGeom.mjGEOM_CAPSULE, np.ones(3), a, np.eye(3), colour)
-        mujoco.mjv_connector(scene.geoms[scene.ngeom - 1], mujoco.mjtGeom.mjGEOM_CAPSULE, BRIM_RADIUS, a, b)
+        mujoco.mjv_connector(scene.geoms[scene.ngeom - 1], mujoco.mjtGeom.mjGEOM_CAPSULE, EDGE_RADIUS, a, b)
 
 
 def _drawings(
@@ -240,7 +240,7 @@ def _drawings(
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection  # type: ignore[import-untyped]
 
     loads = true_world(scenario, record.parameters).loads
-    liquids = of_run(loads, record.surface, record.summary)
+    inside = drawn_inside(loads, record.surface, record.summary)
     target, distance = _framing(view, record, arm)
     x, y = 0.5 * np.array(scenario.tray.size)
     tray = np.array([[x, y, 0], [-x, y, 0], [-x, -y, 0], [x, -y, 0], [x, y, 0]])
@@ -269,13 +269,13 @@ def _drawings(
                 _polygon(axes, np.vstack([ring, ring[:1]]), f"C{1 + j}")
             for a, b in zip(bottom, top, strict=True):
                 _polygon(axes, np.stack([a, b]), f"C{1 + j}")
-            liquid = liquids[j]
-            if liquid is not None:
-                brim = record.p_SB[k, j] + np.vstack([liquid.brim_B, liquid.brim_B[:1]]) @ R.T
+            each = inside[j]
+            if each is not None:
+                edge = record.p_SB[k, j] + np.vstack([each.edge_B, each.edge_B[:1]]) @ R.T
                 axes.add_collection3d(
-                    Poly3DCollection(record.p_SB[k, j] + liquid.triangles_B(k) @ R.T, facecolor=liquid.colour)
+                    Poly3DCollection(record.p_SB[k, j] + each.triangles_B(k) @ R.T, facecolor=each.colour)
                 )
-                _polygon(axes, brim, liquid.brim_colour(record.t[k]))
+                _polygon(axes, edge, each.edge_colour(record.t[k]))
         axes.text2D(0.02, 0.95, f"t = {record.t[k]:.2f} s", transform=axes.transAxes)
         canvas.draw()
         images.append(np.asarray(canvas.buffer_rgba())[..., :3].copy())

@@ -1,4 +1,4 @@
-"""MuJoCo elements: the arm, an object on its feet with its hull, a liquid's pendulums, an obstacle.
+"""MuJoCo elements: the arm, an object on its feet with its hull, what swings in it, an obstacle.
 
 Contact is set up so that it is known exactly. An object stands on small feet, spheres at the corners of its
 base (24 of them for a round one): each gives one contact, at a known point, against what it stands on, with
@@ -20,12 +20,11 @@ import pinocchio as pin
 from salver.geometry import Array, matrix_from_rpy, quat_wxyz_from_matrix
 from salver.models.arm.arm import ArmModel, moved_links
 from salver.models.bodies import TRAY
-from salver.models.liquid import Rod
+from salver.models.load_dynamics import Rod
 from salver.models.rigid_body import RigidBody
 from salver.models.shapes.obstacle_shapes import mesh_pieces
 from salver.scenario import Cylinder, Obstacle, Tray
 from salver.simulation.scene.engine import mujoco
-from salver.simulation.scene.liquid_surface import WALL_OPACITY
 from salver.simulation.scene.loads import Load
 
 FOOT_RADIUS = 5e-4  # m
@@ -43,6 +42,7 @@ FLOOR, OBSTACLE, FOOT, HULL = "salver:floor", "salver:obstacle:", "salver:foot:"
 INERT: dict[str, Any] = {"contype": 0, "conaffinity": 0, "mass": 0}
 TRAY_COLOUR, POST_COLOUR = (0.06, 0.30, 0.36, 1.0), (0.35, 0.37, 0.40, 1.0)  # dark against floor, sky and white links
 POST_RADIUS = 0.026  # m, as the replay draws it
+WALL_OPACITY = 0.25  # of an object in which something moves
 COLOURS = ((0.80, 0.36, 0.22), (0.20, 0.45, 0.70), (0.35, 0.60, 0.30), (0.75, 0.60, 0.20), (0.50, 0.35, 0.60))
 
 
@@ -223,10 +223,10 @@ def obstacle_name(k: int) -> str:
 
 
 def add_load(spec: Any, load: Load, k: int) -> None:
-    """Add an object at the world's origin, free to move: its feet, its hull, and its liquid."""
+    """Add an object at the world's origin, free to move: its feet, its hull, and what swings in it."""
     body = spec.worldbody.add_body(name=f"salver:object:{k}")
     body.add_freejoint(name=f"salver:object:{k}")
-    if load.fill is not None:
+    if load.value is not None:
         _add_swing(spec, body, load, k)
     still = load.still
     set_inertia(body, still.mass, still.com_B, still.inertia_com + lent(still) * np.eye(3))
@@ -239,7 +239,7 @@ def add_load(spec: Any, load: Load, k: int) -> None:
             group=4,
             **INERT,
         )
-    rgba = [*COLOURS[k % len(COLOURS)], 1 if load.fill is None else WALL_OPACITY]
+    rgba = [*COLOURS[k % len(COLOURS)], 1 if load.value is None else WALL_OPACITY]
     centre, height = -load.com_G, load.solid.height
     raised = centre + np.array([0, 0, HULL_GAP / 2])
     if load.shape.type == "box":  # type: ignore[attr-defined]
@@ -272,7 +272,7 @@ def add_load(spec: Any, load: Load, k: int) -> None:
 
 def lent(still: RigidBody) -> float:
     """kg m^2 to add about every axis so that the engine's compiler accepts a body: the part of a liquid in a box that
-    does not slosh (`Modes.still`) may violate the triangle inequality. Its axes stay as they are, and the compiled
+    does not swing (`Modes.still`) may violate the triangle inequality. Its axes stay as they are, and the compiled
     scene takes the addition back."""
     least, middle, largest = np.linalg.eigvalsh(still.inertia_com).tolist()
     lacks = largest - middle - least
@@ -280,11 +280,11 @@ def lent(still: RigidBody) -> float:
 
 
 def _add_swing(spec: Any, body: Any, load: Load, k: int) -> None:
-    """The moving masses of a liquid. Pendulums and not springs: what lifts or tilts the container stiffens them."""
+    """The moving masses inside. Pendulums and not springs: what lifts or tilts the container stiffens them."""
     modes, damping = load.modes, load.damping or 0.0
     inertia = modes.mass * modes.length**2
     for n, rods in enumerate(modes.pendulums):
-        hung, at = body, load.surface_B
+        hung, at = body, load.origin_B
         for rod in rods:
             hung = hung.add_body(name=rod_name(k, n, rod), pos=at + np.array([0.0, 0.0, rod.pivot]))
             for axis in rod.along:
@@ -299,8 +299,8 @@ def _add_swing(spec: Any, body: Any, load: Load, k: int) -> None:
             own = max(SMALL_POINT * inertia[n, rod.along[-1]], LEAST_INERTIA)
             set_inertia(hung, rod.mass, np.array([0.0, 0.0, rod.height - rod.pivot]), own * np.eye(3))
             at = np.array([0.0, 0.0, -rod.pivot])
-    site = f"salver:surface:{k}"
-    body.add_site(name=site, pos=load.surface_B, group=5)
+    site = f"salver:inside:{k}"
+    body.add_site(name=site, pos=load.origin_B, group=5)
     for name, kind in (("velocity", mujoco.mjtSensor.mjSENS_VELOCIMETER), ("turn", mujoco.mjtSensor.mjSENS_GYRO)):
         spec.add_sensor(name=f"{site}:{name}", type=kind, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=site)
 

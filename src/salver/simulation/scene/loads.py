@@ -11,10 +11,17 @@ import numpy as np
 from salver.errors import ScenarioError
 from salver.geometry import Array, exp
 from salver.models.bodies import TRAY, Body
-from salver.models.liquid import THICKEST, Modes
+from salver.models.load_dynamics import THICKEST, Drawn, LoadDynamics, Modes
 from salver.models.rigid_body import RigidBody, inertia_matrix
 from salver.models.shapes.shapes import Solid, cylinder
-from salver.models.uncertain.parameters import TILT, Parameter, UncertainSet, all_parameters, inertial_vector
+from salver.models.uncertain.parameters import (
+    INNER_QUANTITIES,
+    TILT,
+    Parameter,
+    UncertainSet,
+    all_parameters,
+    inertial_vector,
+)
 from salver.scenario import CarriedObject, Scenario
 
 LEAST_MOMENT = 1e-14  # kg m^2; MuJoCo takes less for zero
@@ -26,8 +33,8 @@ ROUND_POINTS = 24  # support points of a round base: the inscribed polygon is at
 class Load:
     """One loose object with its true parameters.
 
-    inertial: true inertial parameters in B, whose origin is the *nominal* centre of mass (docs/conventions.md); of a
-    container without its liquid. fill, damping: of its liquid, m and of critical; None without one.
+    inertial: true inertial parameters in B, whose origin is the *nominal* centre of mass (docs/conventions.md); without
+    what moves inside. value, damping: of that, m and of critical; None where nothing does.
     friction: Coulomb coefficient towards everything it stands on. p_EB, R_EB: pose at the start.
     supports: name of each support ("tray" or an object) -> (k, 3) points of its base that rest on it, in B.
     outline_B: (n, 3) all those points: what slips, lifts and tips is told by them.
@@ -44,15 +51,34 @@ class Load:
     R_EB: Array
     supports: Mapping[str, Array]
     nominal: Body
-    fill: float | None = None
+    value: float | None = None
     damping: float | None = None
 
     @cached_property
     def modes(self) -> Modes:
-        """Modes of its liquid."""
-        assert self.nominal.liquid is not None
-        assert self.fill is not None
-        return self.nominal.liquid.modes(self.fill)
+        """Modes of what moves inside."""
+        return self.inner.modes(self.inner_value)
+
+    @property
+    def inner(self) -> LoadDynamics:
+        """What moves inside."""
+        assert self.nominal.inner is not None
+        return self.nominal.inner
+
+    @property
+    def inner_value(self) -> float:
+        """Its value, m."""
+        assert self.value is not None
+        return self.value
+
+    @property
+    def edge(self) -> float:
+        """m, see `LoadDynamics.edge`; NaN where nothing moves inside."""
+        return np.nan if self.value is None else self.inner.edge(self.value)
+
+    def drawn(self, seen: Array, beyond: float | None) -> Drawn:
+        """What moves inside, see `LoadDynamics.drawn`."""
+        return self.inner.drawn(self.nominal, self.inner_value, seen, beyond)
 
     @cached_property
     def still(self) -> RigidBody:
@@ -61,10 +87,10 @@ class Load:
         What a long box of liquid leaves in a very light container has less than no moment about the long side:
         it is then given none.
         """
-        if self.fill is None:
+        if self.value is None:
             return self.inertial
         rest = self.modes.still
-        rest = RigidBody(rest.mass, rest.com_B + self.surface_B, rest.inertia_com)
+        rest = RigidBody(rest.mass, rest.com_B + self.origin_B, rest.inertia_com)
         still = RigidBody.from_phi(self.inertial.phi + rest.phi)
         principal, axes = np.linalg.eigh(still.inertia_com)
         if principal[0] >= ON_A_LINE * principal[2]:
@@ -72,10 +98,9 @@ class Load:
         return replace(still, inertia_com=(axes * np.maximum(principal, ON_A_LINE * principal[2])) @ axes.T)
 
     @property
-    def surface_B(self) -> Array:
-        """(3,) centre of its liquid's still surface, in B."""
-        assert self.fill is not None
-        return self.nominal.surface_B(self.fill)
+    def origin_B(self) -> Array:
+        """(3,) origin of what moves inside, in B."""
+        return self.nominal.inner_origin_B(self.inner_value)
 
     @property
     def outline_B(self) -> Array:
@@ -156,9 +181,20 @@ def _load(
     _check(item.name, body, friction)
     p_EB = nominal.place_at(true)
     supports = _supports(nominal, solid, p_EB, scenario, below)
-    fill, damping = _filled(nominal, true)
+    inner_value, damping = _inside(nominal, true)
     return Load(
-        item.name, solid, shape, nominal.com_G, body, friction, p_EB, nominal.R_EB, supports, nominal, fill, damping
+        item.name,
+        solid,
+        shape,
+        nominal.com_G,
+        body,
+        friction,
+        p_EB,
+        nominal.R_EB,
+        supports,
+        nominal,
+        inner_value,
+        damping,
     )
 
 
@@ -170,22 +206,23 @@ def _wide_enough(body: RigidBody) -> RigidBody:
     return replace(body, inertia_com=body.inertia_com + ON_A_LINE * principal[2] * np.eye(3))
 
 
-def _filled(body: Body, true: Mapping[Parameter, float]) -> tuple[float | None, float | None]:
-    """Fill and damping of what is in a body, or None. Raises ScenarioError for what cannot be."""
-    liquid = body.liquid
-    asked = {kind: true[key] for kind in ("fill", "damping") if (key := Parameter(body.name, kind)) in true}
-    if liquid is None:
-        for kind, value in asked.items():
-            raise ScenarioError(f"{kind} of {body.name} = {value:g}: it has no liquid in it ([objects.liquid]).")
+def _inside(body: Body, true: Mapping[Parameter, float]) -> tuple[float | None, float | None]:
+    """Value and damping of what moves in a body, or None. Raises ScenarioError for what cannot be."""
+    inner, own = body.inner, () if body.inner is None else (body.inner.quantity, "damping")
+    for kind in INNER_QUANTITIES:
+        if (key := Parameter(body.name, kind)) in true and kind not in own:
+            raise ScenarioError(f"{kind} of {body.name} = {true[key]:g}: nothing in it has one.")
+    if inner is None:
         return None, None
-    fill, damping = asked.get("fill", liquid.fill), asked.get("damping", liquid.nominal_damping)
-    if not 0 < fill <= liquid.brim:
-        raise ScenarioError(
-            f"fill of {body.name} = {fill:g} m; it must be above 0 and at most its brim, {liquid.brim:g} m."
-        )
+    value = true.get(Parameter(body.name, inner.quantity), inner.value)
+    damping = true.get(Parameter(body.name, "damping"), inner.nominal_damping)
+    try:
+        inner.check_value(body.name, value)
+    except ValueError as error:
+        raise ScenarioError(str(error)) from error
     if not 0 <= damping <= 2 * THICKEST:
         raise ScenarioError(f"damping of {body.name} = {damping:g} of critical; it must be from 0 to {2 * THICKEST:g}.")
-    return fill, damping
+    return value, damping
 
 
 def _check(name: str, body: RigidBody, friction: float) -> None:

@@ -62,7 +62,7 @@ class Scene:
     foot_object, foot_support, foot_number: (n_geom,) per geom: index of the object whose foot it is (-1: no
     foot), index of the object it rests on (-1: tray),
     number of the foot in `Load.outline_B`. obstacle: (n_geom,) whether it is one, or the floor.
-    swings: what moves of the liquids, in the order of the objects that hold one. shaking: of the tray, or None.
+    swings: what moves inside the objects, in the order of those in which something does. shaking: of the tray, or None.
     """
 
     model: Any
@@ -86,7 +86,7 @@ class Scene:
 
     @property
     def point_ids(self) -> list[int]:
-        """MuJoCo bodies that are points: what swings in the liquids."""
+        """MuJoCo bodies that are points: what swings inside the objects."""
         return [int(i) for swing in self.swings for i in swing.body_ids]
 
     @cached_property
@@ -103,7 +103,7 @@ class Scene:
         return self.world.loads
 
     def place(self, data: Any, q: Array | None = None, down: Array = DOWN) -> None:
-        """Put the arm at q (n,) at rest, and every object at its place on the tray, at rest with it; liquids level.
+        """Put the arm at q (n,) at rest, and every object at its place on the tray, at rest with it; what swings hangs.
 
         down (3,): where gravity points in the world of the model, of any length: without an arm that is the tray's.
         """
@@ -129,11 +129,11 @@ class Scene:
 
 @dataclass(frozen=True)
 class Swing:
-    """The moving masses of one liquid (`salver.models.liquid.Modes.pendulums`).
+    """The moving masses inside one object (`salver.models.load_dynamics.Modes.pendulums`).
 
     load: which object it is in. first: along which axis of the container, 0 or 1, the first hinge of each lets swing.
     qpos_ids: (n_modes, 2) of the angles that swing along x and y. body_ids: (n_points,) of the masses. sensor: first
-    of the six readings at the centre of the still surface: velocity, turning rate, in the container's axes.
+    of the six readings at the origin of its inner dynamics: velocity, turning rate, in the container's axes.
     """
 
     load: int
@@ -239,7 +239,7 @@ def _compiled(spec: Any, arm: ArmModel | None, world: TrueWorld, contact_time: f
         foot_support=foot[1],
         foot_number=foot[2],
         obstacle=np.array([model.geom(i).name.startswith((OBSTACLE, FLOOR)) for i in range(model.ngeom)]),
-        swings=tuple(_found_swing(model, k, load) for k, load in enumerate(world.loads) if load.fill is not None),
+        swings=tuple(_found_swing(model, k, load) for k, load in enumerate(world.loads) if load.value is not None),
     )
 
 
@@ -248,5 +248,5 @@ def _found_swing(model: Any, k: int, load: Load) -> Swing:
     names = [swing_name(k, n) for n in range(len(pendulums))]
     joints = [[model.joint(f"{name}:{axis}").qposadr[0] for axis in "xy"] for name in names]
     bodies = [model.body(rod_name(k, n, rod)).id for n, rods in enumerate(pendulums) for rod in rods]
-    sensor = int(model.sensor(f"salver:surface:{k}:velocity").adr[0])
+    sensor = int(model.sensor(f"salver:inside:{k}:velocity").adr[0])
     return Swing(k, pendulums[0][0].along[0], np.array(joints), np.array(bodies), sensor)

@@ -15,10 +15,10 @@ from typing import Any
 
 import numpy as np
 
+from salver.dynamics.load_response import LoadResponse
+from salver.dynamics.load_rows import LoadRows, most_added
+from salver.dynamics.motion_gradients import Unknowns
 from salver.geometry import Array, Indices, hat
-from salver.liquid.slosh_rows import Sloshed, most_added
-from salver.liquid.sloshing import Slosh
-from salver.liquid.wave_gradients import Unknowns
 from salver.models.arm.arm_limits import LIMITS, JointLimits, LimitKind
 from salver.models.contact_rows import ContactRows
 from salver.models.tray_motion import FULL_SPEED, Speed
@@ -56,14 +56,14 @@ class Block:
     by log T at fixed z, for rows in which the duration itself occurs.
     history: of rows that depend on what the tray felt at other nodes too: derivatives (r, c) by c unknowns of the
     motion, beside the gradient.
-    curvature: of rows whose values are convex in what is linear in the unknowns, as the size of a wave is: factors
+    curvature: of rows whose values are convex in what is linear in the unknowns, as the size of a swing is: factors
     (r, k, c), whose squares summed over k are the second derivative.
     remembers: rows further than this from their edge are taken to have none: it is what costs most.
     slows: by how much longer a motion, relatively, is put right for each unit of excess.
     reach: rows further than this from their edge are never considered, because their derivatives are expensive.
     most: rows of one node that are considered; None for all. always: rows are considered however far away.
     kinked: whether derivatives jump, as those of distances do where the nearest edge becomes another one, or turn
-    quickly, as those of the height of a wave that may come from any side.
+    quickly, as those of the size of a swing that may come from any side.
     factor: the speed factor at which the rows are taken: what the unknowns make of the tray's motion regressor is that
     there.
     inherits: whether the first node's rows are of the state that the motion begins in, and so cannot be changed.
@@ -185,7 +185,7 @@ def both_sides(scaled: Array, extra: Array | float = -1.0) -> Array:
 class JointLimit(Constraint):
     """Position, velocity, acceleration, jerk: two rows for each joint with a finite limit.
 
-    To position and velocity a parameter error, the zero-order hold and liquids add what the arm strays; acceleration
+    To position and velocity a parameter error, the zero-order hold and loads add what the arm strays; acceleration
     and jerk are those of the reference, as makers state their limits. orders: of the derivatives that are checked.
     """
 
@@ -230,7 +230,7 @@ class JointLimit(Constraint):
 
 @dataclass(frozen=True, eq=False)
 class TorqueLimit(Constraint):
-    """Torque, to which a parameter error and what liquids push add their worst case."""
+    """Torque, to which a parameter error and what loads push add their worst case."""
 
     limits: JointLimits
 
@@ -300,16 +300,16 @@ class ContactConstraint(Constraint):
         speed = self.speed
         tracking = None if self.exactly or not speed.factor else motion.tracking
         w, drift = motion.felt(speed.factor, speed.rate, self.exactly)
-        sloshing = motion.at_factor(speed.factor).sloshing if speed.factor else {}
+        loads = motion.at_factor(speed.factor).loads if speed.factor else {}
         if motion.coarsely:
-            worst, history = self._near(sloshing, w, drift), None
+            worst, history = self._near(loads, w, drift), None
             values = worst.values
         else:
             worst = WorstCase.of(self.rows, w, drift, self.coarsely, self.margin)
             values, history = worst.values, None
-            if sloshing:
-                sloshed = Sloshed.of(self.rows, sloshing)
-                values, history = values + sloshed.values, sloshed.history
+            if loads:
+                added = LoadRows.of(self.rows, loads)
+                values, history = values + added.values, added.history
 
         def gradient(i: Indices, f: Indices) -> Array:
             slope, side = worst.attained_swinging(i, f)
@@ -321,7 +321,7 @@ class ContactConstraint(Constraint):
                 rows[:, 3 * n :] = ((side - 1) * tracking.delay * speed.factor)[:, None] * rows[:, 2 * n : 3 * n]
             return rows
 
-        most = 4 if len(sloshing) < 2 else 1  # of facets: a fine cone has hundreds, nearly parallel
+        most = 4 if len(loads) < 2 else 1  # of facets: a fine cone has hundreds, nearly parallel
         carried = " and ".join(body.name for body in self.rows.network.bodies)
         margins = (self.margin + 1e-3, max(self.margin, FINEST))
         name = f"contact of {carried}{speed.words}{' when the arm follows exactly' * self.exactly}"
@@ -339,15 +339,15 @@ class ContactConstraint(Constraint):
             in_words=_of_the_weight,
         )
 
-    def _near(self, sloshing: dict[str, tuple[Slosh, ...]], w: Array, drift: Drift | None) -> WorstCase:
-        """Rows with what liquids add to them, exact where they come near their edge; the largest of all always, unless
+    def _near(self, loads: dict[str, tuple[LoadResponse, ...]], w: Array, drift: Drift | None) -> WorstCase:
+        """Rows with what loads add to them, exact where they come near their edge; the largest of all always, unless
         a bound is enough."""
         rows = self.rows
 
         def added(at: Some, some: Some, coarsely: bool) -> Array:
-            return most_added(rows, sloshing, at, some, coarsely)
+            return most_added(rows, loads, at, some, coarsely)
 
-        values = values_near(rows, w, drift, added if sloshing else None, self.margin)
+        values = values_near(rows, w, drift, added if loads else None, self.margin)
         if values.max() <= SURE - self.margin and not self.coarsely:
             values = WorstCase.of(rows, w, drift).values + added(ALL, ALL, False)
         return WorstCase(rows, w, drift, values)

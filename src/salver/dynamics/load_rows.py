@@ -1,5 +1,5 @@
-"""What the slosh of liquids adds to contact rows, and to whatever else of an arm that carries them: each liquid at its
-worst case (`salver.liquid.sloshing`)."""
+"""What moves inside loads adds to contact rows, and to whatever else of an arm that carries them: each load at its
+worst case (`salver.dynamics.load_response`)."""
 
 from __future__ import annotations
 
@@ -9,51 +9,50 @@ from functools import reduce
 
 import numpy as np
 
+from salver.dynamics.load_response import ArmReaction, LoadResponse
+from salver.dynamics.motion_gradients import Unknowns, wrench_by
 from salver.geometry import Array, Indices
-from salver.liquid.sloshing import Slosh
-from salver.liquid.wave_gradients import Unknowns, wrench_by
 from salver.models.contact_rows import ContactRows
 from salver.models.uncertain.worst_case import ALL, Some
-from salver.sensitivity.arm.tracking import Reaction
 
 
 @dataclass(frozen=True, eq=False)
-class Sloshed:
-    """What liquids add to contact rows (T, n): each at its worst case. liquids: of each that is held by one of the
+class LoadRows:
+    """What loads add to contact rows (T, n): each at its worst case. loads: of each that is held by one of the
     rows' bodies which one, its parts, and what these add, (K, T, n) in their cases."""
 
     rows: ContactRows
-    liquids: list[tuple[int, tuple[Slosh, ...], list[Array]]]
+    loads: list[tuple[int, tuple[LoadResponse, ...], list[Array]]]
     values: Array
 
     @classmethod
-    def of(cls, rows: ContactRows, sloshing: Mapping[str, tuple[Slosh, ...]]) -> Sloshed:
-        """sloshing: the cases of each liquid, in parts, by the name of its body."""
-        total, liquids = np.zeros((1, 1)), []
-        for j, sloshes, added in _each_added(rows, sloshing):
+    def of(cls, rows: ContactRows, responses: Mapping[str, tuple[LoadResponse, ...]]) -> LoadRows:
+        """responses: the cases of each load, in parts, by the name of its body."""
+        total, loads = np.zeros((1, 1)), []
+        for j, parts, added in _each_added(rows, responses):
             total = total + _most(added)
             if j is not None:
-                liquids.append((j, sloshes, added))
-        return cls(rows, liquids, total)
+                loads.append((j, parts, added))
+        return cls(rows, loads, total)
 
     def history(self, node: Indices, row: Indices, unknowns: Unknowns) -> Array:
-        """(m, c) derivatives of what liquids add to rows at nodes (m,), by unknowns of the motion.
+        """(m, c) derivatives of what loads add to rows at nodes (m,), by unknowns of the motion.
 
         How the arm gives way is taken as given.
         """
         found = np.zeros((len(node), unknowns.felt.shape[2]))
-        for j, sloshes, added in self.liquids:
+        for j, parts, added in self.loads:
             worst = np.concatenate([part[:, node, row] for part in added]).argmax(axis=0)
-            for k, case, mine in of_parts([len(part.wrench) for part in sloshes], worst):
+            for k, case, mine in of_parts([len(part.wrench) for part in parts], worst):
                 by = self.rows.wrench[j][row[mine]]
-                found[mine] += wrench_by(sloshes[k].planned, unknowns, case, node[mine], by)
+                found[mine] += wrench_by(parts[k].planned, unknowns, case, node[mine], by)
         return found
 
 
-def given_way(sloshing: Mapping[str, tuple[Slosh, ...]], what: Callable[[Reaction], Array]) -> Array:
-    """(T, m) most by which the slosh of all liquids changes something of the arm that carries them, `what` (T, m, K) of
-    each reaction: each liquid at its worst case."""
-    each = [[what(x.reaction) for x in parts if x.reaction is not None] for parts in sloshing.values()]
+def given_way(responses: Mapping[str, tuple[LoadResponse, ...]], what: Callable[[ArmReaction], Array]) -> Array:
+    """(T, m) most by which what moves in all loads changes something of the arm that carries them, `what` (T, m, K) of
+    each reaction: each load at its worst case."""
+    each = [[what(x.reaction) for x in parts if x.reaction is not None] for parts in responses.values()]
     most = [reduce(np.maximum, [np.abs(x).max(axis=-1) for x in parts]) for parts in each if parts]
     return sum(most, np.zeros((1, 1)))
 
@@ -70,10 +69,10 @@ def of_parts(counts: Sequence[int], which: Indices) -> Iterator[tuple[int, Indic
 
 
 def most_added(
-    rows: ContactRows, sloshing: Mapping[str, tuple[Slosh, ...]], at: Some, some: Some, coarsely: bool
+    rows: ContactRows, responses: Mapping[str, tuple[LoadResponse, ...]], at: Some, some: Some, coarsely: bool
 ) -> Array:
-    """What liquids add to some rows at some instants, (T, n), each at its worst case. coarsely: no less than that."""
-    return sum((_most(added) for _, _, added in _each_added(rows, sloshing, at, some, coarsely)), np.zeros((1, 1)))
+    """What loads add to some rows at some instants, (T, n), each at its worst case. coarsely: no less than that."""
+    return sum((_most(added) for _, _, added in _each_added(rows, responses, at, some, coarsely)), np.zeros((1, 1)))
 
 
 def _most(added: list[Array]) -> Array:
@@ -83,21 +82,21 @@ def _most(added: list[Array]) -> Array:
 
 def _each_added(
     rows: ContactRows,
-    sloshing: Mapping[str, tuple[Slosh, ...]],
+    responses: Mapping[str, tuple[LoadResponse, ...]],
     at: Some = ALL,
     some: Some = ALL,
     coarsely: bool = False,
-) -> Iterator[tuple[int | None, tuple[Slosh, ...], list[Array]]]:
-    """Of each liquid the body of the network that it is in, None for one that stands elsewhere, its parts, and what
+) -> Iterator[tuple[int | None, tuple[LoadResponse, ...], list[Array]]]:
+    """Of each load the body of the network that it is in, None for one that stands elsewhere, its parts, and what
     each adds to some rows at some instants, (K, T, n) in its cases, or 0 (1, 1, 1)."""
     index = {body.name: j for j, body in enumerate(rows.network.bodies)}
-    for name, sloshes in sloshing.items():
+    for name, parts in responses.items():
         j = index.get(name)
         held = None if j is None else rows.wrench[j][some].T
-        yield j, sloshes, [_added(part, rows.nominal[some].T, held, at, coarsely) for part in sloshes]
+        yield j, parts, [_added(part, rows.nominal[some].T, held, at, coarsely) for part in parts]
 
 
-def _added(part: Slosh, nominal: Array, held: Array | None, at: Some, coarsely: bool) -> Array:
+def _added(part: LoadResponse, nominal: Array, held: Array | None, at: Some, coarsely: bool) -> Array:
     """Of a part to rows nominal (12, n), and held (6, n) of the wrench that its container must give."""
     added = np.zeros((1, 1, 1))
     if part.reaction is not None:  # of whatever stands on the tray: the arm gives way under all

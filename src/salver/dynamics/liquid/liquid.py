@@ -3,48 +3,42 @@
 Linear potential flow in an upright container (Ibrahim, Liquid Sloshing Dynamics, 2005; Dodge, The New Dynamic Behavior
 of Liquids in Moving Containers, 2000). The first two modes of each lateral axis move, the others follow as if at rest:
 all that is left of the liquid moves as if a lid lay on it. With O the centre of the still surface, z up the container's
-axis, f the specific force at O and f_S that at a mode's own height (0, 0, z_n), the place r_n (2,) of its mass obeys
-
-    r_n'' + 2 zeta omega_n r_n' + (omega_n^2 / g) f_z r_n = -f_S,
-
-and the surface stands at the wall, along either axis, by
+axis, f the specific force at O and f_S that at a mode's own height (0, 0, z_n), the place r_n (2,) of its mass
+obeys the equation of `salver.models.load_dynamics`, and the surface stands at the wall, along either axis, by
 
     eta = sum gamma_n r_n - (R - sum b_n) f / f_z,        gamma_n = b_n omega_n^2 / g
 
 above its height at rest, R the radius or half the side, b_n what mode n has of a surface that is inclined.
 
-Beyond linear theory: a free wave of amplitude a crests at a + kappa a^2 / R (`Modes.peaking`), and a container that
-tilts at a rate Omega throws the liquid up by some Omega^2 R^2 / g. Both are added to what must stay below the brim.
-Valid for free waves up to 0.3 R on liquids at least half as deep as the container is wide (R), not for swirling ones.
-"""
+Beyond linear theory: a free wave of amplitude a crests at a + kappa a^2 / R (`SurfaceModes.peaking`), and a container
+that tilts at a rate Omega throws the liquid up by some Omega^2 R^2 / g. Both are added to what must stay below the
+brim. Valid for free waves up to 0.3 R on liquids at least half as deep as the container is wide (R), not for swirling
+ones."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import cached_property, lru_cache
+from functools import lru_cache
+from typing import Any, ClassVar
 
 import numpy as np
 
 from salver.geometry import Array
+from salver.models.load_dynamics import GRAVITY, Drawn, LoadDynamics, Modes
 from salver.models.rigid_body import RigidBody
 from salver.models.shapes import shapes
 from salver.models.shapes.shapes import Solid
 
-GRAVITY = 9.81  # m/s^2
 MODES = 2  # that move, of each lateral axis
-APART = 0.12  # of frequency, between the fills that stand for all of a range
 TERMS = 24  # of series that fall off with the fourth power or faster
 SHALLOWEST = 0.5  # depth over R: below, waves break and steepen as these modes do not
 STEEPEST = 0.3  # amplitude of a free wave over R, to which the crests were compared (docs/liquids.md)
 # Height of the whole surface at the wall over R, its incline included. Beyond, masses swing further than is linear:
 # with 0.5 a random load spills in the physics engine (docs/liquids.md, `--only leaning`).
 LEANING = 0.45
-LEAST_WEIGHT = 0.2  # of g that must press on the surface: with less there is none
-THICKEST = 0.1  # of critical damping: boundary layers are then no longer thin
 UNKNOWN_DAMPING = (0.5, 2.0)  # times the damping that the viscosity would have in a clean container
 MOST_OF_WATER = 0.03  # of critical: a dirty surface and the contact line at the wall brake small waves of water too
 LEFT_OVER = 1.8  # times peak^3 / R^2: what nonlinear flow left over after the stop, beyond linear waves
-SQUARE = 1e-6  # share of a mode by which those along both sides differ: less is none
 TILTING = 1.3  # times Omega^2 R^2 / g: what nonlinear potential flow showed of a container that is tilted quickly
 _ROOTS = np.array([1.8411837813, 5.3314427735, 8.5363163663, 11.7060049026])  # of J1'
 # A free wave in a cylinder that is 0.3 R high, by nonlinear potential flow: depth over R, kappa.
@@ -64,28 +58,16 @@ FLUIDS = {"water": Fluid(998.0, 1.0e-6), "coffee": Fluid(975.0, 4.0e-7), "oil": 
 
 
 @dataclass(frozen=True, eq=False)
-class Modes:
+class SurfaceModes(Modes):
     """The modes of one container at one fill. Arrays (n_modes, 2): mode, axis x or y; (2,): axis.
 
-    omega rad/s. mass kg. height m, z_n of each mode from the surface. rise m, b_n. half (2,) R of each axis, m.
-    peaking (2,) kappa. frozen: all of the liquid as if a lid lay on it, about O. round: whether the wall is a circle;
-    else the highest point is a corner. following: rad/s, the lowest mode of those that follow as if at rest.
+    rise m, b_n. half (2,) R of each axis, m. peaking (2,) kappa. round: whether the wall is a circle; else the highest
+    point is a corner.
     """
 
-    omega: Array
-    mass: Array
-    height: Array
     rise: Array
     half: Array
     peaking: Array
-    frozen: RigidBody
-    round: bool
-    following: float
-
-    @property
-    def length(self) -> Array:
-        """(n_modes, 2) of pendulums with these frequencies, m."""
-        return np.asarray(GRAVITY / self.omega**2)
 
     @property
     def gain(self) -> Array:
@@ -112,56 +94,9 @@ class Modes:
         steep = (self.peaking / self.half * free**2).sum(axis=-1)
         return self.highest(eta) + steep + TILTING / GRAVITY * float(self.half.max()) ** 2 * turning
 
-    @cached_property
-    def pendulums(self) -> tuple[tuple[Rod, ...], ...]:
-        """Each mode as rods, the first hung in the container, each other in the one before it.
-
-        Along either axis a mode is what has m_n L_n and m_n L_n^2 about a hinge at z_n + L_n, L_n its length. In a
-        round or square container that is its mass on a spherical pendulum. A box has other masses, heights and lengths
-        along the one side than along the other: there a rod that swings along the longer one carries the hinge of the
-        mass that swings along the shorter one, and what it lacks itself.
-        """
-        first = 0 if self.half[0] > self.half[1] else 1
-        return tuple(_pendulum(first, *mode) for mode in zip(self.mass, self.height, self.length, strict=True))
-
-    @property
-    def still(self) -> RigidBody:
-        """The liquid without its moving masses, about O: what is left when they hang as pendulums. Not always what a
-        solid could be: of a long box of liquid under a lid little turns, and its masses hang far apart."""
-        mass, height = np.array([(rod.mass, rod.height) for rods in self.pendulums for rod in rods]).T
-        left = self.frozen.mass - float(mass.sum())
-        z = (self.frozen.mass * self.frozen.com_B[2] - float(mass @ height)) / left
-        about_O = np.diag(self.frozen.inertia_com)[:2] + self.frozen.mass * self.frozen.com_B[2] ** 2
-        lateral = about_O - mass @ height**2 - left * z**2
-        return RigidBody(left, np.array([0.0, 0.0, z]), np.diag([*lateral, self.frozen.inertia_com[2, 2]]))
-
 
 @dataclass(frozen=True)
-class Rod:
-    """A point mass, kg, on a light rod that swings on hinges at its pivot: along the container's axes `along` (0, 1),
-    in that order. height, pivot: m over the still surface, at rest."""
-
-    mass: float
-    height: float
-    pivot: float
-    along: tuple[int, ...]
-
-
-def _pendulum(first: int, mass: Array, height: Array, length: Array) -> tuple[Rod, ...]:
-    """A mode of which these are by axis; first: the axis along which more of it moves."""
-    second, pivot = 1 - first, height + length
-    lever = pivot[first] - height[second]
-    # What the first rod still lacks about its hinge, when the other mass hangs on it.
-    moment = mass[first] * length[first] - mass[second] * lever
-    inertia = mass[first] * length[first] ** 2 - mass[second] * lever**2
-    if inertia < SQUARE * mass[first] * length[first] ** 2:
-        return (Rod(float(mass[second]), float(height[second]), float(pivot[second]), (first, second)),)
-    carries = Rod(float(moment**2 / inertia), float(pivot[first] - inertia / moment), float(pivot[first]), (first,))
-    return carries, Rod(float(mass[second]), float(height[second]), float(pivot[second]), (second,))
-
-
-@dataclass(frozen=True)
-class Liquid:
+class Liquid(LoadDynamics):
     """A liquid in a container, and its limits.
 
     size: (radius,) of an upright cylinder, or (x, y) of an upright box, inside, m. floor: height of its bottom over the
@@ -182,6 +117,25 @@ class Liquid:
     settled: float = np.inf
     within: float = 0.0
     name: str = field(default="liquid", compare=False)
+    quantity: ClassVar[str] = "fill"
+    noun: ClassVar[str] = "liquid"
+    measure: ClassVar[str] = "wave"
+    outcome: ClassVar[str] = "spills"
+    chart: ClassVar[tuple[str, str, str]] = ("Highest point of", "over its level at rest, mm", "brim, fullest")
+
+    @property
+    def value(self) -> float:
+        return self.fill
+
+    @property
+    def response(self) -> type[Any]:
+        from salver.dynamics.liquid.sloshing import SloshingResponse
+
+        return SloshingResponse
+
+    def origin(self, base: float, value: float) -> float:
+        """Height of the centre of the still surface, m."""
+        return base + self.floor + value
 
     @property
     def round(self) -> bool:
@@ -192,37 +146,50 @@ class Liquid:
         """(2,) radius, or half of each side, m."""
         return np.repeat(self.size, 2) if self.round else 0.5 * np.array(self.size)
 
-    @property
-    def nominal_damping(self) -> float:
-        return 0.5 * sum(self.damping)
-
     def unmodelled(self, owner: str) -> str:
         """Parts of the liquid's motion that are not modelled, in words; owner: name of the container."""
         return f"swirling or breaking waves in {owner}"
 
-    def room(self, fill: float) -> float:
+    def room(self, value: float) -> float:
         """m to which waves may rise at a fill."""
-        return np.inf if self.sealed else min(self.brim - fill - self.margin, self.highest)
+        return np.inf if self.sealed else min(self.brim - value - self.margin, self.highest)
 
-    def modes(self, fill: float) -> Modes:
+    @property
+    def open(self) -> bool:
+        return not self.sealed
+
+    def edge(self, value: float) -> float:
+        """m from the surface at rest to the brim; infinite under a lid."""
+        return np.inf if self.sealed else self.brim - value
+
+    def away(self, value: float, seen: Array, slope: Array) -> Array:
+        return self.modes(value).highest(seen + self.half * slope)
+
+    def seen(self, value: float, incline: Array, slope: Array, turning: Array) -> Array:
+        """(T, 3) heights at the wall along x and y, and of the highest point, over the level at rest."""
+        modes = self.modes(value)
+        eta = np.einsum("na,tna->ta", modes.rise, incline) - modes.rest_rise * slope
+        return np.column_stack([eta, modes.crest(eta, slope, turning)])
+
+    def drawn(self, body: Any, value: float, seen: Array, beyond: float | None) -> Drawn:
+        from salver.dynamics.liquid.drawn_surface import DrawnSurface
+
+        return DrawnSurface.of_heights(body, value, seen, beyond)
+
+    def check_value(self, owner: str, value: float) -> None:
+        if not 0 < value <= self.brim:
+            raise ValueError(
+                f"fill of {owner} = {value:g} m; it must be above 0 and at most its brim, {self.brim:g} m."
+            )
+
+    def shell(self, solid: Solid) -> tuple[Array, Array]:
+        return hollow(solid, self)
+
+    def modes(self, value: float) -> SurfaceModes:
         """Raises ValueError for a fill of nothing."""
-        if fill <= 0:
-            raise ValueError(f"fill = {fill:g} m; it must be above 0")
-        return _modes(self.size, fill, self.density)
-
-    def cases(self, least: float, most: float, apart: float = APART) -> list[tuple[float, float]]:
-        """(fill, damping) that stand for all between `least` and `most` m: equally spaced in frequency, at most `apart`
-        of it, so that the phase of a wave is never far from a known one, and both ends of the damping."""
-        low, high = (self.modes(fill).omega[0].min() for fill in (least, most))
-        count = 1 if most - least < 1e-9 else 2 + int((high / low - 1) / apart)
-        fills = _at_frequencies(self, least, most, np.linspace(low, high, count)) if count > 1 else [least]
-        return [(fill, damping) for fill in fills for damping in dict.fromkeys(self.damping)]
-
-
-def _at_frequencies(liquid: Liquid, least: float, most: float, wanted: Array) -> list[float]:
-    fills = np.linspace(least, most, 201)
-    omega = np.array([liquid.modes(float(fill)).omega[0].min() for fill in fills])
-    return [float(np.interp(w, omega, fills)) for w in wanted[:-1]] + [most]
+        if value <= 0:
+            raise ValueError(f"fill = {value:g} m; it must be above 0")
+        return _modes(self.size, value, self.density)
 
 
 def damping_of(size: tuple[float, ...], fill: float, viscosity: float) -> float:
@@ -249,11 +216,11 @@ def hollow(solid: Solid, liquid: Liquid) -> tuple[Array, Array]:
 
 
 @lru_cache(maxsize=1024)
-def _modes(size: tuple[float, ...], fill: float, density: float) -> Modes:
+def _modes(size: tuple[float, ...], fill: float, density: float) -> SurfaceModes:
     return _cylinder(size[0], fill, density) if len(size) == 1 else _box(size[0], size[1], fill, density)
 
 
-def _cylinder(R: float, h: float, density: float) -> Modes:
+def _cylinder(R: float, h: float, density: float) -> SurfaceModes:
     xi, total, after = _ROOTS[:MODES], density * np.pi * R**2 * h, _ROOTS[MODES]
     tanh = np.tanh(xi * h / R)
     mass = total * 2 * R * tanh / (xi * h * (xi**2 - 1))
@@ -262,7 +229,7 @@ def _cylinder(R: float, h: float, density: float) -> Modes:
     turning = R**2 / 4 + h**2 / 12 - R**2
     turning += (16 * R**3 / h) * float(np.sum(np.tanh(every * h / (2 * R)) / (every**3 * (every**2 - 1))))
     kappa = float(np.interp(h / R, _CYLINDER_DEPTH, _CYLINDER_PEAKING))
-    return Modes(
+    return SurfaceModes(
         omega=_twice(np.sqrt(GRAVITY * xi * tanh / R)),
         mass=_twice(mass),
         height=_twice(height),
@@ -275,7 +242,7 @@ def _cylinder(R: float, h: float, density: float) -> Modes:
     )
 
 
-def _box(x: float, y: float, h: float, density: float) -> Modes:
+def _box(x: float, y: float, h: float, density: float) -> SurfaceModes:
     sides, total = np.array([x, y]), density * x * y * h
     k = (2 * np.arange(1, MODES + 1)[:, None] - 1) * np.pi / sides
     tanh = np.tanh(k * h)
@@ -286,7 +253,7 @@ def _box(x: float, y: float, h: float, density: float) -> Modes:
     turning = (sides**2 + h**2) / 12 - sides**2 / 3 + 64 / np.pi**5 * sides**3 / h * series
     after = (2 * MODES + 1) * np.pi / sides.max()
     steep = np.tanh(np.pi * h / sides)  # a standing wave to second order: Tadjbakhsh and Keller, JFM 8 (1960) 442
-    return Modes(
+    return SurfaceModes(
         omega=np.sqrt(GRAVITY * k * tanh),
         mass=total * 8 * tanh / (k**3 * sides**2 * h),
         height=-(2 / k) * np.tanh(0.5 * k * h),

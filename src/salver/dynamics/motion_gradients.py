@@ -1,6 +1,6 @@
-"""Derivatives of what the waves of a liquid do, by the unknowns of a motion.
+"""Derivatives of what moves inside loads by the unknowns of a motion.
 
-Rows (m,) are functions of the waves of one case, `case`, at one node, `node`; c unknowns change what moves the waves.
+Rows (m,) are functions of the modes of one case, `case`, at one node, `node`; c unknowns change what drives the modes.
 Each answer is (m, c).
 """
 
@@ -10,22 +10,22 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from salver.dynamics.modal_motion import ModalMotion, across, turned
 from salver.geometry import Array, Indices, Mask
-from salver.liquid.waves import TURNING, Waves, across, turned
-from salver.models.liquid import GRAVITY
+from salver.linear_filter import LinearFilter
+from salver.models.load_dynamics import GRAVITY
 from salver.models.tray_motion import N_MOTION
-from salver.sensitivity.filter import LinearFilter
 
 
 @dataclass(frozen=True, eq=False)
 class Swings:
-    """Derivatives of waves by c unknowns: of their masses by their drive, as `Waves.swung` has it, of rotation by spun
-    (K or 1, T, c), and of both by the growth of log T, stretch (c,).
+    """Derivatives of modes by c unknowns: of their masses by their drive, as `ModalMotion.swung` has it, of rotation by
+    spun (K or 1, T, c), and of both by the growth of log T, stretch (c,).
 
     Places and speeds are computed at the nodes at which rows read them: near the edge there are few.
     """
 
-    waves: Waves
+    modes: ModalMotion
     moving: Array
     spun: Array
     stretch: Array
@@ -34,23 +34,23 @@ class Swings:
     def at(self, order: int, case: Indices, node: Indices) -> Array:
         """(m, n_modes, 2, c) of r (order 0) or r' (1)."""
         if order not in self._known:
-            shape = (*self.waves.r.shape, len(self.stretch))
+            shape = (*self.modes.r.shape, len(self.stretch))
             self._known[order] = np.zeros(shape[1], dtype=bool), np.empty(shape)
         known, found = self._known[order]
         new = np.zeros_like(known)
         new[node] = True
         new &= ~known
         if new.any():
-            swung = self.waves.swinging(order, np.flatnonzero(new), self.moving)
+            swung = self.modes.swinging(order, np.flatnonzero(new), self.moving)
             for c in np.flatnonzero(self.stretch):
-                swung[..., c] += self.waves.slower[order][:, new] * self.stretch[c]
+                swung[..., c] += self.modes.slower[order][:, new] * self.stretch[c]
             found[:, new] = swung
             known |= new
         return np.asarray(found[case, node])
 
     def spun_at(self, case: Indices, node: Indices) -> Array:
         """(m, c) of the spin."""
-        slower = self.waves.spun_slower
+        slower = self.modes.spun_slower
         found = np.broadcast_to(self.spun, (*slower.shape, len(self.stretch)))[case, node]
         for c in np.flatnonzero(self.stretch):
             found[:, c] += slower[case, node] * self.stretch[c]
@@ -64,43 +64,28 @@ class Unknowns:
 
     felt: Array
     stretch: Array | None = None
-    _known: dict[int, tuple[Waves, Swings]] = field(default_factory=dict)
+    _known: dict[int, tuple[ModalMotion, Swings]] = field(default_factory=dict)
     _spun: dict[tuple[LinearFilter, bool], Array] = field(default_factory=dict)
 
-    def of(self, waves: Waves) -> Swings:
-        """Derivatives of waves, computed once."""
-        if id(waves) not in self._known:
-            self._known[id(waves)] = waves, self._swings(waves)
-        return self._known[id(waves)][1]
+    def of(self, modes: ModalMotion) -> Swings:
+        """Derivatives of modes, computed once."""
+        if id(modes) not in self._known:
+            self._known[id(modes)] = modes, self._swings(modes)
+        return self._known[id(modes)][1]
 
-    def _swings(self, waves: Waves) -> Swings:
-        key = waves.turning, waves.cases.round
+    def _swings(self, modes: ModalMotion) -> Swings:
+        key = modes.turning, modes.cases.round
         if key not in self._spun:
-            self._spun[key] = waves.spun(self.felt[None])
+            self._spun[key] = modes.spun(self.felt[None])
         stretch = np.zeros(self.felt.shape[2]) if self.stretch is None else self.stretch
-        return Swings(waves, waves.swung(self.felt[None], self._spun[key]), self._spun[key], stretch)
+        return Swings(modes, modes.swung(self.felt[None], self._spun[key]), self._spun[key], stretch)
 
 
-def surface_by(
-    waves: Waves, unknowns: Unknowns, case: Indices, node: Indices, by_eta: Array, by_free: Array, thrown: Array | float
-) -> Array:
-    """Of by_eta . eta + by_free . free, (m, 2) each, and `thrown` (m,) times the square of the rate of tilting."""
-    which = waves.cases
-    both, up = by_eta + by_free, waves.upward[case, node]
-    by_slope = (by_free * which.half[case] - both * which.rest_rise[case]) / up[:, None]
-    lateral = turned(by_slope, -waves.spin[case, node])
-    by_force = np.column_stack([lateral, -(by_slope * waves.slope[case, node]).sum(axis=1)])
-    by_spin = up * (by_slope * across(waves.slope[case, node])).sum(axis=1) if which.round else None
-    by_r = which.gain[case] * both[:, None, :]
-    by_w = (by_force[:, None] @ which.at_O[case])[:, 0] + np.multiply.outer(thrown, TURNING)
-    return at_node(unknowns, waves, case, node, by_r, None, by_w, by_spin)
-
-
-def wrench_by(waves: Waves, unknowns: Unknowns, case: Indices, node: Indices, weight: Array) -> Array:
+def wrench_by(modes: ModalMotion, unknowns: Unknowns, case: Indices, node: Indices, weight: Array) -> Array:
     """Of weight (m, 6) . wrench."""
-    which, m = waves.cases, len(case)
-    force, spin = waves.force[case, node], waves.spin[case, node]
-    r, second = (turned(x[case, node], -spin[:, None]) for x in (waves.r, waves.second))
+    which, m = modes.cases, len(case)
+    force, spin = modes.force[case, node], modes.spin[case, node]
+    r, second = (turned(x[case, node], -spin[:, None]) for x in (modes.r, modes.second))
     mass = which.mass[case]
     weight = (weight[:, None] @ which.to_E[case])[:, 0]
     tilting = weight[:, [4, 3]] * [1.0, -1.0]  # what turns along x is a moment about y
@@ -116,23 +101,23 @@ def wrench_by(waves: Waves, unknowns: Unknowns, case: Indices, node: Indices, we
     by_w = (by_force[:, None] @ which.at_O[case])[:, 0]
     by_w -= (by_second.reshape(m, 1, -1) @ which.at_mode[case].reshape(m, -1, N_MOTION))[:, 0]
     by_second = turned(by_second, spin[:, None])
-    by_r = turned(by_hung, spin[:, None]) - stiff * waves.upward[case, node, None, None] * by_second
-    by_rate = 2 * rising * waves.rate[case, node] - which.kd[case] * by_second
+    by_r = turned(by_hung, spin[:, None]) - stiff * modes.upward[case, node, None, None] * by_second
+    by_rate = 2 * rising * modes.rate[case, node] - which.kd[case] * by_second
     if which.round:
-        by_spin -= (by_second * across(waves.at_modes[case, node])).sum(axis=(1, 2))
+        by_spin -= (by_second * across(modes.at_modes[case, node])).sum(axis=(1, 2))
     else:
-        by_turn, by_faster = waves.pushed_by_turning
+        by_turn, by_faster = modes.pushed_by_turning
         by_spin = (by_second * by_turn[case, node]).sum(axis=(1, 2))
         by_w[:, 5] += (by_second * by_faster[case, node]).sum(axis=(1, 2))
-        if waves.walls is not None:
-            other_rate, other, own = (by_second * x[case, node] for x in waves.walls)
+        if modes.walls is not None:
+            other_rate, other, own = (by_second * x[case, node] for x in modes.walls)
             by_rate, by_r = by_rate + other_rate[..., ::-1], by_r + other[..., ::-1] + own
-    return at_node(unknowns, waves, case, node, by_r, by_rate, by_w, by_spin)
+    return at_node(unknowns, modes, case, node, by_r, by_rate, by_w, by_spin)
 
 
 def at_node(
     unknowns: Unknowns,
-    waves: Waves,
+    modes: ModalMotion,
     case: Indices,
     node: Indices,
     by_r: Array,
@@ -140,9 +125,9 @@ def at_node(
     by_w: Array | None = None,
     by_spin: Array | None = None,
 ) -> Array:
-    """From derivatives (m, n_modes, 2) by r and r', (m, 12) by w itself and (m,) by `Waves.spun`, at the rows' own
-    nodes."""
-    swings = unknowns.of(waves)
+    """From derivatives (m, n_modes, 2) by r and r', (m, 12) by w itself and (m,) by `ModalMotion.spun`, at the rows'
+    own nodes."""
+    swings = unknowns.of(modes)
 
     def read(by: Array, order: int) -> Array:
         m = len(case)

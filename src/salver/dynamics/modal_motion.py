@@ -1,8 +1,8 @@
-"""Waves of a liquid in its container along a motion of the tray.
+"""Modes of what moves inside a body along a motion of the tray.
 
-The modes of `salver.models.liquid` are filters with a memory (`salver.sensitivity.filter`), driven by the lateral
+The modes of `salver.models.load_dynamics` are filters with a memory (`salver.linear_filter`), driven by the lateral
 specific force at each mode's height and stiffened by the vertical one. All is linear in the drive: what small changes
-of the motion make of the waves goes through the same filters. All fills and dampings of a liquid are computed side by
+of the motion make of the modes goes through the same filters. All values and dampings of a load are computed side by
 side.
 """
 
@@ -11,53 +11,35 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import ClassVar, Self
 
 import numpy as np
 
+from salver.dynamics.load_cases import LoadCase, ModalCases
+from salver.dynamics.modal_state import ModalState
 from salver.geometry import Array, Indices
-from salver.liquid.underway import Underway
-from salver.liquid.wave_cases import Cases, SloshingCase
-from salver.models.liquid import GRAVITY, LEAST_WEIGHT, LEFT_OVER, TILTING
+from salver.linear_filter import LinearFilter
+from salver.models.load_dynamics import GRAVITY, LEAST_WEIGHT
 from salver.models.tray_motion import N_MOTION
-from salver.sensitivity.filter import LinearFilter
 
 TURNS, SETTLED = 24, 1e-3  # rounds at most in which waves along both sides of a box drive one another, and when to end
 TURNING = np.zeros(N_MOTION)
 TURNING[[6, 8]] = 1.0  # omega_x^2 + omega_y^2: the same in every frame whose z is the tray's
 
 
-def along(several: Sequence[SloshingCase], t: Array, w: Array, start: Underway | None = None) -> Waves:
-    """The waves of cases, all round or all boxes, along a motion: the tray's motion regressor, w (T, 12), at t (T,).
-    start: how they begin, at rest unless given."""
-    which = Cases.of(tuple(several))
-    felt = np.broadcast_to(w, (len(several), *w.shape))
-    upward = _upward(which, felt)
-    axes = 1 if which.round else 2
-    kp, kd = which.omega[..., :axes] ** 2, which.kd[..., :axes]
-    extra = kp[..., None] * (upward / GRAVITY - 1)[:, None, None]
-    filters = LinearFilter.stiffened(t, kp, kd, extra)
-    turning = LinearFilter.on_nodes(t, 0.0, 0.0, 3)
-    spin = _spin(which, turning, felt, start)
-    at_modes = _at_modes(which, felt, spin)
-    begun = Waves(which, t, filters, turning, felt, upward, spin, at_modes, at_modes, at_modes, at_modes, start)
-    force = at_modes[..., None]
-    first = (begun.level(force), None) if start is None else (start.r[..., None], start.rate[..., None])
-    return begun.moved(*(x[..., 0] for x in begun.respond(force, *first)))
-
-
-def _upward(which: Cases, w: Array) -> Array:
-    """(K, T) specific force that stiffens the waves."""
+def _upward(which: ModalCases, w: Array) -> Array:
+    """(K, T) specific force that stiffens the modes."""
     return np.maximum((w @ which.at_O[:, 2, :, None])[..., 0], LEAST_WEIGHT * GRAVITY)
 
 
-def _spin(which: Cases, turning: LinearFilter, w: Array, start: Underway | None) -> Array:
+def _spin(which: ModalCases, turning: LinearFilter, w: Array, start: ModalState | None) -> Array:
     """(K, T) rad by which the container has turned about its axis."""
     if not which.round:
         return np.zeros(w.shape[:2])
     return _turning(turning, w, start)[0]
 
 
-def _turning(turning: LinearFilter, w: Array, start: Underway | None) -> tuple[Array, Array]:
+def _turning(turning: LinearFilter, w: Array, start: ModalState | None) -> tuple[Array, Array]:
     """(K, T) rad by which the container has turned about its axis, and rad/s."""
     if w.strides[0] == 0 and start is None:  # the same for all
         angle, rate = (np.broadcast_to(x, w.shape[:2]) for x in turning.respond(w[0, :, 5]))
@@ -67,7 +49,7 @@ def _turning(turning: LinearFilter, w: Array, start: Underway | None) -> tuple[A
     return angle.T, rate.T
 
 
-def _at_modes(which: Cases, w: Array, spin: Array) -> Array:
+def _at_modes(which: ModalCases, w: Array, spin: Array) -> Array:
     """(K, T, n_modes, 2) lateral specific force at each mode, along axes that stand still."""
     K, n = which.at_mode.shape[:2]
     felt = (w @ np.swapaxes(which.at_mode.reshape(K, 2 * n, N_MOTION), 1, 2)).reshape(K, -1, n, 2)
@@ -75,18 +57,19 @@ def _at_modes(which: Cases, w: Array, spin: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class Waves:
-    """K cases of a liquid along a motion of T nodes.
+class ModalMotion:
+    """K cases of inner dynamics along a motion of T nodes.
 
-    Vectors across the container have two components. In a round one, whose wall cannot take the liquid along, they are
-    along axes that do not turn about the container's own: those that the container had at the beginning.
-    filters: (K, n_modes, axes), of a round container one for both axes. turning: from the angular acceleration about
+    Vectors across the body have two components. In a round one, which cannot take its masses along, they are along axes
+    that do not turn about the body's own: those that the body had at the beginning.
+    filters: (K, n_modes, axes), of a round body one for both axes. turning: from the angular acceleration about
     the axis to the angle, `spin` (K, T), rad. w (K, T, 12): the tray's motion regressor. upward (K, T): specific force
-    that stiffens the waves. at_modes: lateral specific force at each mode; r, rate, second: place, m, speed and
+    that stiffens the modes. at_modes: lateral specific force at each mode; r, rate, second: place, m, speed and
     acceleration of each moving mass; (K, T, n_modes, 2). start: how they begin, None for at rest.
     """
 
-    cases: Cases
+    cases_type: ClassVar[type[ModalCases]] = ModalCases
+    cases: ModalCases
     t: Array
     filters: LinearFilter
     turning: LinearFilter
@@ -97,22 +80,41 @@ class Waves:
     r: Array
     rate: Array
     second: Array
-    start: Underway | None = None
+    start: ModalState | None = None
 
-    def moved(self, r: Array, rate: Array, second: Array) -> Waves:
-        """The waves with the masses elsewhere."""
+    @classmethod
+    def along(cls, several: Sequence[LoadCase], t: Array, w: Array, start: ModalState | None = None) -> Self:
+        """Of cases that are alike, along a motion: the tray's motion regressor, w (T, 12), at t (T,). start: how they
+        begin, at rest unless given."""
+        which = cls.cases_type.of(tuple(several))
+        felt = np.broadcast_to(w, (len(several), *w.shape))
+        upward = _upward(which, felt)
+        axes = 1 if which.round else 2
+        kp, kd = which.omega[..., :axes] ** 2, which.kd[..., :axes]
+        extra = kp[..., None] * (upward / GRAVITY - 1)[:, None, None]
+        filters = LinearFilter.stiffened(t, kp, kd, extra)
+        turning = LinearFilter.on_nodes(t, 0.0, 0.0, 3)
+        spin = _spin(which, turning, felt, start)
+        at_modes = _at_modes(which, felt, spin)
+        begun = cls(which, t, filters, turning, felt, upward, spin, at_modes, at_modes, at_modes, at_modes, start)
+        force = at_modes[..., None]
+        first = (begun.level(force), None) if start is None else (start.r[..., None], start.rate[..., None])
+        return begun.moved(*(x[..., 0] for x in begun.respond(force, *first)))
+
+    def moved(self, r: Array, rate: Array, second: Array) -> Self:
+        """The modes with the masses elsewhere."""
         return replace(self, r=r, rate=rate, second=second)
 
-    def part(self, some: slice) -> Waves:
+    def part(self, some: slice) -> Self:
         """Some of the cases."""
-        which, filters = Cases.of(self.cases.each[some]), self.filters.only((some,))
+        which, filters = type(self.cases).of(self.cases.each[some]), self.filters.only((some,))
         names = ("w", "upward", "spin", "at_modes", "r", "rate", "second")
         start = None if self.start is None else self.start.part(some)
         felt = {name: getattr(self, name)[some] for name in names}
         return replace(self, cases=which, filters=filters, start=start, **felt)
 
-    def shifted(self, dw: Array, start: Underway | None = None) -> Waves:
-        """The waves of w + dw (K, T, 12), to first order in dw, which begins with the motion; start: how they begin, if
+    def shifted(self, dw: Array, start: ModalState | None = None) -> Self:
+        """The modes of w + dw (K, T, 12), to first order in dw, which begins with the motion; start: how they begin, if
         that is not at rest."""
         begun = None
         if start is not None:
@@ -143,24 +145,14 @@ class Waves:
         """
         if self.cases.round or not self.turns.any():
             return None
-        by_rate, by_place, own = self._carried
+        by_rate, by_place, own = self.cases.carried
         turns, faster = self.turns[:, :, None, None], self.w[:, :, 5, None, None]
         return turns * by_rate, faster * by_place, turns**2 * own
 
     @cached_property
-    def _carried(self) -> tuple[Array, Array, Array]:
-        """`walls`, (K, 1, n_modes, 2), for each rad/s, rad/s^2, and (rad/s)^2."""
-        which, n = self.cases, self.r.shape[2]
-        sides = 2 * np.prod(which.half, axis=1) / (which.half**2).sum(axis=1)
-        share = (8 / np.pi**2 * sides[:, None] / (2 * np.arange(n) + 1) ** 2)[:, None, :, None]  # C
-        ratio = (which.omega**2 / which.omega[..., ::-1] ** 2)[:, None]
-        by_other = share * (which.gain[..., ::-1] / which.gain)[:, None] * [1.0, -1.0]
-        return by_other * (1 + ratio), by_other, share**2 * ratio
-
-    @cached_property
     def pushed_by_turning(self) -> tuple[Array, Array]:
         """(K, T, n_modes, 2) what `walls` push more for each rad/s of `turns`, and for each rad/s^2."""
-        by_rate, by_place, own = self._carried
+        by_rate, by_place, own = self.cases.carried
         turned = by_rate * self.rate[..., ::-1] + 2 * self.turns[..., None, None] * own * self.r
         return turned, by_place * self.r[..., ::-1]
 
@@ -221,7 +213,7 @@ class Waves:
         return np.stack([drive[:, :, :, 0] / stiffness, np.zeros_like(drive[:, :, :, 0])], axis=3)
 
     def pushed(
-        self, dw: Array, before: bool, start: Underway | None = None, spun: Array | None = None
+        self, dw: Array, before: bool, start: ModalState | None = None, spun: Array | None = None
     ) -> tuple[Array, Array, Array]:
         """r, r' and r'' (K, T, n_modes, 2, c), to first order, by changes dw (K or 1, T, 12, c) of the tray's motion
         regressor: pushed aside, stiffened, and turned under the waves. before: whether what changes was so before the
@@ -275,7 +267,7 @@ class Waves:
         by_filter = found.reshape(K, T, n, axes, 2 // axes, -1).transpose(0, 2, 3, 1, 4, 5)
         return np.negative(by_filter, order="C")
 
-    def spun(self, dw: Array, start: Underway | None = None) -> Array:
+    def spun(self, dw: Array, start: ModalState | None = None) -> Array:
         """(K or 1, T, c) change of `spin` by changes dw (K or 1, T, 12, c), of a box of `turns`: the same of all
         that are alike. start: what they have made of it till then, nothing unless given."""
         drive, begun = dw[:, :, 5].swapaxes(0, 1), None
@@ -285,62 +277,6 @@ class Waves:
         return self.turning.respond(drive, begun)[0 if self.cases.round else 1].swapaxes(0, 1)
 
     @cached_property
-    def slope(self) -> Array:
-        """(K, T, 2) of a surface at rest under the force: f / f_z."""
-        return turned(self.force[..., :2] / self.upward[..., None], self.spin)
-
-    @cached_property
-    def eta(self) -> Array:
-        """(K, T, 2) m by which the surface stands at the wall, by linear theory."""
-        which = self.cases
-        return np.asarray((which.gain[:, None] * self.r).sum(axis=2) - which.rest_rise[:, None] * self.slope)
-
-    @property
-    def eta_B(self) -> Array:
-        """(K, T, 2) the same along the container's own axes."""
-        return turned(self.eta, -self.spin)
-
-    @cached_property
-    def free(self) -> Array:
-        """(K, T, 2) m, the part of it that is a wave, not the incline of a surface at rest."""
-        return self.eta + self.cases.half[:, None] * self.slope
-
-    @cached_property
-    def crest(self) -> Array:
-        """(K, T) height of the highest point over the surface at rest, m, what is not linear included."""
-        which, turning = self.cases, self.w @ TURNING
-        steep = (which.peaking[:, None] / which.half[:, None] * self.free**2).sum(axis=-1)
-        return which.highest(self.eta) + steep + TILTING / GRAVITY * which.wide[:, None] ** 2 * turning
-
-    def raised(self, by: Array | float, freer: Array | float) -> Array:
-        """(K, T) the crest, m, of waves that are higher by so much, (K, T), of which the free wave by (K, T, 2) at
-        most."""
-        which = self.cases
-        curve = (which.peaking / which.half)[:, None]
-        return self.crest + by + (curve * freer * (2 * np.abs(self.free) + freer)).sum(axis=-1)
-
-    @property
-    def height(self) -> Array:
-        """(K, T) m of the whole surface at the wall, by linear theory."""
-        return self.cases.highest(self.eta)
-
-    @property
-    def free_height(self) -> Array:
-        """(K, T) height of the free wave, by linear theory."""
-        return self.cases.highest(self.free)
-
-    @cached_property
-    def tail(self) -> Array:
-        """(K, n_modes, 2) amplitude at the wall of the waves that are left at the end, when all is at rest, m."""
-        return np.asarray(self.cases.gain * np.hypot(*self.ending))
-
-    def amplitude(self, seconds: float = 0.0, more: Array | float = 0.0) -> Array:
-        """(K, 2) m, what no free wave exceeds along either axis from so many seconds after the end on, both modes at
-        their best. more: (K,) m by which they may be higher."""
-        higher = np.broadcast_to(more, len(self.r))[:, None]
-        return np.asarray((self.tail * self.fading(seconds)).sum(axis=1) + higher)
-
-    @cached_property
     def ending(self) -> tuple[Array, Array]:
         """(K, n_modes, 2) how far each mass is from its rest at the end, and its speed over the frequency there, m."""
         omega, softer = self.cases.omega, (GRAVITY / self.upward[:, -1])[:, None, None]
@@ -348,24 +284,29 @@ class Waves:
         return self.r[:, -1] + rest, self.rate[:, -1] / omega * np.sqrt(softer)
 
     @cached_property
-    def standing(self) -> Array:
-        """(K, 2) m by which the surface stands higher at the wall after the motion, on a tray that leans."""
-        return np.asarray(self.cases.half * np.abs(self.slope[:, -1]))
+    def slope(self) -> Array:
+        """(K, T, 2) of what is at rest under the force, to which masses hang or a surface lies across: f / f_z."""
+        return turned(self.force[..., :2] / self.upward[..., None], self.spin)
 
-    def left(self, seconds: float | None = None, more: Array | float = 0.0) -> Array:
-        """(K,) m, no crest is higher after the end, the tray at rest: both modes at their best. seconds: no wave is
-        higher from then on, beside how the surface stands. more: (K,) m by which the linear waves may be higher."""
-        which, more = self.cases, np.broadcast_to(more, len(self.r))
-        amplitude = self.amplitude(seconds or 0.0, more)
-        highest = which.highest(amplitude + self.standing * (seconds is None))
-        over = LEFT_OVER * (self.peak[1] + more) ** 3 / which.half.min(axis=1) ** 2
-        return np.asarray(highest + (which.peaking / which.half * amplitude**2).sum(axis=1) + over)
+    @property
+    def seen(self) -> Array:
+        """(K, T, 3) m, what pictures and charts show, `LoadDynamics.seen`: along the body's own axes."""
+        own, still = turned(self.r, -self.spin[..., None]), np.zeros(len(self.t))
+        slope = turned(self.slope, -self.spin)
+        lengths = [case.modes.length for case in self.cases.each]
+        each = zip(self.cases.each, own, lengths, slope, strict=True)
+        return np.stack([case.dynamics.seen(case.value, r / length, s, still) for case, r, length, s in each])
+
+    @property
+    def height(self) -> Array:
+        """(K, T) m by which what swings is away at most, to be remembered from one motion to the next."""
+        return np.linalg.norm(self.r, axis=-1).max(axis=2)
 
     @cached_property
     def peak(self) -> tuple[Indices, Array]:
-        """(K,) when the linear wave is highest during the motion, and how high, m, or was before: how far its phase can
-        have drifted."""
-        heights = self.cases.highest(self.eta)
+        """(K,) when `height` is largest during the motion, and how large, m, or was before: how far the phase can have
+        drifted."""
+        heights = self.height
         k = np.argmax(heights, axis=1)
         highest = heights[np.arange(len(k)), k]
         return k, highest if self.start is None else np.maximum(highest, self.start.peak)
@@ -376,13 +317,13 @@ class Waves:
         return np.ones(len(self.r)) if self.start is None else (self.peak[1] > self.start.peak).astype(float)
 
     def fading(self, seconds: float) -> Array:
-        """(K, n_modes, 2) share of the waves that is left after so many seconds of rest."""
+        """(K, n_modes, 2) share of the swing that is left after so many seconds of rest."""
         return np.asarray(np.exp(-0.5 * self.cases.kd * seconds))
 
     @cached_property
     def wrench(self) -> Array:
-        """(K, T, 6) what the container must give at E beyond what the liquid would need if a lid lay on it, N and
-        N m: to first order in the waves, and the upward force, which is of second, as its centre of mass rises and
+        """(K, T, 6) what the body must give at E beyond what it would need if nothing moved in it, N and N m: to first
+        order in the swing, and the upward force, which is of second, as its centre of mass rises and
         falls."""
         which, force = self.cases, self.force
         back = -self.spin[..., None]
@@ -410,7 +351,7 @@ class Waves:
         if self.cases.round:
             more = more - slower * across(self.at_modes)
         else:
-            by_rate, _, own = self._carried
+            by_rate, _, own = self.cases.carried
             turns = self.turns[..., None, None]
             more = more + 2 * turns * slower * own * self.r - (turns - slower) * by_rate * self.rate[..., ::-1]
         begun = self.rate[:, 0, ..., None]  # the same r', which is T times as much per share
@@ -426,12 +367,12 @@ class Waves:
             return 2 * self.spin
         return 2 * (self.spin - self.start.spin[:, None]) - np.outer(self.start.turning, self.t - self.t[0])
 
-    def underway(self, dw: Array | None = None, start: Underway | None = None) -> Underway:
-        """How these waves are at each node, (T, K, ...); or, to first order, what changes dw (K, T, 12, c) of the
+    def states(self, dw: Array | None = None, start: ModalState | None = None) -> ModalState:
+        """How these modes are at each node, (T, K, ...); or, to first order, what changes dw (K, T, 12, c) of the
         tray's motion regressor, before the motion too, have made of them. start: as of `pushed`."""
         if dw is None:
             moved, drive, start = (self.r, self.rate), self.w[:, :, 5], self.start
-            peak = np.maximum.accumulate(self.cases.highest(self.eta), axis=1)
+            peak = np.maximum.accumulate(self.height, axis=1)
             if start is not None:
                 peak = np.maximum(peak, start.peak[:, None])
         else:
@@ -440,11 +381,11 @@ class Waves:
         begun = None if start is None else np.stack([start.spin, start.turning])
         spins = self.turning.respond(drive.swapaxes(0, 1), begun)
         r, rate = (x.swapaxes(0, 1) for x in moved)
-        return Underway(r, rate, *spins, peak.swapaxes(0, 1))
+        return ModalState(r, rate, *spins, peak.swapaxes(0, 1))
 
-    def rested(self, t: Array, dw: Array | None = None, start: Underway | None = None) -> Underway:
-        """The waves t (T,), s, after the end, with the tray at rest."""
-        last = Underway(*(x[-1] for x in vars(self.underway(dw, start)).values()))
+    def rested(self, t: Array, dw: Array | None = None, start: ModalState | None = None) -> ModalState:
+        """The modes t (T,), s, after the end, with the tray at rest."""
+        last = ModalState(*(x[-1] for x in vars(self.states(dw, start)).values()))
         which, upward = self.cases, self.upward[:, -1, None, None]
         shape = (*which.omega.shape, *(1,) * (last.r.ndim - 3))
         sigma, kp = (x.reshape(shape) for x in (0.5 * which.kd, which.omega**2 / GRAVITY * upward))

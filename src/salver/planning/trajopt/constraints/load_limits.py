@@ -1,4 +1,4 @@
-"""What a motion must keep for the sake of a liquid: that it stays below the brim of its container."""
+"""What a motion must keep for the sake of what moves inside its loads: that a liquid stays below its brim."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from salver.dynamics.load_limits import LoadLimit
+from salver.dynamics.load_rows import of_parts
+from salver.dynamics.motion_gradients import Unknowns
 from salver.geometry import Array, Indices
-from salver.liquid.slosh_rows import of_parts
-from salver.liquid.spills import STEEP, SloshingLimit, limits
-from salver.liquid.wave_gradients import Unknowns
 from salver.models.bodies import Body
 from salver.models.tray_motion import FULL_SPEED, Speed
 from salver.planning.trajopt.constraints.constraints import FINEST, Block, Constraint
@@ -18,10 +18,10 @@ from salver.planning.trajopt.evaluation import MotionEvaluation
 
 
 @dataclass(frozen=True, eq=False)
-class Brim(Constraint):
-    """A body's liquid stays below its brim, during the motion and after it, in all its cases; no wave is steeper than
-    the model is valid for. In units of the room that it has, of which `margin` is kept. calm: share of the
-    steepest that may be left. speed: at which, above 0."""
+class LoadConstraint(Constraint):
+    """What moves inside a body keeps its limits (`LoadResponse.limits`), during the motion and after it, in all its
+    cases. In units of the room that it has, of which `margin` is kept. calm: share of residual limits that may be left.
+    speed: at which, above 0."""
 
     body: Body
     margin: float = 0.0
@@ -29,14 +29,14 @@ class Brim(Constraint):
     speed: Speed = FULL_SPEED
 
     def blocks(self, motion: MotionEvaluation) -> Iterator[Block]:
-        parts = motion.at_factor(self.speed.factor).sloshing[self.body.name]
-        for each in zip(*(limits(part) for part in parts), strict=True):
+        parts = motion.at_factor(self.speed.factor).loads[self.body.name]
+        for each in zip(*(part.limits() for part in parts), strict=True):
             yield self._block(motion, each)
 
-    def _block(self, motion: MotionEvaluation, each: Sequence[SloshingLimit]) -> Block:
+    def _block(self, motion: MotionEvaluation, each: Sequence[LoadLimit]) -> Block:
         """Rows of one kind of limit, the cases of its parts one after the other."""
         name, counts = each[0].name, [len(part.most) for part in each]
-        most = np.concatenate([part.most for part in each]) * (self.calm if name == STEEP[1] else 1.0)
+        most = np.concatenate([part.most for part in each]) * (self.calm if each[0].residual else 1.0)
 
         def history(i: Indices, f: Indices, unknowns: Unknowns) -> Array:
             found = np.zeros((len(i), unknowns.felt.shape[2]))
@@ -55,11 +55,11 @@ class Brim(Constraint):
             (np.concatenate([part.values for part in each]) / most[:, None] - 1).T,
             lambda i, f: np.zeros((len(i), 4 * motion.n)),
             motion.nodes,
-            margins=(5e-3 + self.margin, finest),  # between nodes waves are driven by what was interpolated
+            margins=(5e-3 + self.margin, finest),  # between nodes modes are driven by what was interpolated
             history=history,
             curvature=curvature,
             kinked=True,
-            most=2 if len(motion.sloshing) < 2 else 1,  # those of a fill and a damping are alike
+            most=2 if len(motion.loads) < 2 else 1,  # those of a value and a damping are alike
             reach=0.1,
             factor=self.speed.factor,
         )

@@ -1,177 +1,165 @@
 """Height, steepness and effective gravity of liquids' surfaces in the worst case, with derivatives by the unknowns
-of a motion (`salver.liquid.waves` has the waves)."""
+of a motion (`salver.dynamics.liquid.surface` has the surface)."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
+from typing import ClassVar, Self
 
 import numpy as np
 
+from salver.dynamics.liquid.liquid import LEANING, LEFT_OVER, STEEPEST, TILTING
+from salver.dynamics.liquid.spills import HIGH, STEEP, Spill
+from salver.dynamics.liquid.surface import SurfaceMotion, surface_by
+from salver.dynamics.load_limits import LoadLimit, of_end
+from salver.dynamics.load_response import LoadResponse
+from salver.dynamics.modal_changes import Change
+from salver.dynamics.modal_motion import ModalMotion
+from salver.dynamics.motion_gradients import Unknowns, at_node
 from salver.geometry import Array, Indices
-from salver.liquid.underway import Underway
-from salver.liquid.wave_changes import Change, changed
-from salver.liquid.wave_gradients import Unknowns, at_node, surface_by
-from salver.liquid.waves import Waves
-from salver.models.liquid import GRAVITY, LEANING, LEAST_WEIGHT, LEFT_OVER, STEEPEST, TILTING
-from salver.sensitivity.arm.tracking import Reaction
+from salver.models.load_dynamics import GRAVITY
 
-LIGHTEST = 1 - LEAST_WEIGHT  # share of its weight that a liquid may be relieved of
 LESS = STEEPEST / LEANING
 LEAST_SIZE = 1e-4  # m; waves smaller than this turn as fast as they like
 
 
 @dataclass(frozen=True, eq=False)
-class Slosh:
+class SloshingResponse(LoadResponse):
     """Sloshing of K cases of a liquid along a motion of T instants.
 
-    wrench: (K, T, 6) of `Waves`. planned: the waves on a tray that follows its motion exactly; the rest is what comes
-    of an arm that gives way. reaction: how it does that. change: of the waves, per
-    half-range of each of n_c terms of what is uncertain. higher: (K, T) m, by which the crest may be higher for all
-    these, but for what a steeper free wave makes of it; freer: (K, T, 2) m, by which that may be higher; more_left:
-    (K,) m, what is left at the end.
+    higher: (K, T) m, by which the crest may be higher for all that is uncertain, but for what a steeper free wave makes
+    of it; freer: (K, T, 2) m, by which that may be higher; more_left: (K,) m, what is left at the end.
     """
 
-    waves: Waves
-    wrench: Array
-    planned: Waves
-    reaction: Reaction | None = None
-    change: Change | None = None
-    higher: Array | float = 0.0
+    motion_type: ClassVar[type[ModalMotion]] = SurfaceMotion
+    more: ClassVar[tuple[str, ...]] = ("higher", "more_left", "freer")
+
+    modes: SurfaceMotion
+    planned: SurfaceMotion
     freer: Array | float = 0.0
-    more_left: Array | float = 0.0
 
     @classmethod
-    def of(cls, waves: Waves) -> Slosh:
-        """On a tray that follows its motion exactly."""
-        return cls(waves, waves.wrench, waves)
+    def widened(cls, modes: ModalMotion, change: Change, dw: Array) -> dict[str, Array]:
+        assert isinstance(modes, SurfaceMotion)
+        (eta, free, thrown), highest = modes.changed(change, dw), modes.cases.highest
+        left = np.einsum("kna,knac->kca", modes.cases.gain, np.hypot(*change.ending))
+        return {
+            "higher": (highest(np.moveaxis(eta, 2, 3)) + np.abs(thrown)).sum(axis=2),
+            "freer": np.abs(free).sum(axis=3),
+            "more_left": highest(left).sum(axis=1),
+        }
+
+    def unsure(self, away: Array, inclined: Array) -> Self:
+        which = self.modes.cases
+        height = (which.gain[:, None] * away).sum(axis=2)
+        higher = height + which.rest_rise[:, None] * inclined
+        freer = height + np.abs(which.half - which.rest_rise)[:, None] * inclined
+        summed = higher[..., 0] if which.round else higher.sum(axis=2)
+        more = (which.gain * away[:, -1]).sum(axis=1)
+        left = more[:, 0] if which.round else more.sum(axis=1)
+        return replace(self, higher=summed, freer=freer, more_left=left)
+
+    def limits(self) -> list[LoadLimit]:
+        """No free wave is steeper than the model is valid for, during the motion or after it, and as much of the weight
+        presses on the surface; in an open container it stays below the brim; and it settles, if that is asked for."""
+        which = self.modes.cases
+        liquid = which.liquid
+        left = self.free_left[:, None], which.steepest, of_end(self.free_left_by), of_end(self.free_left_bends)
+        found = [
+            LoadLimit("steepness", self.free_height, which.steepest, self.free_by, self.free_bends, STEEP),
+            self.weight_limit,
+            LoadLimit("steepness left", *left, STEEP, residual=True),
+        ]
+        if np.isfinite(which.room).all():
+            found.append(LoadLimit("waves", self.crest, which.room, self.crest_by, self.crest_bends, HIGH))
+        for name, most, seconds in (
+            ("waves left", which.room, None),
+            ("settled waves", np.full(len(which.each), liquid.settled), liquid.within),
+        ):
+            if np.isfinite(most).all():
+                by, bends = (of_end(partial(of, seconds=seconds)) for of in (self.left_by, self.left_bends))
+                found.append(LoadLimit(name, self.left(seconds)[:, None], most, by, bends, HIGH))
+        return found
 
     @classmethod
-    def given_way(
-        cls, waves: Waves, planned: Waves, reaction: Reaction, dw: Array, start: Underway | None = None
-    ) -> Slosh:
-        """dw: (K or 1, T, 12, n_c) change of the tray's motion regressor; start: what it made of the waves till
-        then."""
-        change, highest = changed(waves, dw, start), waves.cases.highest
-        higher = (highest(np.moveaxis(change.eta, 2, 3)) + np.abs(change.thrown)).sum(axis=2)
-        left = np.einsum("kna,knac->kca", waves.cases.gain, np.hypot(*change.ending))
-        freer = np.abs(change.free).sum(axis=3)
-        return cls(waves, waves.wrench, planned, reaction, change, higher, freer, highest(left).sum(axis=1))
-
-    def along(self, planned: Waves) -> Slosh:
-        """Sloshing of other planned waves, with the arm's compliance as here."""
-        waves = planned.shifted(self.waves.w - self.planned.w, self.waves.start)
-        return replace(self, waves=waves, wrench=waves.wrench, planned=planned)
+    def verdict(cls, name: str, parts: Sequence[Self]) -> Spill:
+        return Spill.along(name, parts)
 
     @cached_property
     def crest(self) -> Array:
         """(K, T) m, at the worst of what is uncertain."""
-        return self.waves.raised(self.higher, self.freer)
+        return self.modes.raised(self.higher, self.freer)
 
     @cached_property
     def free_height(self) -> Array:
         """(K, T) m of the free wave, at the worst of what is uncertain; or of the whole surface, times what it may lean
         less for its height, where that is nearer to what is known."""
-        free = self.waves.free_height + self.waves.cases.highest(self.freer + np.zeros((1, 1, 2)))
-        return np.maximum(free, LESS * (self.waves.height + self.higher))
-
-    @cached_property
-    def lightness(self) -> Array:
-        """(K, T) share of its weight that does not press on the surface."""
-        return np.asarray(1 - self.waves.force[..., 2] / GRAVITY)
+        free = self.modes.free_height + self.modes.cases.highest(self.freer + np.zeros((1, 1, 2)))
+        return np.maximum(free, LESS * (self.modes.height + self.higher))
 
     @cached_property
     def free_left(self) -> Array:
         """(K,) m, no free wave is higher after the motion, at the worst of what is uncertain."""
-        return self.waves.cases.highest(self.waves.amplitude(more=self.more_left))
+        return self.modes.cases.highest(self.modes.amplitude(more=self.more_left))
 
     @cached_property
     def left_at_once(self) -> Array:
         """(K,) m, see `left`."""
-        return self.waves.left(None, self.more_left)
+        return self.modes.left(None, self.more_left)
 
     def left(self, seconds: float | None = None) -> Array:
-        """(K,) m, see `Waves.left`, at the worst of what is uncertain."""
-        return self.left_at_once if seconds is None else self.waves.left(seconds, self.more_left)
-
-    def at(self, index: Indices) -> Slosh:
-        """The wrench at some instants."""
-        return replace(self, wrench=self.wrench[:, index])
-
-    def part(self, some: slice, planned: Waves | None = None) -> Slosh:
-        """Some of the cases; planned: theirs, where they are known."""
-        waves = self.waves.part(some)
-        if planned is None:
-            planned = waves if self.planned is self.waves else self.planned.part(some)
-        reaction = None if self.reaction is None else self.reaction.part(some)
-        change = None if self.change is None else self.change.part(some)
-        return Slosh(waves, self.wrench[some], planned, reaction, change, *self._more(some))
-
-    def only(self, k: int) -> Slosh:
-        """The surface in one case."""
-        some = slice(k, k + 1)
-        waves, (higher, freer, more) = self.waves.part(some), self._more(some)
-        return Slosh(waves, self.wrench[some], waves, higher=higher, freer=freer, more_left=more)
-
-    def _more(self, some: slice) -> list[Array | float]:
-        return [x if np.ndim(x) == 0 else np.asarray(x)[some] for x in (self.higher, self.freer, self.more_left)]
+        """(K,) m, see `SurfaceMotion.left`, at the worst of what is uncertain."""
+        return self.left_at_once if seconds is None else self.modes.left(seconds, self.more_left)
 
     # Derivatives (m, c) of rows (m,), each of one case at one node, by unknowns of the motion (c,). How the arm gives
     # way is taken as given, for what it makes of the waves changes little.
 
     def crest_by(self, case: Indices, node: Indices, unknowns: Unknowns) -> Array:
         """Derivatives of the crest."""
-        which, free = self.waves.cases, self.waves.free[case, node]
+        which, free = self.modes.cases, self.modes.free[case, node]
         freer = np.zeros_like(free) if self.change is None else np.asarray(self.freer)[case, node]
         by_free = 2 * which.peaking[case] / which.half[case] * (free + freer * np.sign(free))
-        by_eta = which.steepest_by(self.waves.eta[case, node])
+        by_eta = which.steepest_by(self.modes.eta[case, node])
         return surface_by(
             self.planned, unknowns, case, node, by_eta, by_free, TILTING / GRAVITY * which.wide[case] ** 2
         )
 
     def free_by(self, case: Indices, node: Indices, unknowns: Unknowns) -> Array:
         """Derivatives of the height of the free wave, or of the whole surface."""
-        waves, leans = self.waves, self._leans(case, node)
+        waves, leans = self.modes, self._leans(case, node)
         by_free = (1 - leans) * waves.cases.steepest_by(waves.free[case, node])
         by_eta = LESS * leans * waves.cases.steepest_by(waves.eta[case, node])
         return surface_by(self.planned, unknowns, case, node, by_eta, by_free, 0.0)
 
-    def lightness_by(self, case: Indices, node: Indices, unknowns: Unknowns) -> Array:
-        """Derivatives of the share of the weight that does not press."""
-        by_w = -self.waves.cases.at_O[case, 2] / GRAVITY
-        return np.asarray((by_w[:, None] @ unknowns.felt[node])[:, 0])
-
     # Factors (m, k, c) of second derivatives of rows: what of them is convex in the waves, which are all but linear in
     # the unknowns. Their squares summed over k are the second derivative.
-
-    def lightness_bends(self, case: Indices, node: Indices, unknowns: Unknowns) -> Array:
-        """Second derivatives of the share of the weight that does not press."""
-        return np.zeros((len(case), 0, unknowns.felt.shape[2]))
 
     def free_bends(self, case: Indices, node: Indices, unknowns: Unknowns) -> Array:
         """Second derivatives of the height of the free wave, or of the whole surface, whose direction turns."""
         leans = self._leans(case, node)[:, :, None]
         free, whole = (
-            self._turns(case, node, unknowns, eta[case, node], free=eta is self.waves.free)
-            for eta in (self.waves.free, self.waves.eta)
+            self._turns(case, node, unknowns, eta[case, node], free=eta is self.modes.free)
+            for eta in (self.modes.free, self.modes.eta)
         )
         return np.asarray(np.sqrt(LESS) * leans * whole + (1 - leans) * free)
 
     def crest_bends(self, case: Indices, node: Indices, unknowns: Unknowns) -> Array:
         """Second derivatives of the crest: of its height, and of its part beyond linear waves."""
-        which = self.waves.cases
-        turns = self._turns(case, node, unknowns, self.waves.eta[case, node], free=False)
+        which = self.modes.cases
+        turns = self._turns(case, node, unknowns, self.modes.eta[case, node], free=False)
         peaking = np.sqrt(2 * which.peaking[case] / which.half[case])
         return np.concatenate([turns, self._axes(case, node, unknowns, peaking, free=True)], axis=1)
 
     def _leans(self, case: Indices, node: Indices) -> Array:
         """(m, 1) 1 where `free_height` is that of the whole surface, 0 where it is not."""
-        whole = LESS * (self.waves.height + self.higher)
+        whole = LESS * (self.modes.height + self.higher)
         return np.asarray((self.free_height <= whole)[case, node, None], dtype=float)
 
     def _turns(self, case: Indices, node: Indices, unknowns: Unknowns, eta: Array, free: bool) -> Array:
         """The part of the second derivatives by which waves eta (m, 2) turn in a round container."""
-        if not self.waves.cases.round:
+        if not self.modes.cases.round:
             return np.zeros((len(case), 0, unknowns.felt.shape[2]))
         size = np.maximum(np.linalg.norm(eta, axis=1), LEAST_SIZE)[:, None]
         aside = np.stack([-eta[:, 1], eta[:, 0]], axis=1) / size**1.5
@@ -191,7 +179,7 @@ class Slosh:
 
     def left_bends(self, case: Indices, unknowns: Unknowns, seconds: float | None = None) -> Array:
         """Second derivatives of the residual sloshing."""
-        waves, which, m = self.waves, self.waves.cases, len(case)
+        waves, which, m = self.modes, self.modes.cases, len(case)
         more = np.broadcast_to(self.more_left, len(which.each))[case]
         fading, half = waves.fading(seconds or 0.0)[case], which.half[case]
         amplitude = waves.amplitude(seconds or 0.0, self.more_left)[case]
@@ -212,8 +200,8 @@ class Slosh:
 
     def free_left_bends(self, case: Indices, unknowns: Unknowns) -> Array:
         """Second derivatives of the residual free wave."""
-        amplitude = self.waves.amplitude(more=self.more_left)[case]
-        by_amplitude = self.waves.cases.steepest_by(amplitude)
+        amplitude = self.modes.amplitude(more=self.more_left)[case]
+        by_amplitude = self.modes.cases.steepest_by(amplitude)
         return np.stack(self._amplitude_bends(case, unknowns, 1.0, amplitude, by_amplitude)[0], axis=1)
 
     def _amplitude_bends(
@@ -221,7 +209,7 @@ class Slosh:
     ) -> tuple[list[Array], list[Array]]:
         """Of amplitudes that count by_amplitude (m, 2) and stand (m, 2) high: each mode's place and speed at the end
         may turn into one another, and both axes. Then how they grow (m, c), along both axes."""
-        waves, which = self.waves, self.waves.cases
+        waves, which = self.modes, self.modes.cases
         last = np.full(len(case), len(waves.t) - 1)
         to_speed = np.sqrt(GRAVITY / waves.upward[case, -1])[:, None, None] / which.omega[case]
         away, speed = (x[case] for x in waves.ending)
@@ -247,7 +235,7 @@ class Slosh:
 
     def left_by(self, case: Indices, unknowns: Unknowns, seconds: float | None = None) -> Array:
         """Derivatives of the residual sloshing; the tray's posture at the end is taken as given."""
-        waves, which, m = self.waves, self.waves.cases, len(case)
+        waves, which, m = self.modes, self.modes.cases, len(case)
         more = np.broadcast_to(self.more_left, len(which.each))[case]
         fading, half = waves.fading(seconds or 0.0)[case], which.half[case]
         amplitude = waves.amplitude(seconds or 0.0, self.more_left)[case]
@@ -261,12 +249,12 @@ class Slosh:
 
     def free_left_by(self, case: Indices, unknowns: Unknowns) -> Array:
         """Derivatives of the residual free wave; the tray's posture at the end is taken as given."""
-        by_amplitude = self.waves.cases.steepest_by(self.waves.amplitude(more=self.more_left)[case])
+        by_amplitude = self.modes.cases.steepest_by(self.modes.amplitude(more=self.more_left)[case])
         return self._amplitude_by(case, unknowns, 1.0, by_amplitude)
 
     def _amplitude_by(self, case: Indices, unknowns: Unknowns, fading: Array | float, by_amplitude: Array) -> Array:
         """Derivatives of amplitudes at the end that count by_amplitude (m, 2)."""
-        waves, which = self.waves, self.waves.cases
+        waves, which = self.modes, self.modes.cases
         last = np.full(len(case), len(waves.t) - 1)
         to_speed = np.sqrt(GRAVITY / waves.upward[case, -1])[:, None, None] / which.omega[case]
         away, speed = (x[case] for x in waves.ending)

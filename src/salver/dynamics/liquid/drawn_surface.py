@@ -4,26 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
+from salver.dynamics.liquid.liquid import Liquid
 from salver.geometry import Array
 from salver.models.bodies import Body
-from salver.simulation.scene.loads import Load
+from salver.models.load_dynamics import Colour, Drawn
 
 ROUND = 32  # corners of a round wall
-Colour = tuple[float, float, float]
 COLOURS: Mapping[str, Colour] = {"coffee": (0.36, 0.23, 0.12), "oil": (0.78, 0.64, 0.08), "water": (0.29, 0.56, 0.77)}
-BRIM_COLOUR: Colour = (0.42, 0.47, 0.53)
-SPILT_COLOUR: Colour = (0.89, 0.07, 0.04)
-WALL_OPACITY = 0.25
 
 
 def wall(body: Body) -> Array:
     """(n, 2) corners of the inside of its container, counter-clockwise, from the axis, m."""
-    liquid = body.liquid
-    assert liquid is not None
+    liquid = cast(Liquid, body.inner)
     if liquid.round:
         angle = np.linspace(0, 2 * np.pi, ROUND, endpoint=False)
         return np.asarray(liquid.size[0] * np.stack([np.cos(angle), np.sin(angle)], axis=1))
@@ -31,31 +27,34 @@ def wall(body: Body) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class DrawnSurface:
+class DrawnSurface(Drawn):
     """The plane in which the first two modes stand at the wall, in the frame B of the container, over time.
 
     body: the container. fill: m, true. slope (T, 2): rise of the surface along the container's x and y for each metre;
-    held to what leaves the bottom wet. spilt: s, when its highest point, crests included, first came over the brim.
+    held to what leaves the bottom wet. beyond: s, when its highest point, crests included, first came over the brim.
     """
 
     body: Body
     fill: float
     slope: Array
-    spilt: float | None
+    beyond: float | None
 
     @classmethod
-    def of_heights(cls, body: Body, fill: float, heights: Array, spilt: float | None) -> DrawnSurface:
+    def of_heights(cls, body: Body, fill: float, heights: Array, beyond: float | None) -> DrawnSurface:
         """From heights (T, 2) at the wall along x and y over the level at rest, m (`SimulationRecord.surface`)."""
-        assert body.liquid is not None
-        modes = body.liquid.modes(fill)
+        modes = cast(Liquid, body.inner).modes(fill)
         eta = np.nan_to_num(heights)
         held = np.minimum(1.0, fill / np.maximum(modes.highest(eta), 1e-12))
-        return cls(body, fill, held[:, None] * eta / modes.half, spilt)
+        return cls(body, fill, held[:, None] * eta / modes.half, beyond)
+
+    @property
+    def liquid(self) -> Liquid:
+        return cast(Liquid, self.body.inner)
 
     @property
     def level_B(self) -> Array:
         """(3,) centre of the surface, in B; waves do not move it."""
-        return self.body.surface_B(self.fill)
+        return self.body.inner_origin_B(self.fill)
 
     @property
     def bottom_B(self) -> Array:
@@ -63,14 +62,13 @@ class DrawnSurface:
         return self._ring(0.0)
 
     @property
-    def brim_B(self) -> Array:
+    def edge_B(self) -> Array:
         """(n, 3) corners of the brim."""
-        assert self.body.liquid is not None
-        return self._ring(self.body.liquid.brim)
+        return self._ring(self.liquid.brim)
 
     def _ring(self, height: float) -> Array:
         corners = wall(self.body)
-        return np.column_stack([corners, np.zeros(len(corners))]) + self.body.surface_B(height)
+        return np.column_stack([corners, np.zeros(len(corners))]) + self.body.inner_origin_B(height)
 
     def ring_B(self, k: int) -> Array:
         """(n, 3) corners of the surface at sample k."""
@@ -87,18 +85,12 @@ class DrawnSurface:
 
     @property
     def colour(self) -> Colour:
-        assert self.body.liquid is not None
-        return COLOURS[self.body.liquid.name]
+        return COLOURS[self.liquid.name]
 
-    def brim_colour(self, t: float) -> Colour:
-        return SPILT_COLOUR if self.spilt is not None and t >= self.spilt else BRIM_COLOUR
-
-
-def of_run(loads: tuple[Load, ...], surface: Array, summary: Mapping[str, Any]) -> list[DrawnSurface | None]:
-    """`SimulationRecord.surface` and summary of each object in a run with these true loads; None without a liquid."""
-    out: list[DrawnSurface | None] = [None] * len(loads)
-    for k, load in enumerate(loads):
-        if load.fill is not None and surface.shape[1]:
-            spilt = summary["objects"][k].get("first_spill")
-            out[k] = DrawnSurface.of_heights(load.nominal, load.fill, surface[:, k, :2], spilt)
-    return out
+    def page(self, keep: Array) -> dict[str, Any]:
+        """Corners of the bottom, centre and slope of the surface over time."""
+        return {
+            "bottom": np.round(self.bottom_B, 6).tolist(),
+            "level": self.level_B.tolist(),
+            "moves": self.slope[keep],
+        }

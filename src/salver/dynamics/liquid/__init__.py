@@ -1,0 +1,1 @@
+"""Liquids in open containers: their modes, surface, crests and spills."""

@@ -1,0 +1,184 @@
+"""The surface of a liquid along a motion: at the wall, by linear theory, and its crests beyond that."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import ClassVar, cast
+
+import numpy as np
+
+from salver.dynamics.liquid.liquid import LEFT_OVER, STEEPEST, TILTING, Liquid, SurfaceModes
+from salver.dynamics.load_cases import ModalCases
+from salver.dynamics.modal_changes import Change, turned_each
+from salver.dynamics.modal_motion import TURNING, ModalMotion, across, turned
+from salver.dynamics.motion_gradients import Unknowns, at_node
+from salver.geometry import Array, Indices
+from salver.models.load_dynamics import GRAVITY
+
+
+@dataclass(frozen=True, eq=False)
+class SurfaceCases(ModalCases):
+    """K cases of liquids."""
+
+    @cached_property
+    def modes(self) -> list[SurfaceModes]:
+        return [cast(SurfaceModes, case.modes) for case in self.each]
+
+    @property
+    def liquid(self) -> Liquid:
+        return cast(Liquid, self.each[0].dynamics)
+
+    @cached_property
+    def gain(self) -> Array:
+        """(K, n_modes, 2) as in `SurfaceModes`."""
+        return np.stack([m.gain for m in self.modes])
+
+    @cached_property
+    def half(self) -> Array:
+        """(K, 2) as in `SurfaceModes`."""
+        return np.stack([m.half for m in self.modes])
+
+    @cached_property
+    def peaking(self) -> Array:
+        """(K, 2) as in `SurfaceModes`."""
+        return np.stack([m.peaking for m in self.modes])
+
+    @cached_property
+    def rest_rise(self) -> Array:
+        """(K, 2) as in `SurfaceModes`."""
+        return np.stack([m.rest_rise for m in self.modes])
+
+    @cached_property
+    def steepest(self) -> Array:
+        """(K,) m, the largest free wave for which the model is valid."""
+        return np.asarray(STEEPEST * self.half.min(axis=1))
+
+    @property
+    def wide(self) -> Array:
+        """(K,) m, the larger of `half`."""
+        return np.asarray(self.half.max(axis=1))
+
+    def highest(self, eta: Array) -> Array:
+        """As `SurfaceModes.highest`."""
+        return self.modes[0].highest(eta)
+
+    def steepest_by(self, eta: Array) -> Array:
+        """Derivative of `highest`."""
+        if self.round:
+            return np.asarray(eta / np.maximum(np.linalg.norm(eta, axis=-1, keepdims=True), 1e-12))
+        return np.sign(eta)
+
+    @cached_property
+    def carried(self) -> tuple[Array, Array, Array]:
+        n = self.omega.shape[1]
+        sides = 2 * np.prod(self.half, axis=1) / (self.half**2).sum(axis=1)
+        share = (8 / np.pi**2 * sides[:, None] / (2 * np.arange(n) + 1) ** 2)[:, None, :, None]  # C
+        ratio = (self.omega**2 / self.omega[..., ::-1] ** 2)[:, None]
+        by_other = share * (self.gain[..., ::-1] / self.gain)[:, None] * [1.0, -1.0]
+        return by_other * (1 + ratio), by_other, share**2 * ratio
+
+
+@dataclass(frozen=True, eq=False)
+class SurfaceMotion(ModalMotion):
+    """K cases of a liquid along a motion of T nodes."""
+
+    cases_type: ClassVar[type[ModalCases]] = SurfaceCases
+    cases: SurfaceCases
+
+    @cached_property
+    def eta(self) -> Array:
+        """(K, T, 2) m by which the surface stands at the wall, by linear theory."""
+        which = self.cases
+        return np.asarray((which.gain[:, None] * self.r).sum(axis=2) - which.rest_rise[:, None] * self.slope)
+
+    @property
+    def seen(self) -> Array:
+        return np.concatenate([turned(self.eta, -self.spin), self.crest[..., None]], axis=2)
+
+    @cached_property
+    def free(self) -> Array:
+        """(K, T, 2) m, the part of it that is a wave, not the incline of a surface at rest."""
+        return self.eta + self.cases.half[:, None] * self.slope
+
+    @cached_property
+    def crest(self) -> Array:
+        """(K, T) height of the highest point over the surface at rest, m, what is not linear included."""
+        which, turning = self.cases, self.w @ TURNING
+        steep = (which.peaking[:, None] / which.half[:, None] * self.free**2).sum(axis=-1)
+        return which.highest(self.eta) + steep + TILTING / GRAVITY * which.wide[:, None] ** 2 * turning
+
+    def raised(self, by: Array | float, freer: Array | float) -> Array:
+        """(K, T) the crest, m, of waves that are higher by so much, (K, T), of which the free wave by (K, T, 2) at
+        most."""
+        which = self.cases
+        curve = (which.peaking / which.half)[:, None]
+        return self.crest + by + (curve * freer * (2 * np.abs(self.free) + freer)).sum(axis=-1)
+
+    def changed(self, change: Change, dw: Array) -> tuple[Array, Array, Array]:
+        """What changes dw (K or 1, T, 12, c) of the tray's motion regressor make of the heights along both axes, m, of
+        the surface and of its free wave, (K, T, 2, c), and of what tilting throws up, (K, T, c)."""
+        which = self.cases
+        force = which.at_O[:, None] @ dw  # (K, T, 3, c)
+        lateral = turned_each(force[:, :, :2], self.spin)
+        slope = (lateral - self.slope[..., None] * force[:, :, 2:]) / self.upward[:, :, None, None]
+        slope += across(self.slope)[..., None] * change.spun
+        eta = np.einsum("kna,ktnac->ktac", which.gain, change.r) - which.rest_rise[:, None, :, None] * slope
+        thrown = TILTING / GRAVITY * which.wide[:, None, None] ** 2 * (TURNING @ dw)
+        return eta, eta + which.half[:, None, :, None] * slope, thrown
+
+    @property
+    def height(self) -> Array:
+        """(K, T) m of the whole surface at the wall, by linear theory."""
+        return self.cases.highest(self.eta)
+
+    @property
+    def free_height(self) -> Array:
+        """(K, T) height of the free wave, by linear theory."""
+        return self.cases.highest(self.free)
+
+    @cached_property
+    def tail(self) -> Array:
+        """(K, n_modes, 2) amplitude at the wall of the waves that are left at the end, when all is at rest, m."""
+        return np.asarray(self.cases.gain * np.hypot(*self.ending))
+
+    def amplitude(self, seconds: float = 0.0, more: Array | float = 0.0) -> Array:
+        """(K, 2) m, what no free wave exceeds along either axis from so many seconds after the end on, both modes at
+        their best. more: (K,) m by which they may be higher."""
+        higher = np.broadcast_to(more, len(self.r))[:, None]
+        return np.asarray((self.tail * self.fading(seconds)).sum(axis=1) + higher)
+
+    @cached_property
+    def standing(self) -> Array:
+        """(K, 2) m by which the surface stands higher at the wall after the motion, on a tray that leans."""
+        return np.asarray(self.cases.half * np.abs(self.slope[:, -1]))
+
+    def left(self, seconds: float | None = None, more: Array | float = 0.0) -> Array:
+        """(K,) m, no crest is higher after the end, the tray at rest: both modes at their best. seconds: no wave is
+        higher from then on, beside how the surface stands. more: (K,) m by which the linear waves may be higher."""
+        which, more = self.cases, np.broadcast_to(more, len(self.r))
+        amplitude = self.amplitude(seconds or 0.0, more)
+        highest = which.highest(amplitude + self.standing * (seconds is None))
+        over = LEFT_OVER * (self.peak[1] + more) ** 3 / which.half.min(axis=1) ** 2
+        return np.asarray(highest + (which.peaking / which.half * amplitude**2).sum(axis=1) + over)
+
+
+def surface_by(
+    waves: SurfaceMotion,
+    unknowns: Unknowns,
+    case: Indices,
+    node: Indices,
+    by_eta: Array,
+    by_free: Array,
+    thrown: Array | float,
+) -> Array:
+    """Of by_eta . eta + by_free . free, (m, 2) each, and `thrown` (m,) times the square of the rate of tilting."""
+    which = waves.cases
+    both, up = by_eta + by_free, waves.upward[case, node]
+    by_slope = (by_free * which.half[case] - both * which.rest_rise[case]) / up[:, None]
+    lateral = turned(by_slope, -waves.spin[case, node])
+    by_force = np.column_stack([lateral, -(by_slope * waves.slope[case, node]).sum(axis=1)])
+    by_spin = up * (by_slope * across(waves.slope[case, node])).sum(axis=1) if which.round else None
+    by_r = which.gain[case] * both[:, None, :]
+    by_w = (by_force[:, None] @ which.at_O[case])[:, 0] + np.multiply.outer(thrown, TURNING)
+    return at_node(unknowns, waves, case, node, by_r, None, by_w, by_spin)

@@ -1,0 +1,125 @@
+"""Cases of a quantity and of damping that stand for all of a load's inner dynamics in their ranges."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from typing import Self
+
+import numpy as np
+
+from salver.geometry import Array
+from salver.models.bodies import Body
+from salver.models.interfaces import to_tray
+from salver.models.load_dynamics import APART, GRAVITY, LoadDynamics, Modes
+from salver.models.tray_motion import frame_map
+from salver.models.uncertain.parameters import Parameter, UncertainSet
+
+VERDICT_APART = 0.02  # of frequency, between the values at which a verdict looks
+
+
+@dataclass(frozen=True, eq=False)
+class LoadCase:
+    """What is in one body, at one value (m) of its quantity and one damping (of critical). softer: share of its
+    frequencies by which high amplitudes are slower than small ones."""
+
+    body: Body
+    value: float
+    damping: float
+    softer: float = 0.0
+
+    @property
+    def dynamics(self) -> LoadDynamics:
+        assert self.body.inner is not None
+        return self.body.inner
+
+    @property
+    def modes(self) -> Modes:
+        return self.dynamics.modes(self.value)
+
+    @property
+    def name(self) -> tuple[str, float, float]:
+        """What tells it from all others of a payload."""
+        return self.body.name, self.value, self.damping
+
+
+@dataclass(frozen=True, eq=False)
+class ModalCases:
+    """K cases, of one or more bodies whose dynamics are alike (`alike`), as arrays.
+
+    at_O (K, 3, 12), at_mode (K, n_modes, 2, 12): w of the tray's E to the specific force at O, and the lateral one at
+    each mode. to_E (K, 6, 6): wrench at O to that at E, in E. omega, kd, mass, height (K, n_modes, 2): as in `Modes`.
+    """
+
+    each: tuple[LoadCase, ...]
+    at_O: Array
+    at_mode: Array
+    to_E: Array
+    omega: Array
+    kd: Array
+    mass: Array
+    height: Array
+
+    @classmethod
+    @lru_cache(maxsize=64)
+    def of(cls, each: tuple[LoadCase, ...]) -> Self:
+        modes = [case.modes for case in each]
+        at_O, at_mode, to_E = [], [], []
+        for case, own in zip(each, modes, strict=True):
+            body = case.body
+            O_E = body.p_EB + body.R_EB @ body.inner_origin_B(case.value)
+            at_O.append(frame_map(O_E, body.R_EB)[:3])
+            maps = [[frame_map(O_E + z * body.R_EB[:, 2], body.R_EB) for z in heights] for heights in own.height]
+            at_mode.append(np.array([[x[0], y[1]] for x, y in maps]))
+            to_E.append(to_tray(O_E, body.R_EB))
+        damping = np.array([case.damping for case in each])
+        omega = np.stack([m.omega * (1 - case.softer) for case, m in zip(each, modes, strict=True)])
+        return cls(
+            each,
+            np.stack(at_O),
+            np.stack(at_mode),
+            np.stack(to_E),
+            omega,
+            2 * damping[:, None, None] * omega,
+            np.stack([m.mass for m in modes]),
+            np.stack([m.height for m in modes]),
+        )
+
+    @cached_property
+    def round(self) -> bool:
+        return self.each[0].modes.round
+
+    @cached_property
+    def room(self) -> Array:
+        """(K,) m, see `LoadDynamics.room`."""
+        return np.array([case.dynamics.room(case.value) for case in self.each])
+
+    @cached_property
+    def rising(self) -> Array:
+        """(K, n_modes, 2) kg/m: half the square of a mass's place, times this, is what it lifts, kg m: its energy over
+        g."""
+        return np.asarray(self.mass * self.omega**2 / GRAVITY)
+
+    @cached_property
+    def carried(self) -> tuple[Array, Array, Array]:
+        """(K, 1, n_modes, 2) what a body that takes its masses along as it turns about z pushes them by, for each
+        rad/s, rad/s^2 and (rad/s)^2: see `ModalMotion.walls`. Not asked of `round` ones."""
+        raise NotImplementedError
+
+
+def alike(case: LoadCase) -> tuple[type, bool]:
+    """What cases have in common that are computed side by side: one kind of dynamics, and whether round."""
+    return type(case.dynamics), case.modes.round
+
+
+def load_cases(body: Body, uncertain: UncertainSet, apart: float = APART) -> tuple[LoadCase, ...]:
+    """Values and dampings of what moves in a body that stand for all of an uncertain set; none where nothing does."""
+    inner = body.inner
+    if inner is None:
+        return ()
+    half = uncertain.ranges
+    away = half.get(Parameter(body.name, inner.quantity), 0.0)
+    found = inner.cases(inner.value - away, inner.value + away, apart)
+    if Parameter(body.name, "damping") not in half:
+        found = [(value, inner.nominal_damping) for value in dict.fromkeys(value for value, _ in found)]
+    return tuple(LoadCase(body, *each) for each in found)

@@ -1,0 +1,160 @@
+"""What moves inside a load along a motion, with the arm's compliance and what is uncertain: its reaction, and what it
+must keep. Each kind of `LoadDynamics` has its own `LoadResponse`, which says what that is."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, ClassVar, Protocol, Self
+
+import numpy as np
+
+from salver.dynamics.load_cases import LoadCase
+from salver.dynamics.load_limits import LIGHT, LIGHTEST, LoadLimit, LoadVerdict
+from salver.dynamics.modal_changes import Change, changed
+from salver.dynamics.modal_motion import ModalMotion
+from salver.dynamics.modal_state import ModalState
+from salver.dynamics.motion_gradients import Unknowns
+from salver.geometry import Array, Indices
+from salver.models.load_dynamics import GRAVITY
+
+
+class ArmReaction(Protocol):
+    """What an arm makes of the wrenches of K cases: w (K, T, 12) of the tray's motion regressor, and deviations."""
+
+    @property
+    def w(self) -> Array: ...
+
+    @property
+    def joints(self) -> Any: ...
+
+    @property
+    def tray(self) -> Any: ...
+
+    @property
+    def torque(self) -> Array: ...
+
+    def part(self, some: slice) -> ArmReaction: ...
+
+
+@dataclass(frozen=True, eq=False)
+class LoadResponse(ABC):
+    """K cases of a load's inner dynamics along a motion of T instants.
+
+    wrench: (K, T, 6) of `ModalMotion`. planned: the modes on a tray that follows its motion exactly; the rest is what
+    comes of a compliant arm. reaction: how it complies. change: of the modes, per half-range of each of n_c terms of
+    what is uncertain. higher: (K, T) m, by which `ModalMotion.height` may be larger for all these; more_left: (K,) m,
+    what is left at the end.
+    """
+
+    motion_type: ClassVar[type[ModalMotion]] = ModalMotion
+
+    modes: ModalMotion
+    wrench: Array
+    planned: ModalMotion
+    reaction: ArmReaction | None = None
+    change: Change | None = None
+    higher: Array | float = 0.0
+    more_left: Array | float = 0.0
+
+    @classmethod
+    def of(cls, modes: ModalMotion) -> Self:
+        """On a tray that follows its motion exactly."""
+        return cls(modes, modes.wrench, modes)
+
+    @classmethod
+    def compliant(
+        cls, modes: ModalMotion, planned: ModalMotion, reaction: ArmReaction, dw: Array, start: ModalState | None = None
+    ) -> Self:
+        """dw: (K or 1, T, 12, n_c) change of the tray's motion regressor; start: what it made of the modes till
+        then."""
+        change = changed(modes, dw, start)
+        return cls(modes, modes.wrench, planned, reaction, change, **cls.widened(modes, change, dw))
+
+    @classmethod
+    def widened(cls, modes: ModalMotion, change: Change, dw: Array) -> dict[str, Array]:
+        """`higher` and `more_left`, and what else of this kind a change makes larger, by name."""
+        higher, left = (np.linalg.norm(x, axis=-2) for x in (change.r, np.hypot(*change.ending)))
+        return {"higher": higher.max(axis=2).sum(axis=2), "more_left": left.max(axis=1).sum(axis=1)}
+
+    def along(self, planned: ModalMotion) -> Self:
+        """The response of other planned modes, with the arm's compliance as here."""
+        modes = planned.shifted(self.modes.w - self.planned.w, self.modes.start)
+        return replace(self, modes=modes, wrench=modes.wrench, planned=planned)
+
+    def at(self, index: Indices) -> Self:
+        """The wrench at some instants."""
+        return replace(self, wrench=self.wrench[:, index])
+
+    def part(self, some: slice, planned: ModalMotion | None = None) -> Self:
+        """Some of the cases; planned: theirs, where they are known."""
+        modes = self.modes.part(some)
+        if planned is None:
+            planned = modes if self.planned is self.modes else self.planned.part(some)
+        reaction = None if self.reaction is None else self.reaction.part(some)
+        change = None if self.change is None else self.change.part(some)
+        return type(self)(modes, self.wrench[some], planned, reaction, change, **self._more(some))
+
+    def only(self, k: int) -> Self:
+        """One case, without what the arm and parameter errors do to it."""
+        some = slice(k, k + 1)
+        modes = self.modes.part(some)
+        return type(self)(modes, self.wrench[some], modes, **self._more(some))
+
+    def _more(self, some: slice) -> dict[str, Any]:
+        own = {name: value for name, value in vars(self).items() if name in self.more}
+        return {name: x if np.ndim(x) == 0 else np.asarray(x)[some] for name, x in own.items()}
+
+    more: ClassVar[tuple[str, ...]] = ("higher", "more_left")  # fields of what is uncertain, (K, ...)
+
+    def unsure(self, away: Array, inclined: Array) -> Self:
+        """The response if each mass may be away by m, (K, T, n_modes, 2), and the force inclined by a slope (K, T,
+        1)."""
+        return replace(self, higher=away.max(axis=(2, 3)), more_left=away[:, -1].max(axis=(1, 2)))
+
+    @cached_property
+    def lightness(self) -> Array:
+        """(K, T) share of its weight that does not press or pull."""
+        return np.asarray(1 - self.modes.force[..., 2] / GRAVITY)
+
+    @property
+    def weight_limit(self) -> LoadLimit:
+        """As much of the weight is left as the modes are known to need."""
+
+        def by(case: Indices, node: Indices, unknowns: Unknowns) -> Array:
+            by_w = -self.modes.cases.at_O[case, 2] / GRAVITY
+            return np.asarray((by_w[:, None] @ unknowns.felt[node])[:, 0])
+
+        def bends(case: Indices, node: Indices, unknowns: Unknowns) -> Array:
+            return np.zeros((len(case), 0, unknowns.felt.shape[2]))
+
+        most = np.full(len(self.wrench), LIGHTEST)
+        return LoadLimit("effective gravity", self.lightness, most, by, bends, LIGHT)
+
+    @abstractmethod
+    def limits(self) -> list[LoadLimit]:
+        """All that it must keep, during the motion and after it."""
+
+    @classmethod
+    def verdict(cls, name: str, parts: Sequence[Self]) -> LoadVerdict:
+        """How near the load in a body comes to its limits, at its worst case of all parts."""
+        modes, limits = parts[0].modes, [limit for part in parts for limit in part.limits()]
+        size = np.max([(part.modes.height + part.higher).max(axis=0) for part in parts], axis=0)
+        return LoadVerdict.of(name, modes.cases.each[0].dynamics, modes.t, limits, size)
+
+
+def response_of(several: Sequence[LoadCase], t: Array, w: Array) -> LoadResponse:
+    """Of cases that are alike, from rest along a motion that the tray follows exactly."""
+    kind: type[LoadResponse] = several[0].dynamics.response
+    return kind.of(kind.motion_type.along(several, t, w))
+
+
+def slacks(part: LoadResponse, *groups: str) -> Array:
+    """(K, T) the least of what each case leaves of its limits, as shares of what is allowed; of some groups only, if
+    any are named. Infinite without any."""
+    count = len(part.modes.t)
+    none = np.full((len(part.wrench), count), np.inf)
+    wanted = [limit for limit in part.limits() if not groups or limit.group in groups]
+    return np.min([none, *(limit.left(count) for limit in wanted)], axis=0)

@@ -1,0 +1,69 @@
+"""First-order effect of changes of the tray's motion regressor on what moves inside loads and on its wrench."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from salver.dynamics.modal_motion import ModalMotion, across, turned
+from salver.dynamics.modal_state import ModalState
+from salver.geometry import Array, Indices
+
+
+@dataclass(frozen=True, eq=False)
+class Change:
+    """First-order effect of c changes of the tray's motion regressor on the modes.
+
+    r: (K, T, n_modes, 2, c) m, of each mass's place. spun: (K or 1, T, 1, c) rad, of `ModalMotion.spin`. wrench: (K, T,
+    6, c) at E. ending: of each mode, (K, n_modes, 2, c) of its place and of its speed over its frequency, m.
+    """
+
+    r: Array
+    spun: Array
+    wrench: Array
+    ending: tuple[Array, Array]
+
+    def part(self, some: slice | Indices) -> Change:
+        """The effect in some of the cases."""
+        ending = self.ending[0][some], self.ending[1][some]
+        spun = self.spun if len(self.spun) == 1 else self.spun[some]
+        return Change(self.r[some], spun, self.wrench[some], ending)
+
+
+def changed(modes: ModalMotion, dw: Array, start: ModalState | None = None) -> Change:
+    """To first order, by changes dw (K or 1, T, 12, c) of the tray's motion regressor, before the motion too. start:
+    what they have made of the modes till then, where these do not begin at rest."""
+    which, spun = modes.cases, modes.spun(dw, start)
+    r, rate, second = modes.pushed(dw, before=True, start=start, spun=spun)
+    spun = spun[:, :, None] * modes.cases.round  # (K or 1, T, 1, c)
+    force = which.at_O[:, None] @ dw  # (K, T, 3, c)
+    ending = r[:, -1], rate[:, -1] / which.omega[..., None]
+
+    def weighed(x: Array, dx: Array, mass: Array) -> tuple[Array, Array]:
+        """Sums over the modes in the body's axes, (K, T, 2, 1), and their changes (K, T, 2, c)."""
+        own = turned((mass[:, None] * x).sum(axis=2), -modes.spin)
+        moved = np.einsum("kna,ktnac->ktac", mass, dx)
+        return own[..., None], turned_each(moved, -modes.spin) - across(own)[..., None] * spun
+
+    pushed = weighed(modes.second, second, which.mass)[1]
+    tilted = weighed(modes.second, second, which.mass * which.height)[1]
+    hung, hangs = weighed(modes.r, r, which.mass)
+    f = modes.force[..., None]
+    K, T, n, _, c = r.shape
+    out = np.zeros((K, T, 6, c))
+    out[:, :, :2] = pushed
+    by_r, by_rate, by_second = (which.rising[:, None] * x for x in (modes.second, 2 * modes.rate, modes.r))
+    for by, dx in ((by_r, r), (by_rate, rate), (by_second, second)):
+        out[:, :, 2] += (by.reshape(K, T, 1, 2 * n) @ dx.reshape(K, T, 2 * n, c))[:, :, 0]
+    out[:, :, 3] = hangs[:, :, 1] * f[:, :, 2] + hung[:, :, 1] * force[:, :, 2] - tilted[:, :, 1]
+    out[:, :, 4] = tilted[:, :, 0] - hangs[:, :, 0] * f[:, :, 2] - hung[:, :, 0] * force[:, :, 2]
+    out[:, :, 5] = hangs[:, :, 0] * f[:, :, 1] - hangs[:, :, 1] * f[:, :, 0]
+    out[:, :, 5] += hung[:, :, 0] * force[:, :, 1] - hung[:, :, 1] * force[:, :, 0]
+    return Change(r, spun, which.to_E[:, None] @ out, ending)
+
+
+def turned_each(x: Array, angle: Array) -> Array:
+    """c vectors (..., 2, c) turned by angles (...), rad."""
+    c, s, x, y = np.cos(angle)[..., None], np.sin(angle)[..., None], x[..., 0, :], x[..., 1, :]
+    return np.stack([c * x - s * y, s * x + c * y], axis=-2)

@@ -1,0 +1,63 @@
+"""What moves inside all loads of a payload along what its tray feels, followed exactly."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+from salver.dynamics.load_cases import VERDICT_APART, load_cases
+from salver.dynamics.load_limits import LoadVerdict
+from salver.dynamics.load_response import LoadResponse, response_of
+from salver.geometry import Array, Indices
+from salver.models.payload import Payload
+from salver.models.uncertain.parameters import NOTHING, UncertainSet
+
+
+@dataclass(frozen=True, eq=False)
+class PayloadResponse:
+    """All inner dynamics of a payload along what its tray feels, w (T, 12) at t (T,), by body: at their nominal value
+    and damping, and at all cases. whole, kept: of which motion these are some instants, and which."""
+
+    payload: Payload
+    t: Array
+    w: Array
+    whole: PayloadResponse | None = None
+    kept: Indices | None = None
+
+    @classmethod
+    def along(cls, payload: Payload, t: Array, w: Array) -> PayloadResponse | None:
+        """A motion that begins at rest. None where nothing moves inside."""
+        return cls(payload, t, w) if payload.dynamic else None
+
+    @cached_property
+    def nominal(self) -> Mapping[str, tuple[LoadResponse, ...]]:
+        return self._found(NOTHING) if self.whole is None else self._thinned(self.whole.nominal)
+
+    @cached_property
+    def worst(self) -> Mapping[str, tuple[LoadResponse, ...]]:
+        return self._found(self.payload.uncertain) if self.whole is None else self._thinned(self.whole.worst)
+
+    def _found(self, uncertain: UncertainSet) -> dict[str, tuple[LoadResponse, ...]]:
+        return {
+            body.name: (response_of(load_cases(body, uncertain, VERDICT_APART), self.t, self.w),)
+            for body in self.payload.dynamic
+        }
+
+    def _thinned(self, found: Mapping[str, tuple[LoadResponse, ...]]) -> dict[str, tuple[LoadResponse, ...]]:
+        assert self.kept is not None
+        return {name: tuple(part.at(self.kept) for part in parts) for name, parts in found.items()}
+
+    def at(self, index: Indices) -> PayloadResponse:
+        """Of the wrenches those at some instants; what becomes of the rest stays that of the whole motion."""
+        whole, kept = (self, index) if self.whole is None or self.kept is None else (self.whole, self.kept[index])
+        return replace(self, whole=whole, kept=kept)
+
+    def only(self, payload: Payload) -> PayloadResponse:
+        """The same with another uncertain set."""
+        return replace(self, payload=payload, whole=None if self.whole is None else self.whole.only(payload))
+
+    def load_verdicts(self, worst: bool) -> list[LoadVerdict]:
+        """What each load comes to."""
+        each = self.worst if worst else self.nominal
+        return [type(parts[0]).verdict(name, parts) for name, parts in each.items()]

@@ -1,0 +1,161 @@
+"""A mass that hangs in a body on a light rod and swings to every side: a clapper, a lamp on a cord.
+
+Its mode is exact to first order (`salver.models.load_dynamics`). It must not swing further than its room. Beyond first
+order it goes less far: a free swing of angle theta has 2 sin(theta / 2) L by the mode, one that hangs aside tan(theta)
+L."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from salver.dynamics.load_limits import LoadLimit, of_end
+from salver.dynamics.load_response import LoadResponse
+from salver.dynamics.motion_gradients import Unknowns, at_node
+from salver.geometry import Array, Indices
+from salver.models.load_dynamics import GRAVITY, Colour, Drawn, LoadDynamics, Modes
+from salver.models.rigid_body import RigidBody
+
+ROOM = "the room that they have"
+AT_REST = 1e-6  # m; smaller swings turn as fast as they like
+CORNERS = np.array(
+    [
+        [a * np.eye(3)[0], b * np.eye(3)[1], c * np.eye(3)[2]][:: a * b * c]
+        for a in (1, -1)
+        for b in (1, -1)
+        for c in (1, -1)
+    ]
+)
+
+
+class PendulumResponse(LoadResponse):
+    """Swings of K pendulums along a motion."""
+
+    def limits(self) -> list[LoadLimit]:
+        """It keeps its room, during the motion and after it."""
+        room = self.modes.cases.room
+        left = (np.linalg.norm(self._end, axis=1) + self._hangs + self.more_left)[:, None]
+        by, bends = of_end(self._left_by), of_end(self._left_bends)
+        return [
+            self.weight_limit,
+            LoadLimit("swing", self.modes.height + self.higher, room, self._by, self._bends, ROOM),
+            LoadLimit("swing left", left, room, by, bends, ROOM, residual=True),
+        ]
+
+    def _by(self, case: Indices, node: Indices, unknowns: Unknowns) -> Array:
+        r = self.modes.r[case, node]
+        return at_node(
+            unknowns, self.planned, case, node, r / np.maximum(np.linalg.norm(r, axis=-1, keepdims=True), AT_REST)
+        )
+
+    def _bends(self, case: Indices, node: Indices, unknowns: Unknowns) -> Array:
+        r = self.modes.r[case, node]
+        aside = r[..., ::-1] * [-1.0, 1.0] / np.maximum(np.linalg.norm(r, axis=-1, keepdims=True), AT_REST) ** 1.5
+        return at_node(unknowns, self.planned, case, node, aside)[:, None]
+
+    @property
+    def _hangs(self) -> Array:
+        """(K,) m aside after the motion, on a tray that leans."""
+        return np.linalg.norm(self.modes.slope[:, -1], axis=1) * [case.value for case in self.modes.cases.each]
+
+    @property
+    def _end(self) -> Array:
+        """(K, 4) m from there at the end, along both axes, and the speeds over the frequency."""
+        return np.concatenate(self.modes.ending, axis=2)[:, 0]
+
+    def _end_by(self, case: Indices, unknowns: Unknowns) -> tuple[Array, Array]:
+        """Derivatives (m, 4, c) of `_end`, and its direction (m, 4, 1)."""
+        last, omega = np.full(len(case), len(self.modes.t) - 1), self.modes.cases.omega[case]
+        speed = np.sqrt(GRAVITY / self.modes.upward[case, -1])[:, None, None] / omega
+        none, found = np.zeros_like(omega), []
+        for order in range(2):
+            for axis in np.eye(2):
+                by = (none + axis, none) if order == 0 else (none, speed * axis)
+                found.append(at_node(unknowns, self.planned, case, last, *by))
+        end = self._end[case]
+        return np.stack(found, axis=1), (end / np.maximum(np.linalg.norm(end, axis=1, keepdims=True), AT_REST))[
+            ..., None
+        ]
+
+    def _left_by(self, case: Indices, unknowns: Unknowns) -> Array:
+        by, way = self._end_by(case, unknowns)
+        return (way * by).sum(axis=1)
+
+    def _left_bends(self, case: Indices, unknowns: Unknowns) -> Array:
+        by, way = self._end_by(case, unknowns)
+        size = np.maximum(np.linalg.norm(self._end[case], axis=1), AT_REST)[:, None, None]
+        return (by - way * (way * by).sum(axis=1, keepdims=True)) / np.sqrt(size)
+
+
+@dataclass(frozen=True)
+class Pendulum(LoadDynamics):
+    """mass: kg. length: m, of the rod. pivot: m over the base of the body. widest: rad from the body's axis to which it
+    has room. damping: least and most, of critical."""
+
+    mass: float
+    length: float
+    pivot: float
+    widest: float
+    damping: tuple[float, float]
+    quantity: ClassVar[str] = "length"
+    noun: ClassVar[str] = "pendulum"
+
+    @property
+    def value(self) -> float:
+        return self.length
+
+    @property
+    def response(self) -> type[PendulumResponse]:
+        return PendulumResponse
+
+    def modes(self, value: float) -> Modes:
+        one, frozen = np.ones((1, 2)), RigidBody(self.mass, np.array([0.0, 0.0, -value]), np.zeros((3, 3)))
+        return Modes(
+            np.sqrt(GRAVITY / value) * one, self.mass * one, -value * one, frozen, round=True, following=np.inf
+        )
+
+    def origin(self, base: float, value: float) -> float:
+        return base + self.pivot
+
+    def room(self, value: float) -> float:
+        return value * float(np.sin(self.widest))
+
+    def away(self, value: float, seen: Array, slope: Array) -> Array:
+        return np.linalg.norm(seen + value * slope, axis=-1)
+
+    def seen(self, value: float, incline: Array, slope: Array, turning: Array) -> Array:
+        """(T, 3) m aside along x and y, and in all."""
+        place = value * incline[:, 0] / np.sqrt(1 + (incline[:, 0] ** 2).sum(axis=1, keepdims=True))
+        return np.column_stack([place, np.linalg.norm(place, axis=1)])
+
+    def drawn(self, body: Any, value: float, seen: Array, beyond: float | None) -> Drawn:
+        drop = np.sqrt(np.maximum(value**2 - (seen**2).sum(axis=1, keepdims=True), 0.0))
+        return Bob(body.inner_origin_B(value) + np.hstack([seen, -drop]), 0.1 * value, self.room(value), beyond)
+
+
+@dataclass(frozen=True, eq=False)
+class Bob(Drawn):
+    """The mass at places (T, 3) in B, m, of a radius, and the ring with radius `room` that it must stay in."""
+
+    places: Array
+    radius: float
+    room: float
+    beyond: float | None
+
+    @property
+    def colour(self) -> Colour:
+        return (0.25, 0.25, 0.28)
+
+    @property
+    def edge_B(self) -> Array:
+        angle = np.linspace(0, 2 * np.pi, 32, endpoint=False)
+        ring = self.room * np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
+        return ring + self.places[:, 2].max() * np.eye(3)[2]
+
+    def triangles_B(self, k: int) -> Array:
+        return self.radius * CORNERS + self.places[k]
+
+    def page(self, keep: Array) -> dict[str, Any]:
+        return {"triangles": (self.radius * CORNERS).tolist(), "moves": self.places[keep]}

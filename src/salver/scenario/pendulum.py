@@ -1,0 +1,61 @@
+"""A pendulum inside an object: the table [objects.pendulum]."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated, ClassVar
+
+import numpy as np
+from pydantic import Field
+
+from salver.scenario.fields import Mass, Metres, Number
+from salver.scenario.inner import InnerDynamics
+
+if TYPE_CHECKING:
+    from salver.dynamics.pendulum import Pendulum
+
+Damped = Annotated[Number, Field(ge=0, le=0.2)]  # of critical
+
+
+class PendulumIn(InnerDynamics):
+    """A mass on a light rod that hangs in an object, its pivot on the object's axis at the height `pivot` over the
+    base, and swings to every side, at most `widest_deg` from the axis."""
+
+    quantity: ClassVar[str] = "length"
+    noun: ClassVar[str] = "pendulum"
+
+    mass: Mass
+    length: Metres
+    pivot: Metres
+    widest_deg: Annotated[Number, Field(gt=0, le=30)] = 25.0
+    damping: tuple[Damped, Damped] = (0.0, 0.02)
+
+    @property
+    def value(self) -> float:
+        return self.length
+
+    @property
+    def assumed(self) -> float:
+        """m: 2 %."""
+        return 0.02 * self.length
+
+    def check(self, name: str, outside: tuple[float, ...], height: float, half_range: float) -> None:
+        if self.pivot > height:
+            raise ValueError(f"pendulum of {name}: pivot = {self.pivot:g} m; {name} is only {height:g} m high")
+        longest, least = self.length + half_range, min(outside) if len(outside) == 1 else 0.5 * min(outside)
+        if half_range >= self.length or longest > self.pivot:
+            raise ValueError(
+                f"pendulum of {name}: length = {self.length:g} m, uncertain by {half_range:g} m; it must be above 0 "
+                f"and at most its pivot, {self.pivot:g} m"
+            )
+        if longest * np.sin(np.deg2rad(self.widest_deg)) > least:
+            raise ValueError(
+                f"pendulum of {name}: widest_deg = {self.widest_deg:g} takes it out of {name}, "
+                f"{least:g} m from its axis; give less"
+            )
+        if self.damping[0] > self.damping[1]:
+            raise ValueError(f"pendulum.damping = {list(self.damping)}; the least comes first, of critical damping")
+
+    def dynamics(self, height: float) -> Pendulum:
+        from salver.dynamics.pendulum import Pendulum
+
+        return Pendulum(self.mass, self.length, self.pivot, float(np.deg2rad(self.widest_deg)), self.damping)

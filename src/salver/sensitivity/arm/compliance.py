@@ -1,0 +1,196 @@
+"""What moves inside loads on a tray whose arm is compliant to the load's reaction and to theirs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from salver.dynamics.load_cases import LoadCase, alike
+from salver.dynamics.load_response import LoadResponse
+from salver.dynamics.modal_history import CaseGroups, CaseHistory, InitialState, Past, all_cases
+from salver.dynamics.modal_motion import ModalMotion
+from salver.dynamics.modal_state import ModalState
+from salver.geometry import Array
+from salver.models.uncertain.parameters import Parameter
+from salver.sensitivity.arm.load import LoadChange
+from salver.sensitivity.arm.tracking import Deviation, Reaction
+
+# In which modes, and the arm that gives way to them, are known to half a hundredth; and to half a thousandth, where
+# motions go on from one another again and again.
+ROUNDS, MORE_ROUNDS = 2, 3
+
+
+@dataclass(frozen=True, eq=False)
+class LoadResponses:
+    """What moves inside all loads along a tray's motion, with the cases of those that are alike side by side.
+
+    together: loads that are alike, and of all their cases, one after the other, the response as planned and, of an arm
+    that gives way, with what it makes of it. given: what these come from.
+    """
+
+    together: tuple[tuple[CaseGroups, tuple[LoadResponse, ...]], ...]
+    given: tuple[GroupResponse, ...] = ()
+
+    @classmethod
+    def of(
+        cls,
+        loads: CaseGroups,
+        t: Array,
+        w: Array,
+        response: Deviation | None,
+        past: Past | None = None,
+        rounds: int | None = None,
+    ) -> LoadResponses:
+        """Along w (T, 12) at t (T,), which begins at rest, or where the past is left. rounds: see
+        `GroupResponse.along`; more where there is a past unless given."""
+        rounds = rounds or (ROUNDS if past is None else MORE_ROUNDS)
+        found, given = [], list[GroupResponse]()
+        for group in _alike(loads):
+            begun = InitialState() if past is None else past.begun(group)
+            given.append(GroupResponse.along(group, t, w, response, begun, rounds))
+            found.append((group, given[-1].responses))
+        return cls(tuple(found), tuple(given))
+
+    def along(self, t: Array, w: Array) -> LoadResponses:
+        """The loads along another motion, with the arm's compliance of this one."""
+        found = []
+        for group, (old, *given) in self.together:
+            planned = type(old).of(old.modes.along(all_cases(group), t, w, old.modes.start))
+            found.append((group, (planned, *(part.along(planned.modes) for part in given))))
+        return LoadResponses(tuple(found))
+
+    def past(self, t: Array) -> Past:
+        """Initial modal state of a motion that continues this one, which was evaluated at t (T,)."""
+        known = zip(self.together, self.given, strict=True)
+        return Past(t, tuple(CaseHistory(group, given.states) for (group, _), given in known))
+
+    def rested(self, t: Array) -> Past:
+        """Initial modal state after a rest that lasts as long as this motion and t (T,), s, more."""
+        known = zip(self.together, self.given, strict=True)
+        return Past(t, tuple(CaseHistory(group, given.rested(t)) for (group, _), given in known), t[0])
+
+    @property
+    def each(self) -> dict[str, tuple[LoadResponse, ...]]:
+        """By the name of its body, the cases of each load, in parts."""
+        found = {}
+        for group, parts in self.together:
+            planned, *given = parts
+            begin = 0
+            for load in group:
+                some = slice(begin, begin + len(load))
+                first = planned.part(some)
+                found[load[0].body.name] = (first, *(part.part(some, first.modes) for part in given))
+                begin += len(load)
+        return found
+
+
+def _alike(loads: CaseGroups) -> list[CaseGroups]:
+    """Those that are alike together, round ones first."""
+    kinds = dict.fromkeys(alike(each[0]) for each in loads if each)
+    first = sorted(kinds, key=lambda kind: not kind[1])
+    return [tuple(each for each in loads if each and alike(each[0]) == kind) for kind in first]
+
+
+@dataclass(frozen=True, eq=False)
+class GroupResponse:
+    """All cases of a group of loads that are alike, along a motion.
+
+    planned: modes on a tray that follows its motion exactly. Of an arm that gives way: modes with what it makes of
+    that, its reaction to them, and changes (K, T, 12, n_c) of the tray's motion regressor that are uncertain.
+    """
+
+    kind: type[LoadResponse]
+    planned: ModalMotion
+    begun: InitialState
+    modes: ModalMotion | None = None
+    reaction: Reaction | None = None
+    unknown: Array | None = None
+
+    @classmethod
+    def along(
+        cls,
+        group: CaseGroups,
+        t: Array,
+        w: Array,
+        response: Deviation | None,
+        begun: InitialState,
+        rounds: int = ROUNDS,
+    ) -> GroupResponse:
+        """Along the tray's motion regressor, w (T, 12), at t (T,). rounds: in which the arm gives way to what the modes
+        push, and these are then others, by an eighth as much each time."""
+        kind: type[LoadResponse] = group[0][0].dynamics.response
+        planned = kind.motion_type.along(all_cases(group), t, w, begun.planned)
+        if response is None:
+            return cls(kind, planned, begun)
+        felt, drift = response.felt()
+        each = [of_cases(load, response.load, drift.dw) for load in group]
+        known = np.concatenate([sure for sure, _ in each]) + (felt - w)
+        unknown = np.zeros((*known.shape, max(free.shape[3] for _, free in each)))
+        begin = 0
+        for _, free in each:
+            unknown[begin : begin + len(free), :, :, : free.shape[3]] = free
+            begin += len(free)
+        modes = planned if begun.compliant is None else planned.shifted(known, begun.compliant)
+        for _ in range(rounds):
+            reaction = response.reaction(modes.wrench, begun.reaction)
+            modes = planned.shifted(known + reaction.w, begun.compliant)
+        return cls(kind, planned, begun, modes, reaction, unknown)
+
+    @property
+    def responses(self) -> tuple[LoadResponse, ...]:
+        """As planned, and with the compliance of the arm."""
+        if self.modes is None or self.reaction is None or self.unknown is None:
+            return (self.kind.of(self.planned),)
+        return self.kind.of(self.planned), self.kind.compliant(self.modes, self.planned, self.reaction, *self.changing)
+
+    @property
+    def changing(self) -> tuple[Array, ModalState | None]:
+        """Uncertain changes of the tray's motion regressor, and what they have caused till then."""
+        assert self.unknown is not None
+        change = self.begun.change
+        if change is not None:  # of fewer terms where those loads are left out that know most of them
+            change = change.of_terms(self.unknown.shape[3])
+        return self.unknown, change
+
+    @property
+    def states(self) -> InitialState:
+        """All of it at the instants of the motion."""
+        planned = self.planned.states()
+        if self.modes is None or self.reaction is None:
+            return InitialState(planned)
+        joints = self.reaction.joints
+        reaction = -np.stack([joints.q, joints.dq], axis=1)
+        return InitialState(planned, self.modes.states(), self.modes.states(*self.changing), reaction)
+
+    def rested(self, t: Array) -> InitialState:
+        """All of it t (T,), s, after the motion, the arm taken for still."""
+        planned = self.planned.rested(t)
+        if self.modes is None or self.reaction is None:
+            return InitialState(planned)
+        n, K = self.reaction.joints.missing.shape[1:]
+        still = np.zeros((len(t), 2, n, K))
+        return InitialState(planned, self.modes.rested(t), self.modes.rested(t, *self.changing), still)
+
+
+def of_cases(several: Sequence[LoadCase], load: LoadChange, dw: Array) -> tuple[Array, Array]:
+    """Change of dw (T, 12, n_c), per half-range of each term of a load, at the values of K cases: (K, T, 12) the sure
+    part, and (K, T, 12, n) the uncertain part.
+
+    A case knows its own value, and with it what that weighs. Products of two others are left out: they are a
+    hundredth of what single ones do.
+    """
+    inner = several[0].dynamics
+    own, half = Parameter(several[0].body.name, inner.quantity), load.uncertain.ranges
+    others = [p for p in load.uncertain.parameters if p != own]
+    share = np.array([(case.value - inner.value) / half[own] if own in half else 0.0 for case in several])
+    sure, free = np.zeros((len(several), len(load.terms))), np.zeros((len(several), len(load.terms), len(others)))
+    for k, factors in enumerate(load.terms):
+        rest = [p for p in factors if p != own]
+        power = share ** (len(factors) - len(rest))
+        if not rest:
+            sure[:, k] = power
+        elif len(rest) == 1:
+            free[:, k, others.index(rest[0])] = power
+    return np.moveaxis(dw @ sure.T, 2, 0), dw @ free[:, None]
