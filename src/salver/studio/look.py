@@ -6,6 +6,7 @@ import tomllib
 from collections.abc import Sequence
 from dataclasses import asdict
 from functools import lru_cache
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +20,8 @@ from salver.models.arm.arm import load_arm
 from salver.planning.fastest import TransportProblem, transport_problem
 from salver.planning.postures import REACHED, posture_at
 from salver.planning.seeds.blocked import why_blocked, why_touching, why_unreached
-from salver.planning.seeds.starts import ends, guess
-from salver.planning.trajopt.ends import AtPose
+from salver.planning.seeds.starts import ends, guess, standing_at
+from salver.planning.trajopt.ends import AtPose, End
 from salver.reports.pages.meshes import link_meshes, pack
 from salver.reports.pages.replay import IDENTITY, joint_poses, stage, still, viewpoint
 from salver.reports.style import BLUE, VERMILION
@@ -225,14 +226,16 @@ def _postures(problem: TransportProblem, near: Sequence[float] | None) -> tuple[
     why = falls or (why_touching(problem, pairs) if pairs else why_unreached(problem))
     if pairs:
         return [pairs[0].start, pairs[0].goal], why.sentence if why else ""
-    found = []
-    for end in (problem.start, problem.goal):
-        if isinstance(end, AtPose):
-            last, _ = posture_at(arm, end.target, last, limits=limits)
-        else:
-            last = end.nearest(arm, limits, last)  # type: ignore[assignment]
-        found.append(last)
-    return found, why.sentence if why else ""
+    return [_standing(problem, end, last) for end in (problem.start, problem.goal)], why.sentence if why else ""
+
+
+def _standing(problem: TransportProblem, end: End, last: Array) -> Array:
+    """A posture at an end that is looked at alone, in which nothing touches if one is at hand; out of reach, as near as
+    the arm comes."""
+    found = list(islice(standing_at(problem, end, np.random.default_rng(0)), 3))
+    if not found and isinstance(end, AtPose):
+        return posture_at(problem.arm, end.target, last, limits=problem.limits)[0]
+    return min(found, key=lambda q: len(_touching(problem, q)))
 
 
 def _touching(problem: TransportProblem, q: Array) -> list[str]:
