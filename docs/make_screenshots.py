@@ -45,7 +45,7 @@ def main() -> None:
 
 def _studio() -> None:
     """The bottle on its planned way; an obstacle in it; a mass that cannot be."""
-    from salver.studio import Studio
+    from salver.studio.server import Studio
     from salver.studio.text import changed
 
     text = (scenario.SCENARIO_DIR / f"{SCENARIO}.toml").read_text()

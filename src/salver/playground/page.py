@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from salver.playground.local_page import filled
+from salver.reports.pages.local_page import filled
 from salver.reports.pages.replay import joint_poses, stage, still, viewpoint
 from salver.reports.style import BLUE
 

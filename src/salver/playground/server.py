@@ -11,9 +11,9 @@ from typing import Any, Self
 
 from salver.errors import SalverError
 from salver.live import Worker
-from salver.playground.local_page import HTML, LocalPage, Shown
 from salver.playground.page import page
 from salver.playground.world import World
+from salver.reports.pages.local_page import HTML, LocalPage, Shown
 
 
 class Playground:

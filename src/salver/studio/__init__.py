@@ -1,5 +1,1 @@
 """A page on which a task is designed by hand: its scenario is edited, its margin is seen to move, and it is planned."""
-
-from salver.studio.server import Studio
-
-__all__ = ["Studio"]

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import contextlib
-import multiprocessing
+import subprocess
+import sys
 import threading
+from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
@@ -18,14 +20,14 @@ class Planner:
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._running: tuple[Any, Connection] | None = None
+        self._running: tuple[subprocess.Popen[bytes], Connection] | None = None
         self._busy = False
 
     def plan(self, scenario: Scenario, directory: Path) -> dict[str, Any] | None:
         """Plan as `salver plan` does, into a run directory. Returns what the page says of it; None when a newer task
         has ended this one."""
         with self._lock:
-            if self._busy:
+            if self._busy or (self._running is not None and self._running[0].poll() is not None):
                 self._end()
             process, pipe = self._started()
             self._busy = True
@@ -33,23 +35,28 @@ class Planner:
         try:
             found = pipe.recv()
         except (OSError, EOFError):
-            return None
+            found = {"ok": False, "sentence": "The process that plans died; plan again."}
         with self._lock:
-            if self._running is not None and self._running[0] is process:
-                self._busy = False
+            if self._running is None or self._running[0] is not process:
+                return None
+            self._busy = False
         return dict(found)
 
     def close(self) -> None:
         with self._lock:
             self._end()
 
-    def _started(self) -> tuple[Any, Connection]:
+    def _started(self) -> tuple[subprocess.Popen[bytes], Connection]:
         if self._running is None:
-            context = multiprocessing.get_context("spawn")  # a fork would copy the threads' locks
-            pipe, other = context.Pipe()
-            process = context.Process(target=_work, args=(other,), daemon=True)
-            process.start()
-            other.close()
+            pipe, other = Pipe()
+            with other:
+                code = f"from salver.studio.planner import serve; serve({other.fileno()})"
+                process = subprocess.Popen(
+                    [sys.executable, "-c", code],
+                    pass_fds=[other.fileno()],
+                    stdin=subprocess.DEVNULL,
+                    start_new_session=True,  # Ctrl-C is for the page
+                )
             self._running = (process, pipe)
         return self._running
 
@@ -57,12 +64,12 @@ class Planner:
         running, self._running, self._busy = self._running, None, False
         if running is not None:
             running[0].kill()  # it holds nothing that could be lost; who waits for it hears of its end
-            running[0].join()
+            running[0].wait()
 
 
-def _work(pipe: Connection) -> None:
-    """The process: plans until it is ended."""
-    with contextlib.suppress(EOFError, OSError, KeyboardInterrupt):
+def serve(descriptor: int) -> None:
+    """The process: plans until the one that asks has ended."""
+    with Connection(descriptor) as pipe, contextlib.suppress(EOFError, OSError):
         while True:
             scenario, directory = pipe.recv()
             try:

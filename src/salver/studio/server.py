@@ -3,6 +3,7 @@ windows have nothing in common but the file in which they save."""
 
 from __future__ import annotations
 
+import shutil
 import tempfile
 import threading
 from dataclasses import asdict
@@ -14,7 +15,7 @@ from typing import Any, Self
 
 from salver.errors import SalverError, ScenarioError
 from salver.files import write_atomic
-from salver.playground.local_page import HTML, LocalPage, Shown, filled
+from salver.reports.pages.local_page import HTML, LocalPage, Shown, filled
 from salver.reports.pages.page import write_report
 from salver.reports.pages.replay import replay_scene
 from salver.reports.pages.speed_bar import speed_bar
@@ -135,7 +136,9 @@ class Studio:
             return {"ended": True}
         if "duration" not in found:
             return found
-        self._plans[window] = directory
+        before, self._plans[window] = self._plans.get(window), directory
+        if before is not None:
+            shutil.rmtree(before, ignore_errors=True)
         run = read_run(directory)
         with self._looking:
             from salver.models.arm.arm import load_arm

@@ -31,7 +31,7 @@ def studio(
     import time
     import webbrowser
 
-    from salver.studio import Studio
+    from salver.studio.server import Studio
 
     text, place, folder, saved = _begun(scenario)
     with Studio(text, place, folder, saved=saved, port=port) as page:
@@ -59,7 +59,7 @@ def _begun(scenario: str | None) -> tuple[str, Path, Path, bool]:
 
     place = Path(scenario or "scenario.toml")
     if place.suffix != ".toml":
-        load(place.name if str(place) == place.name else place)  # says what there is
+        load(place)  # says what there is
         ready_made = SCENARIO_DIR / f"{scenario}.toml"
         if not ready_made.is_file():
             raise ScenarioError(f"{scenario} is a run directory; give a .toml file, or a ready-made scenario.")
