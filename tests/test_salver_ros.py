@@ -22,6 +22,7 @@ from ruamel.yaml import YAML
 import salver as sv
 from salver.errors import SalverError, ScenarioError
 from salver.models.arm.arm import load_arm
+from salver.motion_files.ros_writers import typed
 from salver.trajectory import JointMotion
 
 ROS2 = Path(__file__).parents[1] / "ros2"
@@ -40,25 +41,8 @@ START = 1.7e9  # s of a clock of ROS
 
 
 def filled(kind: str, **values: Any) -> Any:
-    """A message of rosbags filled from plain data, with zeros for what is not given, as those of rclpy are."""
-    members = {}
-    for name, (node, detail) in STORE.fielddefs[kind][1]:
-        value, many = values.get(name), node.name == "SEQUENCE"
-        named, inner = (detail[0][0].name, detail[0][1]) if many else (node.name, detail)
-        if named == "NAME":
-            found = (
-                [one if hasattr(one, "__msgtype__") else filled(inner, **one) for one in (value or [])]
-                if many
-                else value
-            )
-            members[name] = found if many or hasattr(value, "__msgtype__") else filled(inner, **(value or {}))
-        elif many:
-            text = inner[0] == "string"
-            members[name] = list(value or []) if text else np.array([] if value is None else value, dtype=inner[0])
-        else:
-            members[name] = value if value is not None else "" if inner[0] == "string" else 0
-    assert set(values) <= set(members), f"{kind} has no {set(values) - set(members)}"
-    return STORE.types[kind](**members)
+    """A message of rosbags filled from plain data, as those of rclpy are."""
+    return typed(STORE, kind, values)
 
 
 def sent(motion: Trajectory) -> Trajectory:
@@ -586,7 +570,8 @@ def test_the_node_plans_and_audits(node: ModuleType, resting: Carrier) -> None:
     planned = found.by_topic["~/plan"](goal={"name": names[::-1], "position": (q + 0.3 * np.eye(7)[0])[::-1]})
     assert planned.success, planned.message
     assert planned.trajectory.points[-1].positions == pytest.approx(q + 0.3 * np.eye(7)[0])
-    assert found.by_topic["~/audit"](trajectory=planned.trajectory).success
+    again = messages.trajectory_message(messages.trajectory_of(planned.trajectory))
+    assert found.by_topic["~/audit"](trajectory=again).success
     assert found.by_topic["~/audit"]().message == "The trajectory has 0 points; it must have two or more."
     assert found.by_topic["~/plan"](goal={"name": ["a"], "position": [0.0]}).message.startswith("There is no joint")
 

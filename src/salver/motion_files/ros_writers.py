@@ -39,7 +39,7 @@ def messages(motion: MotionSeries) -> dict[str, dict[str, Any]]:
     if motion.joint_names:
         rows = {key: none if values is None else values for key, values in given.items()}
         out["joint_trajectory"] = {
-            "header": _header(0),
+            "header": header_of(0),
             "joint_names": list(motion.joint_names),
             "points": [
                 {
@@ -59,7 +59,7 @@ def messages(motion: MotionSeries) -> dict[str, dict[str, Any]]:
 def _path(motion: MotionSeries, positions: Array, quat_wxyz: Array) -> dict[str, Any]:
     poses = [
         {
-            "header": _header(int(ns)),
+            "header": header_of(int(ns)),
             "pose": {
                 "position": dict(zip("xyz", map(float, p), strict=True)),
                 "orientation": dict(zip("wxyz", map(float, q), strict=True)),
@@ -70,11 +70,12 @@ def _path(motion: MotionSeries, positions: Array, quat_wxyz: Array) -> dict[str,
     for pose in poses:  # message order
         orientation = pose["pose"]["orientation"]
         pose["pose"]["orientation"] = {c: orientation[c] for c in "xyzw"}
-    return {"header": _header(0), "poses": poses}
+    return {"header": header_of(0), "poses": poses}
 
 
-def _header(ns: int) -> dict[str, Any]:
-    return {"stamp": _time(ns), "frame_id": WORLD_FRAME}
+def header_of(ns: int, frame: str = WORLD_FRAME) -> dict[str, Any]:
+    """A std_msgs/Header as a mapping."""
+    return {"stamp": _time(ns), "frame_id": frame}
 
 
 def _time(ns: int) -> dict[str, int]:
@@ -100,42 +101,39 @@ def write_bag(motion: MotionSeries, path: Path) -> list[Path]:
                 for topic, message in messages(motion).items():
                     kind = TOPICS[topic]
                     connection = writer.add_connection(f"/salver/{topic}", kind, typestore=store)
-                    writer.write(connection, 0, store.serialize_cdr(_typed(store, kind, message), kind))
+                    writer.write(connection, 0, store.serialize_cdr(typed(store, kind, message), kind))
                 if motion.stops:
                     kind = TOPICS["joint_trajectory"]
                     connection = writer.add_connection(STOPS, kind, typestore=store)
                     for leave, stop in motion.stops:
-                        message = {**messages(stop)["joint_trajectory"], "header": _header(leave)}
-                        writer.write(connection, leave, store.serialize_cdr(_typed(store, kind, message), kind))
+                        message = {**messages(stop)["joint_trajectory"], "header": header_of(leave)}
+                        writer.write(connection, leave, store.serialize_cdr(typed(store, kind, message), kind))
             temporary.rename(path)
     finally:
         shutil.rmtree(temporary.parent, ignore_errors=True)
     return sorted(path.iterdir())
 
 
-# Message type of each member that is itself a message.
-_MEMBERS = {
-    "header": "std_msgs/msg/Header",
-    "stamp": "builtin_interfaces/msg/Time",
-    "time_from_start": "builtin_interfaces/msg/Duration",
-    "points": "trajectory_msgs/msg/JointTrajectoryPoint",
-    "poses": "geometry_msgs/msg/PoseStamped",
-    "pose": "geometry_msgs/msg/Pose",
-    "position": "geometry_msgs/msg/Point",
-    "orientation": "geometry_msgs/msg/Quaternion",
-}
+def typed(store: Any, kind: str, values: dict[str, Any]) -> Any:
+    """A message of rosbags filled from a mapping; what the mapping leaves out is zero or empty.
 
-
-def _typed(store: Any, kind: str, value: dict[str, Any]) -> Any:
-    """A mapping as a message of rosbags."""
+    Raises KeyError for what there is not in such a message.
+    """
     members: dict[str, Any] = {}
-    for name, item in value.items():
-        if isinstance(item, dict):
-            members[name] = _typed(store, _MEMBERS[name], item)
-        elif isinstance(item, list) and item and isinstance(item[0], dict):
-            members[name] = [_typed(store, _MEMBERS[name], element) for element in item]
+    if unknown := values.keys() - {name for name, _ in store.fielddefs[kind][1]}:
+        raise KeyError(f"{kind} has no {unknown.pop()}")
+    for name, (node, detail) in store.fielddefs[kind][1]:
+        value, many = values.get(name), node.name in ("ARRAY", "SEQUENCE")
+        (inner_node, inner) = detail[0] if many else (node, detail)
+        if inner_node.name == "NAME":
+            members[name] = (
+                [typed(store, inner, one) for one in value or []] if many else typed(store, inner, value or {})
+            )
+        elif many:
+            text = inner[0] == "string"
+            members[name] = list(value or []) if text else np.asarray([] if value is None else value, dtype=inner[0])
         else:
-            members[name] = item
+            members[name] = value if value is not None else "" if inner[0] == "string" else 0
     return store.types[kind](**members)
 
 

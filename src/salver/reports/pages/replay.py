@@ -122,18 +122,7 @@ def _variant(motion: ReportedMotion, run: ReportedRun, arm: ArmModel | None) -> 
     source = record.arrays if record else motion.arrays
     t = source["t"]
     keep = _frames(t)
-    if record:
-        tray = np.hstack([source["p_SE"], source["quat_SE_wxyz"]])[keep]
-        objects = _on_tray(tray[:, :3], matrix_from_quat_wxyz(tray[:, 3:]), run.bodies)
-        if "p_SB" in source:  # seen, if only now and then and not all of them
-            seen = np.concatenate([source["p_SB"], source["quat_SB_wxyz"]], axis=2)[keep]
-            m = seen.shape[1]
-            objects[:, :m] = np.where(np.isfinite(seen), seen, objects[:, :m])
-    else:
-        R_SE = motion.R_SB[keep] @ body.R_EB.T
-        p_SE = motion.arrays["p_SB"][keep] - R_SE @ body.p_EB
-        tray = np.hstack([p_SE, quat_wxyz_from_matrix(R_SE)])
-        objects = _on_tray(p_SE, R_SE, run.bodies)
+    tray, objects = poses(motion, run.bodies, keep)
     p, R = objects[:, 0, :3], matrix_from_quat_wxyz(objects[:, 0, 3:])
     if "contact_forces_B" in source:
         points_B, forces_B = source["contact_points_B"], source["contact_forces_B"][keep]
@@ -159,6 +148,24 @@ def _variant(motion: ReportedMotion, run: ReportedRun, arm: ArmModel | None) -> 
         "inside": [each and inside(each, keep) for each in drawn(motion, run)],
         "path": np.round(p[spread(len(p), 90)], 5).tolist(),
     }
+
+
+def poses(motion: ReportedMotion, bodies: Sequence[Body], keep: np.ndarray) -> tuple[Array, Array]:
+    """(K, 7) and (K, m, 7) in S: tray and objects of a motion, as they were seen in its run or else as it is planned,
+    at those of its samples."""
+    record = motion.seen
+    if record is None:
+        R_SE = motion.R_SB[keep] @ bodies[0].R_EB.T
+        p_SE = motion.arrays["p_SB"][keep] - R_SE @ bodies[0].p_EB
+        return np.hstack([p_SE, quat_wxyz_from_matrix(R_SE)]), _on_tray(p_SE, R_SE, bodies)
+    source = record.arrays
+    tray = np.hstack([source["p_SE"], source["quat_SE_wxyz"]])[keep]
+    objects = _on_tray(tray[:, :3], matrix_from_quat_wxyz(tray[:, 3:]), bodies)
+    if "p_SB" in source:  # seen, if only now and then and not all of them
+        seen = np.concatenate([source["p_SB"], source["quat_SB_wxyz"]], axis=2)[keep]
+        m = seen.shape[1]
+        objects[:, :m] = np.where(np.isfinite(seen), seen, objects[:, :m])
+    return tray, objects
 
 
 def drawn(motion: ReportedMotion, run: ReportedRun) -> list[Drawn | None]:
