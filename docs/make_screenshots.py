@@ -44,7 +44,7 @@ def main() -> None:
 
 
 def _studio() -> None:
-    """The bottle on its planned way; an obstacle in it; a mass that cannot be."""
+    """The bottle in the engine; an obstacle in its way; a mass that cannot be."""
     from salver.studio.server import Studio
     from salver.studio.text import changed
 
@@ -60,7 +60,9 @@ def _studio() -> None:
             browser.call("POST", "url", {"url": studio.url})
             if name == "studio.png":
                 browser.wait_for("window.salver && salver.state.plan", 120)
-                browser.script("salver.halt(); salver.setTime(0.55 * salver.state.plan.end)")
+                browser.click("#run")
+                browser.wait_for("salver.state.said.startsWith('In the engine')", 120)
+                browser.script("salver.halt(); salver.setTime(0.83)")
             else:
                 browser.wait_for("window.salver && salver.state.looks > 0")
             if name == "studio-mistake.png":

@@ -203,6 +203,18 @@ def test_the_links_of_an_arm_are_sent_once_and_the_posture_follows():
     np.testing.assert_allclose(again["posture"], first["posture"], atol=1e-6)
 
 
+@pytest.mark.parametrize("name", ["panda-coffee", "panda-tall-bottle"])
+def test_the_edge_that_is_run_lies_within_the_ranges(name):
+    from salver.studio.planner import _edge
+
+    uncertain = sv.load_scenario(name).uncertain
+    found = _edge(uncertain)
+    assert found["friction"] == pytest.approx(uncertain.nominal[uncertain.names.index("friction")] * 0.9)
+    away = (np.array(list(found.values())) - uncertain.nominal) / uncertain.half_range
+    assert np.abs(away).max() == pytest.approx(1.0)
+    assert {name for name, x in zip(found, away, strict=True) if x < 0} <= {"friction", "damping"}
+
+
 # --- the page
 
 
@@ -262,6 +274,11 @@ def test_the_plan_of_a_window_is_the_commands_and_another_window_has_its_own(tmp
         assert say(studio, "save", text=text)["saved"]
         other = say(studio, "plan", text=changed(text, [(["motion", "goal", "position", 1], 0.0)]), window="two")
         assert other["duration"] < here["duration"]
+        seen = say(studio, "run", window="one")
+        assert "the plan: holds" in seen["sentence"]
+        assert here["duration"] < seen["end"]
+        assert {variant["source"] for variant in seen["variants"]} == {"run"}
+        assert "plan first" in say(studio, "run", window="three")["problem"]
         for window, duration in (("one", here["duration"]), ("two", other["duration"])):
             status, page = asked(studio, "GET", urlsplit(studio.url).path + f"report/{window}")
             assert (status, f"{duration:.3g}" in page.decode()) == (200, True)

@@ -9,10 +9,15 @@ import threading
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from salver.errors import SalverError
 from salver.scenario import Scenario
+
+if TYPE_CHECKING:
+    from salver.models.uncertain.parameters import UncertainSet
 
 
 class Planner:
@@ -26,12 +31,19 @@ class Planner:
     def plan(self, scenario: Scenario, directory: Path) -> dict[str, Any] | None:
         """Plan as `salver plan` does, into a run directory. Returns what the page says of it; None when a newer task
         has ended this one."""
+        return self._ask("plan", scenario, directory)
+
+    def run(self, directory: Path) -> dict[str, Any] | None:
+        """Run what stands in a run directory in the physics engine, with values at the edge of their ranges."""
+        return self._ask("run", directory)
+
+    def _ask(self, *task: Any) -> dict[str, Any] | None:
         with self._lock:
             if self._busy or (self._running is not None and self._running[0].poll() is not None):
                 self._end()
             process, pipe = self._started()
             self._busy = True
-            pipe.send((scenario, directory))
+            pipe.send(task)
         try:
             found = pipe.recv()
         except (OSError, EOFError):
@@ -71,13 +83,13 @@ def serve(descriptor: int) -> None:
     """The process: plans until the one that asks has ended."""
     with Connection(descriptor) as pipe, contextlib.suppress(EOFError, OSError):
         while True:
-            scenario, directory = pipe.recv()
+            do, *about = pipe.recv()
             try:
-                pipe.send(_planned(scenario, directory))
+                pipe.send(_planned(*about) if do == "plan" else _run(*about))
             except SalverError as error:
                 pipe.send({"ok": False, "sentence": str(error)})
             except Exception as error:  # one task that fails is no reason to end
-                pipe.send({"ok": False, "sentence": f"Planning failed ({type(error).__name__}: {error})."})
+                pipe.send({"ok": False, "sentence": f"It failed ({type(error).__name__}: {error})."})
 
 
 def _planned(scenario: Scenario, directory: Path) -> dict[str, Any]:
@@ -94,3 +106,26 @@ def _planned(scenario: Scenario, directory: Path) -> dict[str, Any]:
         "sentence": plan.status.sentence + arm,
         "speeds": plan.speeds.summary(),
     }
+
+
+def _run(directory: Path) -> dict[str, Any]:
+    from salver.planning.plan import load_plan
+    from salver.simulation.physics import simulate
+
+    said = []
+    for stem, name in (("plan", "the plan"), ("baseline", "the straight line")):
+        plan = load_plan(directory, stem)
+        if plan.joint is None and plan.scenario.arm is not None:
+            said.append(f"{name} is nothing that the arm can follow")
+            continue
+        record = simulate(plan, parameters=_edge(plan.uncertain))
+        record.save(directory, stem)
+        said.append(f"{name}: {record.outcome}")
+    return {"sentence": f"In the engine, with the least friction and all else greatest: {'; '.join(said)}."}
+
+
+def _edge(uncertain: UncertainSet) -> dict[str, float]:
+    """Values at the edge of the ranges: friction and damping at the least, all else at the greatest."""
+    share = uncertain.size**-0.5 if uncertain.kind == "ellipsoid" else 1.0
+    signs = [-1.0 if p.kind in ("friction", "damping") else 1.0 for p in uncertain.parameters]
+    return dict(zip(uncertain.names, uncertain.nominal + share * np.array(signs) * uncertain.half_range, strict=True))

@@ -15,6 +15,7 @@ from typing import Any, Self
 
 from salver.errors import SalverError, ScenarioError
 from salver.files import write_atomic
+from salver.models.arm.arm import load_arm
 from salver.reports.pages.local_page import HTML, LocalPage, Shown, filled
 from salver.reports.pages.page import write_report
 from salver.reports.pages.replay import replay_scene
@@ -69,14 +70,18 @@ class Studio:
         directory = self._plans.get(window)
         if directory is None or kind not in ("report", "csv"):
             return None
-        if kind == "report":
-            return write_report(directory).read_bytes(), HTML
-        return self._export(directory), "text/csv; charset=utf-8"
+        try:
+            with self._looking:
+                if kind == "report":
+                    return write_report(directory).read_bytes(), HTML
+                return self._export(directory), "text/csv; charset=utf-8"
+        except SalverError as error:
+            return str(error).encode(), "text/plain; charset=utf-8"
 
     def _export(self, directory: Path) -> bytes:
         from salver.export import write_export
 
-        (path, *_) = write_export(directory, "csv", directory / "motion.csv", "plan", None, unsafe=True)
+        (path, *_) = write_export(directory, "csv", directory / "motion.csv", "plan", None)
         return path.read_bytes()
 
     def _page(self) -> bytes:
@@ -93,7 +98,7 @@ class Studio:
     # --- what is said
 
     def _say(self, message: Any) -> dict[str, Any]:
-        """{"do": "look" | "plan" | "save" | "close", "text": ..., "window": ...} and, to look, "changes",
+        """{"do": "look" | "plan" | "run" | "save" | "close", "text": ..., "window": ...} and, to look, "changes",
         "near" and "arm". Each answer has a "problem" when it could not be done."""
         try:
             if not isinstance(message, dict):
@@ -106,6 +111,8 @@ class Studio:
                     return self._look(message, text)
                 case "plan":
                     return self._plan(text, window)
+                case "run":
+                    return self._run(window)
                 case "save":
                     return self._save(text)
                 case "close":
@@ -139,19 +146,22 @@ class Studio:
         before, self._plans[window] = self._plans.get(window), directory
         if before is not None:
             shutil.rmtree(before, ignore_errors=True)
+        return {**found, "speed_bar": str(speed_bar(found["speeds"])), **self._replayed(directory)}
+
+    def _run(self, window: str) -> dict[str, Any]:
+        directory = self._plans.get(window)
+        if directory is None:
+            raise ScenarioError("Nothing is planned yet; plan first.")
+        found = self._planners.setdefault(window, Planner()).run(directory)
+        return {"ended": True} if found is None else {**found, **self._replayed(directory)}
+
+    def _replayed(self, directory: Path) -> dict[str, Any]:
+        """For the viewer: motions of a run directory, as planned or as the engine has them, and from when to when."""
         run = read_run(directory)
         with self._looking:
-            from salver.models.arm.arm import load_arm
-
-            arm = None if scenario.arm is None else load_arm(scenario.arm, scenario.tray)
+            arm = None if run.scenario.arm is None else load_arm(run.scenario.arm, run.scenario.tray)
             scene = replay_scene(run, arm)
-        return {
-            **found,
-            "speed_bar": str(speed_bar(found["speeds"])),
-            "variants": scene["variants"],
-            "start": scene["start"],
-            "end": scene["duration"],
-        }
+        return {"variants": scene["variants"], "start": scene["start"], "end": scene["duration"]}
 
     def _save(self, text: str) -> dict[str, Any]:
         """Written at once or not at all; not over what somebody else has written there meanwhile."""

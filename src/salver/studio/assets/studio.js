@@ -84,10 +84,30 @@ async function plan() {
   state.said = found.problem ?? "";
   state.plan = found.sentence === undefined ? null : found;
   if (found.variants) {
-    state.viewer?.furnish({ variants: found.variants });
     byId("speeds").innerHTML = found.speed_bar;
-    state.time = found.start;
-    play();
+    show3d(found);
+  }
+  tell();
+}
+
+function show3d(motions) {
+  state.viewer?.furnish({ variants: motions.variants });
+  state.time = motions.start;
+  play();
+}
+
+// Plan and straight line in the physics engine.
+async function run() {
+  const text = state.text;
+  halt();
+  state.said = "Running in the physics engine.";
+  tell();
+  const found = await post("run");
+  if (text !== state.text || !state.plan || found.ended) return;
+  state.said = found.problem ?? found.sentence;
+  if (found.variants) {
+    Object.assign(state.plan, { variants: found.variants, start: found.start, end: found.end });
+    show3d(found);
   }
   tell();
 }
@@ -103,7 +123,7 @@ function tell() {
     head = found.ok ? `${found.duration.toFixed(3)} s, safe in the worst case.` : "No safe motion was found.";
     [level, detail] = [found.ok ? "" : "bad", found.sentence];
   } else if (found) [level, head, detail] = ["bad", "No motion was found.", found.sentence];
-  else if (answer?.blocked) [level, head, detail] = ["bad", "Blocked.", answer.blocked];
+  else if (answer?.blocked) [level, head, detail] = ["bad", "There is nothing to plan yet.", answer.blocked];
   else if (planning) [head, detail] = [`Planning, ${((performance.now() - state.planning) / 1000).toFixed(0)} s`, "The fastest safe motion is sought in another process; change what you like meanwhile."];
   if (said) detail = said;
   byId("verdict").className = `verdict ${level}`;
@@ -112,10 +132,11 @@ function tell() {
   byId("place").textContent = given.place + (state.text === state.saved ? "" : " (not saved)");
   byId("undo").disabled = !state.done.length;
   byId("redo").disabled = !state.undone.length;
-  byId("play").disabled = byId("scrub").disabled = !found?.variants;
+  byId("play").disabled = byId("run").disabled = byId("scrub").disabled = !found?.variants;
   byId("plan").disabled = wrong;
+  for (const id of ["add", "chosen"]) byId(id).disabled = !answer;
   for (const [id, kind] of [["report", "report"], ["csv", "csv"]]) {
-    byId(id).hidden = !found?.variants;
+    byId(id).hidden = !found?.variants || (kind === "csv" && !found.ok);
     byId(id).href = `${here}${kind}/${own}`;
   }
 }
@@ -359,6 +380,7 @@ byId("chosen").addEventListener("change", (event) => choose(event.target.value))
 // --- buttons and text
 
 function back(from, to) {
+  while (from.length && from[from.length - 1] === state.text) from.pop();  // of a drag that came back
   if (!from.length || asking) return;
   to.push(state.text);
   edit({}, { text: from.pop(), back: true });
@@ -383,6 +405,7 @@ byId("text").addEventListener("scroll", scrolled);
 byId("plan").addEventListener("click", plan);
 byId("follow").addEventListener("change", (event) => event.target.checked && !state.plan && plan());
 byId("beside").addEventListener("change", paint);
+byId("run").addEventListener("click", run);
 byId("play").addEventListener("click", () => (state.playing ? halt() : play()));
 byId("scrub").addEventListener("input", (event) => {
   halt();
@@ -406,6 +429,7 @@ document.addEventListener("keydown", (event) => {
 window.addEventListener("pagehide", () => navigator.sendBeacon(here + "say", JSON.stringify({ do: "close", window: own })));
 window.addEventListener("beforeunload", (event) => state.done.length && state.text !== state.saved && event.preventDefault());
 state.saved = given.saved ? given.text : null;
+byId("remove").disabled = true;
 number();
 edit({}, { text: state.text });
 state.idle = () => !asking && !queue.length;
