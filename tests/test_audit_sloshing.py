@@ -122,7 +122,7 @@ def test_what_is_kept_is_told_of_each_thing_that_is_allowed(cup):
     for fill, w, least in (
         (0.035, shaken, "the steepness to which they are known"),
         (0.075, shaken, "what they may reach"),
-        (0.05, falling, "the weight that may be taken from them"),
+        (0.05, falling, "the weight that may be taken away"),
     ):
         spill = Spill.along("cup", (SloshingResponse.of(SurfaceMotion.along((LoadCase(body, fill, 0.01),), t, w)),))
         kept = spill.kept

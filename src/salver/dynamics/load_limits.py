@@ -14,7 +14,7 @@ from salver.geometry import Array, Indices
 from salver.models.load_dynamics import LEAST_WEIGHT, LoadDynamics
 
 LIGHTEST = 1 - LEAST_WEIGHT  # share of its weight that what moves inside may be relieved of
-LIGHT = "the weight that may be taken from them"  # group of that limit, in words
+LIGHT = "the weight that may be taken away"  # group of that limit, in words
 
 
 @dataclass(frozen=True, eq=False)

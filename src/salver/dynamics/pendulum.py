@@ -18,7 +18,7 @@ from salver.geometry import Array, Indices
 from salver.models.load_dynamics import GRAVITY, Colour, Drawn, LoadDynamics, Modes
 from salver.models.rigid_body import RigidBody
 
-ROOM = "the room that they have"
+ROOM = "the room there is"  # group of its limits, in words
 AT_REST = 1e-6  # m; smaller swings turn as fast as they like
 CORNERS = np.array(
     [
