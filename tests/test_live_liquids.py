@@ -159,7 +159,7 @@ def test_calm_water_is_never_taken_for_granted(changed):
     live, (base, *_), _ = changed
     with pytest.raises(ScenarioError, match="unless it is known how it moves"):
         verified(
-            live.problem, between(base.motion, 0.2, base.motion.duration), base.begins + 0.2, replace(base, waves=None)
+            live.problem, between(base.motion, 0.2, base.motion.duration), base.begins + 0.2, replace(base, loads=None)
         )
 
 
@@ -238,7 +238,7 @@ def test_at_rest_waves_go_on_and_die_away(changed):
 def test_a_rest_goes_on_at_whatever_time_it_began(changed):
     """Also where the sum of when a motion began and how long it took is rounded up, or down."""
     live, (_, base, _), _ = changed
-    problem, ends = live.problem, base.waves.t[-1]
+    problem, ends = live.problem, base.loads.t[-1]
     cases = problem.every_case
     known = base.left(base.ends + 0.205, problem).past.begun(cases)
     begins = np.linspace(1.0, 30.0, 400)
@@ -263,7 +263,7 @@ def test_on_a_tray_that_leans_a_calm_surface_stays_where_it_is(changed):
 def test_how_far_the_arm_may_stray_includes_that_it_gives_way_to_waves(changed):
     live, (before, base, *_), _ = changed
     found = Judged.of(before.left(base.begins, live.problem), base.motion).along.joint_radius(0).max(axis=0)
-    alone = replace(base, waves=None).stray(live.problem)
+    alone = replace(base, loads=None).stray(live.problem)
     assert np.all(base.stray(live.problem) >= 0.999 * found)
     assert np.all(found >= alone)
     assert (found / alone).max() > 1.1

@@ -3,11 +3,10 @@
     x'' + kd x' + kp x = d(t)
 
 is the error dynamics of the object's loop and of the arm's joints, driven by what a parameter error changes; and, with
-a stiffness kp that changes over time, a liquid's waves on a tray that lifts or tilts. Each step of a grid is exact for
-a drive that is a polynomial there: linear between nodes, the cubic through the four nearest nodes (both of any
-spacing), or, where it can be had at any instant, given at Gauss points of each interval (sixth order). All steps
-together are one banded triangular system.
-"""
+a stiffness kp that changes over time, what swings inside a load on a tray that lifts or tilts. Each step of a grid is
+exact for a drive that is a polynomial there: linear between nodes, the cubic through the four nearest nodes (both of
+any spacing), or, where it can be had at any instant, given at Gauss points of each interval (sixth order). All steps
+together are one banded triangular system."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ CANNOT_TELL = "cannot_tell"
 @dataclass(frozen=True)
 class Borne:
     """A motion, and what the load would bear beyond it: reserve (T,) m/s^2 in any direction, and rest, the same at rest
-    on a level tray; nominal, or in the worst case of the uncertain parameters. pushed: m/s^2 by which liquids may push
+    on a level tray; nominal, or in the worst case of the uncertain parameters. pushed: m/s^2 by which loads may push
     otherwise than they do in the motion as it was read."""
 
     motion: AuditedMotion
@@ -28,7 +28,7 @@ class Borne:
 
     @property
     def error(self) -> Array:
-        """(T,) m/s^2 by which the motion's acceleration, and what liquids add to it, may be wrong."""
+        """(T,) m/s^2 by which the motion's acceleration, and what moves inside loads adds to it, may be wrong."""
         return np.broadcast_to(self.motion.acceleration_error + self.motion.missed + self.pushed, self.reserve.shape)
 
     def hidden(self) -> tuple[Slip, float]:

@@ -63,7 +63,7 @@ def braking(model: MarginModel, tray: MotionSamples, worst: bool, options: Braki
     """Stops on the path of a motion of the tray frame E at full speed, of everything rigid on it.
 
     tray: (T,) instants of E. worst: over the whole uncertain set, else at nominal parameters. The tray is taken to
-    follow its path exactly; liquids are left out.
+    follow its path exactly; what moves inside loads is left out.
     """
     options = options or BrakingOptions()
     scaled, duration = TimeScaled(model, tray, worst), float(tray.t[-1] - tray.t[0])

@@ -141,10 +141,10 @@ class Live:
         self._seeing = threading.Lock()  # of whoever reports obstacles
         # From which motion nothing more can be done, as of which news of what passes.
         self._resigned: tuple[Running | None, int] = (None, 0)
-        # Of open liquids: which; and whether how they move is not known any more.
-        self._wet = " and ".join(body.inside for body in problem.payload.dynamic)
+        # What moves inside; and whether how it moves is not known any more.
+        self._inside = " and ".join(body.inside for body in problem.payload.dynamic)
         self._unknown = False
-        self._lead = Lead(lead, bool(self._wet))
+        self._lead = Lead(lead, bool(self._inside))
         self._look(self._running)
         self._reader.read(0.0)
 
@@ -284,7 +284,7 @@ class Live:
         """Lift the latched stop, without moving: requests are accepted again.
 
         Refused to a policy if the operator or the monitor stopped the arm, while the arm is not where it was commanded
-        to be, and with an open liquid in an unknown state.
+        to be, and with what moves inside a load in an unknown state.
         """
         stopped = self._stopped
         if stopped is None:
@@ -400,11 +400,11 @@ class Live:
 
     @property
     def _lost(self) -> str:
-        return f"how {self._wet} moves is not known any more; restart(q, calm=True) when it stands still"
+        return f"how {self._inside} moves is not known any more; restart(q, calm=True) when it stands still"
 
     def _lose_sight(self) -> None:
-        """How open liquids move is not known any more: the arm is to come to rest, and to wait for `restart`."""
-        if self._wet:
+        """How loads move inside is not known any more: the arm is to come to rest, and to wait for `restart`."""
+        if self._inside:
             self._unknown = True
             self.stop(self._lost, source="monitor")
 
@@ -450,8 +450,8 @@ class Live:
     def measured(self, q: npt.ArrayLike) -> Status:
         """Report the measured posture q (n,), rad.
 
-        An arm too far from its command is stopped, until it is there again and `resume` is called; with an open
-        liquid, whose state is then unknown, `restart` must come first.
+        An arm too far from its command is stopped, until it is there again and `resume` is called; where something
+        moves inside, whose state is then unknown, `restart` must come first.
         """
         seen = numbers(q, (self._problem.n,), "the measured posture")
         if isinstance(seen, Status):
@@ -472,16 +472,16 @@ class Live:
         """Start again from rest at q (n,), rad, where something else put the arm; pending requests are dropped.
 
         Call it from the robot's loop between two commands, which jump to q. A latched stop stays latched. Refused while
-        the committed motion moves, and where the load is not safe at rest. calm: open liquids are at rest; required
-        with an open liquid.
+        the committed motion moves, and where the load is not safe at rest. calm: what moves inside is at rest; required
+        where something does.
         """
         posture = numbers(q, (self._problem.n,), "the posture")
         if isinstance(posture, Status):
             return self._refuse(posture.sentence, "A restart")
         if self._now < self.committed.ends and not self.committed.at_rest:
             return self._refuse(f"the arm is at rest only in {self.committed.ends - self._now:.2f} s", "A restart")
-        if self._wet and not calm:
-            return self._refuse(f"{self._wet} may still move; say calm=True when it stands still", "A restart")
+        if self._inside and not calm:
+            return self._refuse(f"{self._inside} may still move; say calm=True when it stands still", "A restart")
         rest = verified(self._beside, resting(posture), self._now, None)
         if rest.committed is None:
             return self._refuse(f"the load is not safe at rest there: {rest.sentence}", "A restart")
@@ -696,8 +696,8 @@ class Live:
             self._done = wish
         late = found is not None and found.begins < self._now and base.ends <= found.begins
         if late and found is not None:
-            # It came late, but the arm was at rest and is: the same motion, from a little later on; unless waves, which
-            # go on, are then such that it would not do.
+            # It came late, but the arm was at rest and is: the same motion, from a little later on; unless swings,
+            # which go on, are then such that it would not do.
             later = self._hand_over(base, "tick")
             profile = None if found.profile is None else replace(found.profile, begins=later)
             again = verified(self._problem, found.motion, later, base, profile=profile)

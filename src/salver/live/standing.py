@@ -22,7 +22,8 @@ LOOKS = 8  # at postures at the scenario's start, when none is given
 
 
 def live_scenario(scenario: Scenario) -> Scenario:
-    """The scenario of live motions: they hold at every constant speed; with a liquid at full speed only."""
+    """The scenario of live motions: they hold at every constant speed; where something moves inside at full speed
+    only."""
     if scenario.payload.dynamic:
         return scenario.with_changes(motion__speeds="full")
     return scenario.with_changes(motion__speed_rate=0.0)

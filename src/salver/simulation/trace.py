@@ -171,7 +171,7 @@ class Recorder:
 
 def _owner(scene: Scene) -> Array:
     """Per geom, the index of the object it belongs to; -1 for tray, arm and obstacles."""
-    index = np.full(scene.model.nbody, -1)  # what swings in a liquid has no geoms
+    index = np.full(scene.model.nbody, -1)  # what swings inside has no geoms
     index[scene.object_ids] = np.arange(len(scene.object_ids))
     return index[scene.model.geom_bodyid]
 

@@ -282,7 +282,8 @@ def lone_load(scenario: Scenario) -> Body:
         raise ScenarioError(f"{scenario.name} has no arm; friction is shown by an arm that carries the load.")
     if len(scenario.objects) > 1 or scenario.payload.dynamic:
         raise ScenarioError(
-            f"{scenario.name} carries several objects or a liquid, and what one contact needs is known for one rigid "
+            f"{scenario.name} carries several objects or something that moves inside, and what one "
+            "contact needs is known for one rigid "
             "load on the tray; calibrate each alone."
         )
     return scenario.payload.first

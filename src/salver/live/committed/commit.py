@@ -57,7 +57,7 @@ def committed_of(found: Verdict, begins: float) -> Committed:
     assert judged is not None
     assert margins is not None
     t = begins + judged.t
-    waves = judged.along.left if judged.problem.cases else None
+    loads = judged.along.left if judged.problem.cases else None
     nodes = t[: judged.last + 1]
     margins = replace(margins, t=t)
-    return Committed(begins, judged.motion, nodes, judged.deviation, margins, waves, judged.off)
+    return Committed(begins, judged.motion, nodes, judged.deviation, margins, loads, judged.off)

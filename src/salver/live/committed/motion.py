@@ -1,7 +1,7 @@
 """What is committed: a verified motion that ends at rest, in the clock of the live motion.
 
 A motion is quintic from knot to knot (`JointMotion`), so one that leaves another at an instant is exact again. What a
-wrong load and held commands have brought the arm into goes on from one motion to the next, and so do waves.
+wrong load and held commands have brought the arm into goes on from one motion to the next, and so do modal states.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from salver.trajectory import JointMotion
 SHORTEST = 1e-3  # s that the motion of an arm at rest is written to last
 SAME = 1e-9  # s; instants nearer than this are one
 SETTLED = 1.0  # s at rest after which what the load makes the arm sag by changes no more
-CALMED = 5.0  # s at rest after which waves are so low that the arm hardly gives way to them;
-AT_ONCE = 0.5  # s of that in which waves and arm are soon known together
+CALMED = 5.0  # s at rest after which swings are so small that the arm hardly gives way to them;
+AT_ONCE = 0.5  # s of that in which swings and arm are soon known together
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,18 +31,17 @@ class Committed:
 
     begins: live time of the motion's own time 0, s. motion: knots from 0 on; at rest after the last one, and before the
     first only when nothing moved before. nodes: (N,) live times at which the deviation is known. deviation:
-    (N, 2, n, k) e and e' of each term, see `JointLoop.start`; None where nothing is uncertain. waves: of all liquids
-    along it, None without. off: (N,) m by which what stands on the tray may be elsewhere. seal: that of the process
-    which found that it passes (`salver.live.committed.seal`); empty while nothing did. profile: which motion it is at
-    full speed; None where it is that itself.
-    """
+    (N, 2, n, k) e and e' of each term, see `JointLoop.start`; None where nothing is uncertain. loads: the
+    modal states of what moves inside along it, None where nothing does. off: (N,) m by which what stands on the tray
+    may be elsewhere. seal: that of the process which found that it passes (`salver.live.committed.seal`); empty while
+    nothing did. profile: which motion it is at full speed; None where it is that itself."""
 
     begins: float
     motion: JointMotion
     nodes: Array
     deviation: Array | None
     margins: ConstraintMargins
-    waves: Past | None = None
+    loads: Past | None = None
     off: Array = field(default_factory=lambda: np.zeros(1))
     seal: bytes = b""
     profile: SpeedProfile | None = None
@@ -73,14 +72,15 @@ class Committed:
             return np.zeros(problem.n)
         e = self.deviation[:, 0]
         off = problem.tracking.load.radius(e[:, :, :-1]) + np.abs(e[:, :, -1])
-        if self.waves is not None:
-            off = off + self.waves.stray
+        if self.loads is not None:
+            off = off + self.loads.stray
         return np.asarray(off.max(axis=0))
 
     def left(self, t: float, problem: TransportProblem) -> TransportProblem:
-        """The problem of going on from it at live time t: with the deviation, and the waves, that there are then."""
+        """The problem of going on from it at live time t: with the deviation, and the modal states, that there are
+        then."""
         if problem.cases:
-            problem = replace(problem, past=self._waves_at(t, problem))
+            problem = replace(problem, past=self._loads_at(t, problem))
         return _astray(problem, self.deviation_at(t, problem))
 
     def deviation_at(self, t: float, problem: TransportProblem) -> Array | None:
@@ -96,16 +96,16 @@ class Committed:
         assert along.response is not None
         return along.response.state_at(along.shares * held, held)
 
-    def _waves_at(self, t: float, problem: TransportProblem) -> Past:
-        """The waves at live time t, of which there are some."""
-        if self.waves is None:
+    def _loads_at(self, t: float, problem: TransportProblem) -> Past:
+        """The modal states at live time t, of which there are some."""
+        if self.loads is None:
             problem.check_still("a motion that goes on from another")
-        assert self.waves is not None
-        own, ends = t - self.begins, self.waves.t[-1]
+        assert self.loads is not None
+        own, ends = t - self.begins, self.loads.t[-1]
         left = own - ends
         if left <= SAME:
-            return replace(self.waves, now=min(own, ends))
-        rest = replace(problem, cases=problem.every_case, past=replace(self.waves, now=ends))
+            return replace(self.loads, now=min(own, ends))
+        rest = replace(problem, cases=problem.every_case, past=replace(self.loads, now=ends))
         rest = _astray(rest, None if self.deviation is None else self.deviation[-1])
         swung = max(left - CALMED, 0.0)  # freely, after the arm that gives way to them has braked them
         left = min(left, CALMED)

@@ -16,7 +16,7 @@ class LeadOptions:
         of: plans of late from whose times the lead is taken.
         spare: times the longest of them.
         least: s.
-        most, most_with_liquids: s.
+        most, most_with_dynamics: s.
     """
 
     tick: float = 0.05
@@ -26,16 +26,16 @@ class LeadOptions:
     spare: float = 1.3
     least: float = 0.02
     most: float = 1.0
-    most_with_liquids: float = 3.0
+    most_with_dynamics: float = 3.0
 
 
 class Lead:
     """s from the beginning of planning to the hand-over, by kind: given, or learnt from how long
-    planning each takes. wet: with open liquids."""
+    planning each takes. inner: where something moves inside a load."""
 
-    def __init__(self, given: float | None, wet: bool, options: LeadOptions | None = None) -> None:
+    def __init__(self, given: float | None, inner: bool, options: LeadOptions | None = None) -> None:
         self._given, self._options = given, options or LeadOptions()
-        self._most = self._options.most_with_liquids if wet else self._options.most
+        self._most = self._options.most_with_dynamics if inner else self._options.most
         self._spent: dict[str, deque[float]] = {
             kind: deque(maxlen=self._options.of) for kind in ("tick", "speed", "motion")
         }

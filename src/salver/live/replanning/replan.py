@@ -155,7 +155,8 @@ class Replanner:
         began, slow = time.perf_counter(), self.factor
         q, dq, ddq = before.state(begins)
         start = AtPosture(q, dq / slow, ddq / slow**2)  # as a motion at full speed has to begin, to go on from it
-        # A solid load that stays at full speed and at rest stays at every speed between; a liquid has its own time.
+        # A solid load that stays at full speed and at rest stays at every speed between; what moves inside has its own
+        # time.
         sought = replace(self.sought, speeds=(Speed(slow),)) if self.sought.cases and slow < 1.0 else self.sought
         at = before.left(begins, replace(sought, start=start, goal=end))
         options = self.options

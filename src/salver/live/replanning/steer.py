@@ -303,7 +303,7 @@ class Steering:
         motion = replace(sought.at(grid.s, z, HORIZON, grid.nodes), moving=False)
         if (
             sought.cases and sought.tracking is not None
-        ):  # a wave's filter takes half of a jump of the jerk as before it
+        ):  # a mode's filter takes half of a jump of the jerk as before it
             rates = motion.at_nodes[1:].copy()
             rates[2] = 0.5 * (rates[2] + base.motion.jerk(own[grid.nodes] - SAME) * moving[grid.nodes])
             terms, shares = motion.terms, motion.shares

@@ -10,7 +10,7 @@ tray needs Y(t) phi whatever its phi, so this worst case is not first order. Wha
 keeps its own limits.
 
 All are concave in what the tray feels, so at fixed orientation in the plan's variables, but for what the tray's lifting
-makes of waves: their tangents bound them from above.
+makes of swings: their tangents bound them from above.
 """
 
 from __future__ import annotations

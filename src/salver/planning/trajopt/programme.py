@@ -5,7 +5,7 @@ The rows near their edge are linearised in the coefficients and in the scalar. T
 multiplied by sigma, contact, torque and acceleration rows are exactly linear in it. A quadratic programme with one
 shared slack (an exact penalty on the largest violation) and a proximal term gives the step; its metric is the size of
 the change in posture and in acceleration, so smooth large changes are cheap and ripples are not. Where rows bend as the
-size of a wave does, their second derivatives join it, at the prices that the programme before put on them.
+size of a swing does, their second derivatives join it, at the prices that the programme before put on them.
 """
 
 from __future__ import annotations

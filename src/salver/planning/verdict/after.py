@@ -28,7 +28,7 @@ def stays(problem: TransportProblem, t: Array, z: Array) -> bool:
 
 
 def standing_still(problem: TransportProblem, q: Array, seconds: float) -> MotionEvaluation:
-    """The arm at rest in a posture (n,) for so long, s, from the deviation and the waves with which the problem
+    """The arm at rest in a posture (n,) for so long, s, from the deviation and the modal states with which the problem
     begins."""
     z = np.zeros((4, max(5, int(np.ceil(seconds / HOLD_STEP)) + 1), problem.n))
     z[0] = q

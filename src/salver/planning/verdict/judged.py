@@ -1,4 +1,5 @@
-"""A motion at the instants at which a verdict looks at it, with what the arm, its load and liquids do there."""
+"""A motion at the instants at which a verdict looks at it, with what the arm, its load and what moves inside do
+there."""
 
 from __future__ import annotations
 
@@ -36,9 +37,9 @@ class VerdictOptions:
     Attributes:
         step: s between instants; every knot of the motion is one. Doubled, a verdict takes 0.7 of the time and contact
             rows rise by more than `contact` between the instants.
-        instants: of a motion without liquids at least, no closer than `period`: stops of 0.2 s change within less
+        instants: of a motion without load dynamics at least, no closer than `period`: stops of 0.2 s change within less
             time, and were up to 1.8 % beyond a limit of torque rate, 0.2 % of contact, between instants `step` apart.
-        step_with_liquids: s, as `step`, with open liquids, whose cases cost most.
+        step_with_dynamics: s, as `step`, where something moves inside a load, whose cases cost most.
         deriving: instants from one at which derivatives of the dynamics are worked out to the next (knots are such);
             between them they are linear. They are factors of the deviation, which is small: contact rows change by less
             than 2e-4 (tests/test_live_verdict.py). At 1, a verdict takes 1.04 to 1.1 times as long.
@@ -47,9 +48,10 @@ class VerdictOptions:
         torque_rate: share of its limit that the rate of torque keeps. Measured: over a period it is up to 1.3e-3 more
             than is found along a fastest motion (tests/test_live_verdict.py), and was up to 8e-3 more in wild streams.
         period: s, the shortest of a loop that is told torques.
-        brim: share of a liquid's room that is kept: waves are known from one motion to the next to a thousandth.
-        at_rest_instants: of the rest after the end, until the deviation has settled; closer together where it begins.
-        forgiven: share of a row's margin, never of the row itself, that may be lacking at first (`beginning`, s), where
+        inside: share of its room that what moves inside keeps: its state is known from one motion to the next to a
+        thousandth. at_rest_instants: of the rest after the end, until the deviation has settled; closer together where
+        it begins. forgiven: share of a row's margin, never of the row itself, that may be lacking at first
+        (`beginning`, s), where
             the jerk has just changed. At 0, bends are refused for a margin that the arm inherits.
         at_rest: rad/s and rad/s^2 that may be left at the end of a motion: rounding.
         continuous: rad, rad/s, rad/s^2 by which a motion may begin elsewhere than where the arm is: rounding.
@@ -57,13 +59,13 @@ class VerdictOptions:
 
     step: float = 2.5e-3
     instants: int = 160
-    step_with_liquids: float = 4e-3
+    step_with_dynamics: float = 4e-3
     at_rest_instants: int = 16
     deriving: int = 4
     contact: float = 1e-3
     torque_rate: float = 1e-2
     period: float = 1e-3
-    brim: float = 3e-3
+    inside: float = 3e-3
     forgiven: float = 0.2
     beginning: float = 0.02
     at_rest: float = 1e-7
@@ -71,7 +73,7 @@ class VerdictOptions:
 
     def margin(self, block: Block, constraint: Constraint | None) -> float:
         """What a motion keeps from the boundary of a constraint, in the unit of its rows."""
-        least = {ContactConstraint: self.contact, TorqueRateLimit: self.torque_rate, LoadConstraint: self.brim}
+        least = {ContactConstraint: self.contact, TorqueRateLimit: self.torque_rate, LoadConstraint: self.inside}
         return max(block.margins[1], *(x for kind, x in least.items() if isinstance(constraint, kind)), 0.0)
 
 
@@ -103,7 +105,7 @@ class VerdictEvaluation(MotionEvaluation):
 @dataclass(frozen=True, eq=False)
 class Judged:
     """A motion under a problem that begins where the arm is then, and the rest after it until the deviation has
-    settled (with open liquids: to its end, see `settles`). t: (N,) s, instants of its own time."""
+    settled (with load dynamics: to its end, see `settles`). t: (N,) s, instants of its own time."""
 
     problem: TransportProblem
     motion: JointMotion
@@ -115,7 +117,7 @@ class Judged:
     def of(cls, problem: TransportProblem, motion: JointMotion, options: VerdictOptions = STANDARD) -> Judged:
         """Every knot is an instant, and between two of them they are evenly spaced."""
         closer = max(motion.duration / options.instants, options.period)
-        step = options.step_with_liquids if problem.cases else min(options.step, closer)
+        step = options.step_with_dynamics if problem.cases else min(options.step, closer)
         counts = np.maximum(1, np.ceil(np.diff(motion.t) / step - 1e-9)).astype(int)
         counts[0] += max(0, 4 - int(counts.sum()))  # a filter of cubics needs five
         t, z = motion.evenly(counts)
@@ -199,7 +201,8 @@ class Judged:
 
     @cached_property
     def after(self) -> TransportProblem:
-        """The problem of going on from the end of the motion: with the deviation and the waves that there are then."""
+        """The problem of going on from the end of the motion: with the deviation and the modal states that there are
+        then."""
         problem, tracking = self.problem, self.problem.tracking
         if problem.cases:
             left = self.along.left

@@ -114,7 +114,7 @@ def velocity(judged: Judged) -> Iterable[Block]:
 
 def contact(judged: Judged) -> Iterator[Block]:
     """C(p) w <= 0 at full speed for every parameter p of the uncertain set: C are the facets of the contact wrench cone
-    and w is what the tray feels, with the deviation that p itself makes and with what liquids push."""
+    and w is what the tray feels, with the deviation that p itself makes and with what moves inside loads."""
     for constraint in judged.of_kind(ContactConstraint):
         assert isinstance(constraint, ContactConstraint)
         if constraint.speed.factor:
@@ -130,8 +130,8 @@ def contact_standing(judged: Judged) -> Iterator[Block]:
             yield from judged.rows(replace(constraint, coarsely=True))
 
 
-def liquids(judged: Judged) -> Iterator[Block]:
-    """Crest below the brim, waves no steeper than linear theory holds for, at every fill and damping that a verdict
+def load_limits(judged: Judged) -> Iterator[Block]:
+    """What moves inside loads within its limits (a liquid below its brim), in every case that a verdict
     looks at, during the motion and after it."""
     for constraint in judged.of_kind(LoadConstraint):
         yield from judged.rows(constraint)
@@ -156,7 +156,7 @@ def others(judged: Judged) -> Iterator[Block]:
 # In the order of their price: the reference alone, its dynamics, the deviation, everything.
 CHECKS: tuple[Check, ...] = (
     *(acceleration, jerk, tilt, torque_rate, torque, position, velocity),
-    *(contact_standing, contact, liquids, clearance, others),
+    *(contact_standing, contact, load_limits, clearance, others),
 )
 
 
@@ -170,10 +170,9 @@ def verify(
 ) -> Verdict:
     """The verdict on a motion to rest under a problem.
 
-    problem: with the deviation of the arm, and the waves, that there are when the motion begins. begins: the arm's
-    state then; None: at rest. thoroughly: when a check fails, go through the others too, to say what of all is violated
-    most.
-    """
+    problem: with the deviation of the arm, and the modal states, that there are when the motion begins. begins: the
+    arm's state then; None: at rest. thoroughly: when a check fails, go through the others too, to say what of all is
+    violated most."""
     if jolt := joins(motion, begins, options):
         return Verdict(jolt)
     judged = Judged.of(problem, motion, options)
@@ -191,7 +190,7 @@ def verify(
         sentence = f"{what} would be exceeded by {100 * excess:.2g} % while the arm settles at its end"
         return Verdict(sentence, excess, what, judged=judged, margins=margins)
     if not rests(judged):
-        sentence = "what is carried would not stay in the wave after it"
+        sentence = "what is carried would not stay in the swing after it"
         return Verdict(sentence, judged=judged, margins=margins)
     return Verdict("", float(margins.row.max()), judged=judged, margins=margins)
 
@@ -226,8 +225,8 @@ def touches(judged: Judged, blocks: Sequence[Block]) -> str:
 
 
 def settles(judged: Judged, blocks: Sequence[Block]) -> tuple[float, str]:
-    """The clearance at the end of a motion with open liquids, less what the tray strays further than there while it
-    settles. The excess, and its name. Without liquids that rest is judged with the motion."""
+    """The clearance at the end of a motion with load dynamics, less what the tray strays further than there while it
+    settles. The excess, and its name. Without them that rest is judged with the motion."""
     tracking = judged.problem.tracking
     if tracking is None or not judged.problem.cases:
         return -np.inf, ""
@@ -240,7 +239,7 @@ def settles(judged: Judged, blocks: Sequence[Block]) -> tuple[float, str]:
 
 
 def rests(judged: Judged) -> bool:
-    """Whether what is carried stays while waves die away after the end."""
+    """Whether what is carried stays while what moves inside dies away after the end."""
     end = np.pad(judged.motion.q[-1:], ((0, 3), (0, 0)))[:, None]
     return not judged.problem.cases or stays(judged.after, np.zeros(1), end)
 
