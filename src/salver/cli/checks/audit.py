@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from salver.cli.common import NO_SAFE_PLAN, Json, print_json, result_console
-from salver.wording import listed, millimetres
+from salver.wording import listed, millimetres, number
 
 if TYPE_CHECKING:
     from salver.auditing import Audit
@@ -100,14 +100,10 @@ def audit(
         raise typer.Exit(NO_SAFE_PLAN)
 
 
-def _needed(friction: float) -> str:
-    return f"{friction:.3f}" if friction < float("inf") else "(none suffices)"
-
-
 def _show(result: Audit, given: str = "", options: str = "") -> None:
     """given, options: what a command is told to take the same motion in the same way, where one can."""
     out = result_console()
-    motion, margins = result.motion, result.margins
+    motion, margins, none = result.motion, result.margins, "(none suffices)"
     lines = [
         f"{result.source}: {motion.samples.t[-1] - motion.samples.t[0]:.3f} s, {_seen(result)}.",
         *motion.notes,
@@ -115,9 +111,10 @@ def _show(result: Audit, given: str = "", options: str = "") -> None:
         f"Nominal: {result.nominal.sentence}",
         f"Worst case: {result.worst.sentence}",
         *(
-            f"{m.name}: friction needed {_needed(m.friction_needed.max())} nominal, of {m.friction:.3g}, "
-            f"{_needed(m.friction_needed_worst)} worst case, of {m.least_friction:.3g}; tip-over margin "
-            f"{millimetres(m.tip_over.min())} nominal, {millimetres(m.tip_over_worst.min())} worst case."
+            f"{m.name}: friction needed {number(m.friction_needed.max(), 3, otherwise=none)} nominal, of "
+            f"{m.friction:.3g}, {number(m.friction_needed_worst, 3, otherwise=none)} worst case, of "
+            f"{m.least_friction:.3g}; tip-over margin {millimetres(m.tip_over.min())} nominal, "
+            f"{millimetres(m.tip_over_worst.min())} worst case."
             for m in margins.interfaces
         ),
     ]

@@ -110,14 +110,12 @@ def _show(made: list[Trip]) -> None:
     rows = []
     for trip in made:
         learnt = trip.learnt
-        mass = "-" if learnt is None else "{:.1f} to {:.1f}".format(*(1e3 * x for x in _ends(trip)))
-        half = "-" if learnt is None else ", ".join(f"{1e3 * learnt.ranges[f'com_{a}'].half:.2f}" for a in "xyz")
+        mass = half = "-"
+        if learnt is not None:
+            heavy = learnt.ranges["mass"]
+            mass = f"{1e3 * heavy.low:.1f} to {1e3 * heavy.high:.1f}"
+            half = ", ".join(f"{1e3 * learnt.ranges[f'com_{a}'].half:.2f}" for a in "xyz")
         known = "{:.3f} to {:.3f}".format(*_friction(trip))
         duration, margin = f"{trip.plan.duration:.3f} s", f"{100 * trip.margin:.1f} %"
         rows.append((str(trip.number), duration, trip.outcome, margin, mass, half, known))
     print_table(titles, rows)
-
-
-def _ends(trip: Trip) -> tuple[float, float]:
-    assert trip.learnt is not None
-    return trip.learnt.ranges["mass"].low, trip.learnt.ranges["mass"].high

@@ -25,7 +25,7 @@ from salver.cli.common import (
 )
 from salver.cli.plans.searching import searching, stopping
 from salver.cli.plans.watch import watched
-from salver.wording import millimetres
+from salver.wording import millimetres, number
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -330,5 +330,4 @@ def _room(plan: Plan) -> str:
 def _friction(plan: Plan) -> str:
     """Of the interface that needs most of what it surely has."""
     tight = max(plan.margins.interfaces, key=lambda m: m.friction_needed_worst / m.least_friction)
-    needed = tight.friction_needed_worst
-    return f"{f'{needed:.3f}' if needed < float('inf') else 'none suffices'} / {tight.least_friction:.3f}"
+    return f"{number(tight.friction_needed_worst, 3, otherwise='none suffices')} / {tight.least_friction:.3f}"

@@ -85,8 +85,6 @@ class FrankaRobot:
             # Thresholds of a collision, N m and N: well above what the planned accelerations need.
             self._robot.set_collision_behavior([40.0] * 7, [60.0] * 7, [60.0] * 6, [90.0] * 6)
             self._model = self._robot.load_model()
-        except self._library.FrankaException as error:
-            raise _said(address, error) from None
         except RuntimeError as error:  # pylibfranka's exceptions are RuntimeErrors, not all of them FrankaExceptions
             raise _said(address, error) from None
         self._address, self._arm = address, arm

@@ -233,20 +233,9 @@ def _ffmpeg(path: Path) -> Save:
             if path.suffix == ".webm"
             else ["-c:v", "libx264", "-crf", "20"]
         )
-        command = [
-            program,
-            "-y",
-            "-loglevel",
-            "error",
-            "-f",
-            "rawvideo",
-            "-pix_fmt",
-            "rgb24",
-            "-s",
-            f"{width}x{height}",
-        ]
-        command += ["-r", f"{rate:g}", "-i", "-", *codec, "-pix_fmt", "yuv420p", "-movflags", "+faststart"]
-        command = command[:-2] if path.suffix != ".mp4" else command
+        raw = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", f"{rate:g}", "-i", "-"]
+        command = [program, "-y", "-loglevel", "error", *raw, *codec, "-pix_fmt", "yuv420p"]
+        command += ["-movflags", "+faststart"] if path.suffix == ".mp4" else []
         with subprocess.Popen([*command, str(temporary)], stdin=subprocess.PIPE, stderr=subprocess.PIPE) as process:
             assert process.stdin is not None
             assert process.stderr is not None
