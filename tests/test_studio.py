@@ -288,6 +288,17 @@ def test_the_plan_of_a_window_is_the_commands_and_another_window_has_its_own(tmp
     assert json.loads(result.stdout)["plan"]["duration"] == here["duration"]
 
 
+def test_a_plan_that_is_no_motion_of_the_arm_is_told_and_not_played(tmp_path):
+    text = changed(CUBE, [(["motion", "duration"], 0.4)])
+    with Studio(text, tmp_path / "cube.toml", tmp_path) as studio:
+        found = say(studio, "plan", text=text, window="one")
+        assert (found["ok"], [variant["key"] for variant in found["variants"]]) == (False, ["baseline"])
+        assert found["sentence"].startswith("No reference of this degree and duration is safe")
+        assert found["sentence"].endswith("Shown is the straight line.")
+        page = urlsplit(studio.url).path
+        assert b"is not written as if it were safe" in asked(studio, "GET", page + "csv/one")[1]
+
+
 @pytest.mark.slow
 def test_a_newer_task_ends_the_one_before(tmp_path):
     coffee, found = (SCENARIO_DIR / "panda-coffee.toml").read_text(), []

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from salver.models.uncertain.parameters import UncertainSet
 
 
-class Planner:
+class PlanningProcess:
     """One process, which is kept for the next task; started anew when a task was cut short."""
 
     def __init__(self) -> None:

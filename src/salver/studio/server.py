@@ -6,7 +6,7 @@ from __future__ import annotations
 import shutil
 import tempfile
 import threading
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from itertools import count
 from pathlib import Path
 from shlex import quote
@@ -23,7 +23,7 @@ from salver.reports.pages.speed_bar import speed_bar
 from salver.reports.run import read_run
 from salver.studio.look import change, look
 from salver.studio.parts import LOADS, OBSTACLES
-from salver.studio.planner import Planner
+from salver.studio.planner import PlanningProcess
 from salver.studio.text import checked
 
 LONGEST = 200_000  # bytes of a text that is edited
@@ -40,7 +40,7 @@ class Studio:
         """
         self.text, self.place, self._folder = text, place, folder
         self._on_disk = text if saved else None
-        self._looking, self._planners, self._numbers = threading.Lock(), dict[str, Planner](), count()
+        self._looking, self._planners, self._numbers = threading.Lock(), dict[str, PlanningProcess](), count()
         self._plans: dict[str, Path] = {}
         self._room = tempfile.TemporaryDirectory(prefix="salver-studio-")
         self._served = LocalPage(self._show, self._say, port, 2 * LONGEST)
@@ -138,7 +138,7 @@ class Studio:
         if isinstance(scenario, list):
             return {"mistakes": [asdict(one) for one in scenario]}
         directory = Path(self._room.name) / str(next(self._numbers)) / scenario.name
-        found = self._planners.setdefault(window, Planner()).plan(scenario, directory)
+        found = self._planners.setdefault(window, PlanningProcess()).plan(scenario, directory)
         if found is None:
             return {"ended": True}
         if "duration" not in found:
@@ -146,21 +146,28 @@ class Studio:
         before, self._plans[window] = self._plans.get(window), directory
         if before is not None:
             shutil.rmtree(before, ignore_errors=True)
-        return {**found, "speed_bar": str(speed_bar(found["speeds"])), **self._replayed(directory)}
+        shown = self._replayed(directory)
+        if "plan" not in (variant["key"] for variant in shown.get("variants", [])):
+            found["sentence"] += " Shown is the straight line." if shown else " The arm cannot make it."
+        return {**found, "speed_bar": str(speed_bar(found["speeds"])), **shown}
 
     def _run(self, window: str) -> dict[str, Any]:
         directory = self._plans.get(window)
         if directory is None:
             raise ScenarioError("Nothing is planned yet; plan first.")
-        found = self._planners.setdefault(window, Planner()).run(directory)
+        found = self._planners.setdefault(window, PlanningProcess()).run(directory)
         return {"ended": True} if found is None else {**found, **self._replayed(directory)}
 
     def _replayed(self, directory: Path) -> dict[str, Any]:
-        """For the viewer: motions of a run directory, as planned or as the engine has them, and from when to when."""
+        """For the viewer: motions of a run directory that the arm can make, as planned or as the engine has them, and
+        from when to when; nothing where there are none."""
         run = read_run(directory)
+        can = [motion for motion in run.motions if run.scenario.arm is None or "q" in motion.arrays]
+        if not can:
+            return {}
         with self._looking:
             arm = None if run.scenario.arm is None else load_arm(run.scenario.arm, run.scenario.tray)
-            scene = replay_scene(run, arm)
+            scene = replay_scene(replace(run, motions=can), arm)
         return {"variants": scene["variants"], "start": scene["start"], "end": scene["duration"]}
 
     def _save(self, text: str) -> dict[str, Any]:
