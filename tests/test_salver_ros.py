@@ -23,6 +23,7 @@ import salver as sv
 from salver.errors import SalverError, ScenarioError
 from salver.models.arm.arm import load_arm
 from salver.motion_files.ros_writers import typed
+from salver.planning.make import make_plan
 from salver.trajectory import JointMotion
 
 ROS2 = Path(__file__).parents[1] / "ros2"
@@ -56,7 +57,7 @@ class Arm:
     """A node and its controller, which reads the newest trajectory at the clock's time, as joint_trajectory_controller
     does with one that is stamped in the past, and an arm that does what its controller says."""
 
-    def __init__(self, options: Options = Options(), scenario: str = SCENARIO) -> None:  # noqa: B008
+    def __init__(self, options: Options = Options(), scenario: Any = SCENARIO) -> None:  # noqa: B008
         live = sv.Live(scenario)
         self.q = live.command(0.0)[0].copy()
         self.carrier = Carrier(scenario, live.problem.arm.joint_names, self.q, options=options, lead=0.1)
@@ -247,6 +248,8 @@ def test_a_node_that_was_late_hands_nothing_over_until_it_is_resumed() -> None:
     arm.steps = False
     arm.run(0.3)
     arm.steps = True
+    arm.run(0.03)
+    assert arm.carrier.resume() == (False, "The arm still moves.")
     arm.run(1.5)
     assert arm.motion is had
     assert "the node was 0.31 s late" in arm.carrier.live.stopped
@@ -268,6 +271,89 @@ def test_a_controller_that_refuses_stops_the_arm() -> None:
     had = arm.motion
     assert "the controller refuses the motion" in arm.run(0.5).carrier.live.stopped
     assert arm.motion is had
+
+
+@pytest.fixture
+def ready(safe: Any) -> Arm:
+    """At the start of a plan that has stops, of which its run directory is named."""
+    return Arm(Options(heartbeat=0.1), safe.plan.scenario).run(0.05)
+
+
+def test_a_plan_is_carried_out_as_it_is_and_the_arm_goes_on_from_its_end(ready: Arm, safe: Any) -> None:
+    ok, told = ready.carrier.run(str(safe.folder), ready.t)
+    assert ok, told
+    assert ready.carrier.goto("world", GOAL, None) == (False, "A plan is carried out; stop, or wait for its end.")
+    assert not ready.carrier.run(str(safe.folder), ready.t)[0]
+    begins = ready.t + ready.carrier.options.ahead
+    ready.run(safe.plan.duration + 0.2)
+    t = np.array(ready.times) - begins
+    wanted = safe.plan.joint.sample(np.clip(t, 0.0, None))[0]
+    assert np.abs(np.array(ready.path) - wanted).max() < 1e-5
+    assert ready.holds()
+    assert ready.carrier.state()[0] == 0
+    assert ready.carrier.goto("world", NEARER, None)[0]
+    ready.run(1.0)
+    assert np.abs(ready.q - safe.plan.joint.q[-1]).max() > 0.05
+    assert not ready.carrier.live.stopped
+
+
+@pytest.mark.parametrize("after", [0.3, 0.75, 1.1])
+def test_a_plan_is_stopped_by_its_own_stops(ready: Arm, safe: Any, after: float) -> None:
+    assert ready.carrier.run(str(safe.folder), ready.t)[0]
+    begins = ready.t + ready.carrier.options.ahead
+    ready.run(after)
+    ready.beats = False
+    while not ready.carrier.live.stopped:
+        ready.run(PERIOD)
+    assert "no heartbeat for 0.1 s" in ready.carrier.live.stopped
+    asked = ready.t - begins
+    assert asked == pytest.approx(after + 0.1 - ready.carrier.options.ahead, abs=1.1 * PERIOD)
+    assert ready.carrier.resume() == (False, "The arm still moves.")
+    ready.run(1.5)
+    wanted = safe.plan.stops.stopped(safe.plan.joint, asked + ready.carrier.options.ahead)
+    assert wanted.duration < safe.plan.duration or after > 1.0  # in its last moments finishing it is soonest
+    t = np.array(ready.times) - begins
+    assert np.abs(np.array(ready.path) - wanted.sample(np.clip(t, 0.0, None))[0]).max() < 1e-5
+    assert ready.speed == 0.0
+    assert not ready.carrier.goto("world", GOAL, None)[0]
+    assert ready.carrier.resume() == (True, "Accepted.")
+    assert ready.carrier.goto("world", GOAL, None)[0]
+
+
+def test_a_plan_that_is_stopped_before_it_begins_does_not_begin(ready: Arm, safe: Any) -> None:
+    q = ready.q
+    assert ready.carrier.run(str(safe.folder), ready.t)[0]
+    ready.run(PERIOD)
+    assert ready.motion is not None  # the controller has it
+    ready.carrier.stop()
+    ready.run(0.5)
+    assert np.abs(ready.q - q).max() < 1e-6
+    assert ready.carrier.resume()[0]
+
+
+def test_a_plan_that_cannot_be_carried_out_is_refused_in_a_sentence(ready: Arm, safe: Any, tmp_path: Path) -> None:
+    carrier = ready.carrier
+    assert "is not a run directory" in carrier.run(str(tmp_path), 0.0)[1]
+    for name, told, changes in (
+        ("prisma-cube", "of another arm, tray or load", {}),
+        (SCENARIO, "is not carried out: UNSAFE: ", {"motion__duration": 0.5}),
+    ):
+        directory = make_plan(sv.load_scenario(name, **changes), "baseline").save(tmp_path / name)
+        assert told in carrier.run(str(directory), 0.0)[1]
+    carrier.measured(carrier.joints, ready.q + 0.02 * np.eye(7)[1], ready.t)
+    assert carrier.run(str(safe.folder), ready.t)[1].startswith(
+        "panda_joint2 is at 1.060 rad; the plan begins at 1.040"
+    )
+    carrier.measured(carrier.joints, ready.q, ready.t)
+    carrier.stop("by hand")
+    assert carrier.run(str(safe.folder), ready.t)[1].startswith("Stopped by the operator: by hand")
+
+
+def test_an_arm_that_leaves_its_plan_is_stopped(ready: Arm, safe: Any) -> None:
+    assert ready.carrier.run(str(safe.folder), ready.t)[0]
+    ready.run(1.0)
+    ready.carrier.measured(ready.carrier.joints, ready.q + 0.06 * np.eye(7)[3], ready.t)
+    assert "panda_joint4 is 0.060 rad from where the plan has it" in ready.carrier.live.stopped
 
 
 def test_points_within_a_nanosecond_are_sent_as_one_which_is_the_last() -> None:
@@ -488,7 +574,7 @@ def node(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     module("rclpy.qos", DurabilityPolicy=SimpleNamespace(TRANSIENT_LOCAL=1), QoSProfile=lambda **_: None)
     module("rosidl_runtime_py", set_message_fields=set_message_fields)
     module("control_msgs.action", FollowJointTrajectory=SimpleNamespace(Goal=SimpleNamespace))
-    module("salver_msgs.srv", **{name: service(name) for name in ("Audit", "Goto", "Plan")})
+    module("salver_msgs.srv", **{name: service(name) for name in ("Audit", "Goto", "Plan", "Run")})
     plain = SimpleNamespace(Request=SimpleNamespace, Response=SimpleNamespace)
     module("std_srvs.srv", Trigger=plain)
     for kind in (

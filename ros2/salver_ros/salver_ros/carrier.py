@@ -16,10 +16,13 @@ import salver as sv
 from salver.auditing.verdict import audit_samples
 from salver.errors import SalverError, ScenarioError
 from salver.geometry import matrix_from_quat_wxyz, quat_wxyz_from_matrix
-from salver.live.live import LONGEST_GAP
+from salver.live.committed.motion import resting
+from salver.live.live import LONGEST_GAP, STRAYED
 from salver.motion_files.samples import joint_samples, reordered
+from salver.motion_files.verdict import UNSAFE
 from salver.planning.fastest import AtPosture, FastestOptions, transport_problem
 from salver.planning.fastest.planned import plan_problem
+from salver.planning.stop_library import StopLibrary
 from salver.scenario import Scenario
 from salver.trajectory import JointMotion
 
@@ -31,7 +34,8 @@ class Options:
     world: name of the scenario's frame S. streams: commands are streamed as positions; False: each committed motion is
     handed over whole, so that the controller comes to rest by itself when nothing more comes. heartbeat: s of silence
     on the topic heartbeat after which the arm is stopped; 0: none is expected. silence: s without joint states after
-    which it is stopped. old: s after which a twist is not followed any more. at_rest: rad/s, of an arm that may start.
+    which it is stopped. old: s after which a twist is not followed any more. at_rest: rad/s and rad, of an arm that may
+    start. ahead: s from the request of a plan or of its stop to its beginning, so that the message comes before it.
     """
 
     world: str = "world"
@@ -40,6 +44,7 @@ class Options:
     silence: float = 0.2
     old: float = 0.1
     at_rest: float = 0.01
+    ahead: float = 0.03
 
 
 @dataclass(frozen=True)
@@ -74,6 +79,18 @@ def of_motion(names: tuple[str, ...], motion: JointMotion, begins: float, first:
     return Trajectory(names, begins, motion.t[kept], motion.q[kept], motion.dq[kept], motion.ddq[kept])
 
 
+@dataclass
+class Run:
+    """A plan that is carried out from time `begins` of the clock on. stops: those that it carries. sent: whether the
+    controller has the motion; stopping: whether it is one to a stop."""
+
+    motion: JointMotion
+    begins: float
+    stops: StopLibrary | None
+    sent: bool = False
+    stopping: bool = False
+
+
 class Carrier:
     """A load on a tray, carried by a controller that follows what is committed."""
 
@@ -100,7 +117,8 @@ class Carrier:
                 raise ScenarioError(f"{name} moves at {speed:.3f} rad/s; the arm must rest at first.")
         self.live = sv.Live(self.scenario, q, lead=lead)
         self.command = q  # (n,) rad, for a controller of positions
-        self._measured, self._seen = q, -np.inf  # and when
+        self._measured, self._seen, self._speed = q, -np.inf, 0.0  # rad, when, and rad/s since the time before
+        self._run: Run | None = None
         self._beat = -np.inf
         self._last: float | None = None
         self._sent = self.live.committed
@@ -111,12 +129,20 @@ class Carrier:
     def measured(self, names: Sequence[str], positions: Sequence[float], t: float) -> str:
         """A message of joint states; empty, or why it tells nothing or the arm is stopped."""
         try:
-            self._measured, self._seen = ordered(names, positions, self.joints), t
+            q = ordered(names, positions, self.joints)
         except ScenarioError as error:
             return str(error)
+        if t > self._seen:
+            self._speed = float(np.abs(q - self._measured).max()) / (t - self._seen)
+        self._measured, self._seen = q, t
         if self._lost:  # it is somewhere else, and that is told already
             return ""
-        status = self.live.measured(self._measured)
+        if self._run is not None:
+            away = np.abs(q - self.command)
+            if away.max() > STRAYED:
+                self.lost(f"{self.joints[int(away.argmax())]} is {away.max():.3f} rad from where the plan has it")
+            return ""
+        status = self.live.measured(q)
         return "" if status.ok else status.sentence
 
     def beat(self, t: float) -> None:
@@ -125,7 +151,7 @@ class Carrier:
 
     def twist(self, frame: str, stamp: float, v: Sequence[float], omega: Sequence[float], t: float) -> str:
         """A twist of the tray, m/s and rad/s, wished at time `stamp`; empty, or why it is refused."""
-        wrong = self._in_world(frame, "The twist")
+        wrong = self._in_world(frame, "The twist") or self._busy
         if not wrong and not abs(t - stamp) <= self.options.old:
             wrong = f"The twist is {t - stamp:.2f} s old; it must be at most {self.options.old:g} s: set header.stamp."
         if wrong:
@@ -135,7 +161,7 @@ class Carrier:
 
     def goto(self, frame: str, p: Sequence[float], quat_xyzw: Sequence[float] | None) -> tuple[bool, str]:
         """A pose of the first object's frame B, m; without a quaternion with any heading."""
-        if wrong := self._in_world(frame, "The goal"):
+        if wrong := self._in_world(frame, "The goal") or self._busy:
             return False, wrong
         if quat_xyzw is None:
             status = self.live.goto(p)
@@ -149,19 +175,56 @@ class Carrier:
 
     def goto_posture(self, names: Sequence[str], positions: Sequence[float]) -> tuple[bool, str]:
         """A posture as the goal."""
+        if self._busy:
+            return False, self._busy
         try:
             status = self.live.goto(q=ordered(names, positions, self.joints))
         except ScenarioError as error:
             return False, str(error)
         return status.ok, status.sentence
 
+    def run(self, directory: str, t: float) -> tuple[bool, str]:
+        """Carry out the plan of a run directory, which begins where the arm rests; `stop` takes one of its stops."""
+        live, options = self.live, self.options
+        try:
+            plan = sv.load_plan(directory)
+        except SalverError as error:
+            return False, str(error)
+        here, of = self.scenario, plan.scenario
+        if plan.verdict.startswith(UNSAFE):
+            return False, f"{directory} is not carried out: {plan.verdict}"
+        if plan.told is None or (of.arm, of.tray, of.objects) != (here.arm, here.tray, here.objects):
+            return (
+                False,
+                f"{directory} is of another arm, tray or load; start with scenario:={directory}/scenario.toml.",
+            )
+        if options.streams:
+            return False, 'A plan is not streamed; start the node with output:=action or "topic".'
+        if self._busy or live.stopped or self._lost or not live.settled:
+            return False, self._busy or live.stopped or "The arm still moves, or has a goal; a plan begins at rest."
+        away = np.abs(self._measured - plan.told.q[0])
+        if away.max() > options.at_rest:
+            k = int(away.argmax())
+            return (
+                False,
+                f"{self.joints[k]} is at {self._measured[k]:.3f} rad; the plan begins at {plan.told.q[0, k]:.3f}.",
+            )
+        stops = plan.stops if plan.command is None else None
+        self._run = Run(plan.told, t + options.ahead, stops)
+        return (
+            True,
+            plan.verdict if stops else f"It has no stops (salver plan --stops): a stop finishes it. {plan.verdict}",
+        )
+
     def stop(self, reason: str = "") -> tuple[bool, str]:
         """The stop that keeps the load; it latches until `resume`."""
         status = self.live.stop(reason)
-        return status.ok, f"Stopping; at rest in {self.live.state.rests_in:.2f} s at the latest."
+        return status.ok, "Stopping as soon as the load allows."
 
     def resume(self) -> tuple[bool, str]:
         """Lift the stop. An arm that rests elsewhere goes on from there; its load must stand still, liquids too."""
+        if self._run is not None or self._speed > self.options.at_rest:
+            return False, "The arm still moves."
         near = not self._lost and np.abs(self._measured - self.command).max() <= self.options.at_rest
         status = self.live.resume() if near else None
         if status is None or not status.ok:
@@ -174,7 +237,7 @@ class Carrier:
     def lost(self, reason: str) -> None:
         """The controller does not follow what is committed: stop, and hand nothing over until `resume`."""
         if not self._lost:
-            self._lost = reason
+            self._lost, self._run = reason, None
             self.live.stop(reason, source="monitor")
 
     # --- out
@@ -184,6 +247,8 @@ class Carrier:
         self._watch(t)
         live, self._last = self.live, t
         self.command = live.command(t)[0].copy()
+        if self._run is not None:
+            return self._step_run(self._run, t)
         if live.committed is self._sent or self._lost:
             return None
         self._sent = live.committed
@@ -191,12 +256,39 @@ class Carrier:
         first = max(int(np.searchsorted(path.t, live.now - since, side="right")) - 1, 0)
         return of_motion(self.joints, path, t - (live.now - since), first)
 
+    def _step_run(self, run: Run, t: float) -> Trajectory | None:
+        now, first, new = t - run.begins, 0, not run.sent
+        if self.live.stopped and not run.stopping:
+            run.stopping = True
+            if now < 0.0:  # it has not begun; what was sent is replaced by rest
+                run.motion = resting(run.motion.q[0])
+                new = run.sent
+            elif run.stops is not None:
+                run.motion = run.stops.stopped(run.motion, now + self.options.ahead)
+                first, new = max(int(np.searchsorted(run.motion.t, now, side="right")) - 1, 0), True
+        self.command = run.motion.sample(now)[0][0]
+        if now > run.motion.duration:
+            self._run = None
+            status = self.live.restart(run.motion.q[-1])
+            self._sent = self.live.committed
+            if not status.ok:  # an open liquid may still move: `resume` says that it does not
+                self.lost(status.sentence)
+            return None
+        run.sent = run.sent or new
+        return of_motion(self.joints, run.motion, run.begins, first) if new else None
+
+    @property
+    def _busy(self) -> str:
+        """Why nothing else can be requested, or nothing."""
+        return "" if self._run is None else "A plan is carried out; stop, or wait for its end."
+
     def _watch(self, t: float) -> None:
         """Stop when somebody or something is not heard any more while the arm moves."""
-        if self.live.committed.at_rest or self.live.now >= self.live.committed.ends:
+        rests = self.live.committed.at_rest or self.live.now >= self.live.committed.ends
+        if rests and self._run is None:
             return
         options, gap = self.options, 0.0 if self._last is None else t - self._last
-        if gap > LONGEST_GAP or gap < 0:
+        if self._run is None and (gap > LONGEST_GAP or gap < 0):
             reason = f"the node was {gap:.2f} s late" if gap > 0 else "the node's clock went back"
             self.live.stop(reason, source="monitor") if options.streams else self.lost(reason)
         elif self.live.stopped:
@@ -210,7 +302,7 @@ class Carrier:
         """Level (0 as wished, 1 something was refused or passes, 2 stopped), sentence, facts."""
         state = self.live.state
         level = 2 if state.stopped else 1 if state.refused or state.passing else 0
-        return level, str(state), state.facts()
+        return level, " ".join(filter(None, (self._busy, str(state)))), state.facts()
 
     def markers(self) -> list[dict[str, Any]]:
         """The tray and what stands on it as triangles in the flange's frame: name, points (3 k, 3) m, colour."""

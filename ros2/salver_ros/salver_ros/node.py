@@ -21,7 +21,7 @@ from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rosidl_runtime_py import set_message_fields
-from salver_msgs.srv import Audit, Goto, Plan
+from salver_msgs.srv import Audit, Goto, Plan, Run
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Empty, Float64MultiArray
 from std_srvs.srv import Trigger
@@ -82,6 +82,7 @@ class Salver(Node):
             (Trigger, "~/stop", self.on_stop, one),
             (Trigger, "~/resume", self.on_resume, one),
             (Goto, "~/goto", self.on_goto, one),
+            (Run, "~/run", self.on_run, one),
             (Plan, "~/plan", self.on_plan, apart),
             (Audit, "~/audit", self.on_audit, apart),
         ):
@@ -144,6 +145,9 @@ class Salver(Node):
         p, quat = request.pose.pose.position, request.pose.pose.orientation
         turned = None if request.any_heading else [quat.x, quat.y, quat.z, quat.w]
         return self.answer(response, self.carrier.goto(request.pose.header.frame_id, [p.x, p.y, p.z], turned))
+
+    def on_run(self, request: Any, response: Any) -> Any:
+        return self.answer(response, self.carrier.run(request.directory, self.now) if self.carrier else NOT_READY)
 
     def on_plan(self, request: Any, response: Any) -> Any:
         if self.carrier is None:
