@@ -254,7 +254,7 @@ def test_a_swing_counts_on_either_side():
 
 
 def test_extremes_are_those_of_a_fine_scan():
-    """Of cubics that turn twice, once or not at all, and of lines and constants."""
+    """Of cubics that turn twice, once or not at all, and of lines and constants; and of quadratics."""
     cubics = np.random.default_rng(2).normal(size=(4, 300))
     cubics[:, :3] = np.array([[0, 1, 2, 3], [1, 1, 1, 1], [0, 1, 1, 0]]).T
     u = np.linspace(0.0, 1.0, 4001)[:, None, None]
@@ -262,6 +262,10 @@ def test_extremes_are_those_of_a_fine_scan():
     values = (weights * cubics).sum(axis=1)
     assert extremes(cubics) == pytest.approx(np.array([values.min(axis=0), values.max(axis=0)]), abs=1e-6)
     assert np.mean(values.max(axis=0) > cubics[[0, 3]].max(axis=0) + 1e-2) > 0.1
+    quadratics = cubics[:3]
+    values = (np.concatenate([(1 - u) ** 2, 2 * u * (1 - u), u**2], axis=1) * quadratics).sum(axis=1)
+    assert extremes(quadratics) == pytest.approx(np.array([values.min(axis=0), values.max(axis=0)]), abs=1e-6)
+    assert np.mean(values.max(axis=0) > quadratics[[0, 2]].max(axis=0) + 1e-2) > 0.1
 
 
 def test_what_limits_a_motion_is_what_is_ahead_of_it():

@@ -371,10 +371,16 @@ def hulls(t: Array, states: Array) -> list[Array]:
     return found
 
 
-def extremes(cubics: Array) -> Array:
-    """(2, ...) least and largest value of cubics with Bernstein coefficients (4, ...): at an end, or where their
-    derivative, a quadratic with the coefficients a, b, c, is zero."""
-    a, b, c = np.diff(cubics, axis=0)
+def extremes(hull: Array) -> Array:
+    """(2, ...) least and largest value of quadratics or cubics with Bernstein coefficients (3, ...) or (4, ...): at an
+    end, or where their derivative is zero."""
+    if len(hull) == 3:
+        a, b, c = hull
+        with np.errstate(divide="ignore", invalid="ignore"):
+            u = np.clip(np.nan_to_num((a - b) / (a - 2.0 * b + c), nan=0.0), 0.0, 1.0)
+        inside = (1 - u) * ((1 - u) * a + 2.0 * u * b) + u * u * c
+        return np.array([np.minimum(np.minimum(a, c), inside), np.maximum(np.maximum(a, c), inside)])
+    a, b, c = np.diff(hull, axis=0)  # the derivative's
     bend, turn = a - 2.0 * b + c, np.sqrt(np.maximum(b * b - a * c, 0.0))
     with np.errstate(divide="ignore", invalid="ignore"):
         # Either root of bend u^2 + 2 (b - a) u + a, without cancellation.
@@ -382,7 +388,7 @@ def extremes(cubics: Array) -> Array:
         roots = np.nan_to_num(np.stack([most / bend, a / most]), nan=0.0)
     u = np.clip(roots, 0.0, 1.0)
     v = 1.0 - u
-    p, q, r, s = cubics
+    p, q, r, s = hull
     inside = v * v * (v * p + 3.0 * u * q) + u * u * (3.0 * v * r + u * s)
     return np.array([np.minimum(np.minimum(p, s), inside.min(0)), np.maximum(np.maximum(p, s), inside.max(0))])
 

@@ -18,6 +18,7 @@ from salver.models.arm.arm_geometry import arm_geometry
 from salver.planning.follow.clearance import sweep
 from salver.planning.follow.forward import tray_motion
 from salver.planning.follow.limits import BETWEEN, verdict
+from salver.planning.stops import verdicts
 from salver.trajectory import JointMotion, MotionSamples
 
 if TYPE_CHECKING:
@@ -74,7 +75,7 @@ def check_plan(plan: Plan, arm: ArmModel, bodies: Sequence[Body], full_speed_onl
             f'physics.feedback is "{plan.scenario.physics.feedback}"; without a live measurement of the object it must '
             'be "joints".',
         ),
-        _stops(plan, arm, bodies),
+        _stops(plan, arm),
         Check(
             "command",
             plan.command is None,
@@ -215,7 +216,7 @@ def _speeds(plan: Plan, full_speed_only: bool) -> Check:
     return Check("speeds", speeds.every or full_speed_only, sentence)
 
 
-def _stops(plan: Plan, arm: ArmModel, bodies: Sequence[Body]) -> Check:
+def _stops(plan: Plan, arm: ArmModel) -> Check:
     """Whether it can be stopped with the load in its place; and that what is stored of the stops fits the plan."""
     stops, joint = plan.stops, plan.joint
     if stops is None or joint is None:
@@ -238,21 +239,9 @@ def _stops(plan: Plan, arm: ArmModel, bodies: Sequence[Body]) -> Check:
     in_time = np.all(np.diff(stops.t) > 0) and np.all((stops.t > 0) & (stops.t < joint.duration))
     if not in_time or not np.all(stops.duration > 0) or stops.s[0] != 0 or not np.all(np.diff(stops.s) > 0):
         return Check("stops", False, "The plan's stops are not usable: their times do not increase within the plan.")
-    for x, states in zip((stops.q, stops.dq, stops.ddq), joint.sample(stops.t), strict=True):
-        if count and np.abs(x[:, 0] - states).max() > STILL:
-            return Check("stops", False, "The plan's stops do not begin where the plan is at their instants.")
-    if count and max(np.abs(stops.dq[:, -1]).max(), np.abs(stops.ddq[:, -1]).max()) > STILL:
-        return Check("stops", False, "The plan's stops do not end at rest.")
-    parts = arm_geometry(arm, bodies, plan.scenario.around)
-    for k, now in enumerate(stops.t):
-        motion = looked_at(stops.motion(k))
-        status = verdict(arm, motion, bodies, parts, BETWEEN)
-        if plan.scenario.payload.dynamic:  # which swing already when the stop begins
-            motion = looked_at(stops.after(joint, k))
-        contact = margins(plan.scenario, _object_motion(arm, bodies, motion)).verdict(worst=True)
-        for judged in (status, contact):
-            if not judged.ok:
-                return Check("stops", False, f"The stop from {now:.2f} s is not safe: {judged.sentence}")
+    for now, found in verdicts(plan):
+        if not found.ok:
+            return Check("stops", False, f"The stop from {now:.2f} s is not safe: {found.sentence}.")
     return Check("stops", True, stops.sentence)
 
 

@@ -49,9 +49,11 @@ class VerdictOptions:
             than is found along a fastest motion (tests/test_live_verdict.py), and was up to 8e-3 more in wild streams.
         period: s, the shortest of a loop that is told torques.
         inside: share of its room that what moves inside keeps: its state is known from one motion to the next to a
-        thousandth. at_rest_instants: of the rest after the end, until the deviation has settled; closer together where
-        it begins. forgiven: share of a row's margin, never of the row itself, that may be lacking at first
-        (`beginning`, s), where
+            thousandth.
+        at_rest_instants: of the rest after the end, until the deviation has settled; closer together where it begins.
+        spent: of what a planner keeps between its instants (`FINEST`), what a verdict does not ask for once more. Live
+            motions, which others go on from, have to keep all of it.
+        forgiven: share of a row's margin, never of the row itself, that may be lacking at first (`beginning`, s), where
             the jerk has just changed. At 0, bends are refused for a margin that the arm inherits.
         at_rest: rad/s and rad/s^2 that may be left at the end of a motion: rounding.
         continuous: rad, rad/s, rad/s^2 by which a motion may begin elsewhere than where the arm is: rounding.
@@ -66,6 +68,7 @@ class VerdictOptions:
     torque_rate: float = 1e-2
     period: float = 1e-3
     inside: float = 3e-3
+    spent: float = 0.0
     forgiven: float = 0.2
     beginning: float = 0.02
     at_rest: float = 1e-7
@@ -74,10 +77,13 @@ class VerdictOptions:
     def margin(self, block: Block, constraint: Constraint | None) -> float:
         """What a motion keeps from the boundary of a constraint, in the unit of its rows."""
         least = {ContactConstraint: self.contact, TorqueRateLimit: self.torque_rate, LoadConstraint: self.inside}
-        return max(block.margins[1], *(x for kind, x in least.items() if isinstance(constraint, kind)), 0.0)
+        kept = (x for kind, x in least.items() if isinstance(constraint, kind))
+        return max(block.margins[1] - self.spent, *kept, 0.0)
 
 
 STANDARD = VerdictOptions()
+# A plan and its stops keep what their scenario asks for: nothing goes on from them that would need more.
+PLANNED = VerdictOptions(contact=0.0, torque_rate=0.0, inside=0.0, spent=FINEST)
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,8 +162,8 @@ class Judged:
 
     def joints(self, order: int) -> Iterator[Block]:
         """|d^k q / dt^k| at most its limit, at every time: the Bernstein coefficients between two instants bound it
-        there; of acceleration, for which that bound is wide, the extremes. To position and velocity the deviation of
-        the arm is added, the larger of that at either instant."""
+        there; of acceleration and jerk, for which that bound is wide, the extremes. To position and velocity the
+        deviation of the arm is added, the larger of that at either instant."""
         kind = LIMITS[order]
         for constraint in self.of_kind(JointLimit):
             assert isinstance(constraint, JointLimit)
@@ -166,7 +172,7 @@ class Judged:
             if not len(finite) or order not in constraint.orders:
                 continue
             hull, middle, half = self._hulls[order], middle[finite], half[finite]
-            low, high = extremes(hull) if order == 2 else (hull.min(axis=0), hull.max(axis=0))
+            low, high = extremes(hull) if order >= 2 else (hull.min(axis=0), hull.max(axis=0))
             beyond = np.concatenate([high[:, finite] - middle, middle - low[:, finite]], axis=1) / np.tile(half, 2) - 1
             if order < 2 and self.along.response is not None:
                 radius = self.along.joint_radius(order)[:, finite] / half
@@ -189,6 +195,13 @@ class Judged:
         joints, held = self.along.response.joints, self.along.response.held
         both = [[joints.q, joints.dq], [held.q[:, :, None], held.dq[:, :, None]]]
         return -np.concatenate([np.stack(each, axis=1)[: self.last + 1] for each in both], axis=3)
+
+    @property
+    def stray(self) -> Array:
+        """(n,) rad, the most by which each joint may be off the motion under the uncertain set."""
+        if self.along.response is None:
+            return np.zeros(self.problem.n)
+        return np.asarray(self.along.joint_radius(0)[: self.last + 1].max(axis=0))
 
     @cached_property
     def off(self) -> Array:
