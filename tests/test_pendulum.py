@@ -225,6 +225,24 @@ def test_a_plan_holds_in_the_engine_and_one_that_takes_it_for_a_solid_does_not(l
     assert Experiment(told).run({}).outcome in ("swings", "slides", "tips")
 
 
+def test_a_cup_of_coffee_and_a_lamp_are_carried_together(coffee):
+    """Two kinds side by side: each keeps its own limits, and the engine holds both at the ends of their ranges."""
+    cup = coffee.objects[0].model_dump(exclude_unset=True) | {"at": [-0.045, 0.0]}
+    both = coffee.with_changes(
+        objects=[cup, {**LAMP, "at": [0.05, 0.0]}], arm={"model": "panda"}, motion__speeds="full"
+    )
+    found = plan_fastest(both)
+    assert found.ok, found.verification.sentence
+    told = found.margins.verdict(True).sentence
+    assert "The liquid in cup stays" in told
+    assert "The pendulum in lamp keeps" in told
+    run = Experiment(found).run({"cup.fill": 0.065, "lamp.length": 0.102})
+    cup_seen, lamp_seen = run.summary["objects"]
+    assert run.outcome == "holds"
+    assert 0.5 < cup_seen["peak_wave"] / cup_seen["room"] < 1.0
+    assert 0.5 < lamp_seen["peak_swing"] / lamp_seen["room"] < 1.0
+
+
 @pytest.mark.slow
 def test_a_stop_of_a_slower_run_knows_how_it_swings(plan):
     slow = plan.at_speed(0.6)

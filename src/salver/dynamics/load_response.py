@@ -22,21 +22,12 @@ from salver.models.load_dynamics import GRAVITY
 
 
 class ArmReaction(Protocol):
-    """What an arm makes of the wrenches of K cases: w (K, T, 12) of the tray's motion regressor, and deviations."""
+    """How an arm complies to the wrenches of K cases (`salver.sensitivity.arm.tracking.Reaction`): w (K, T, 12)."""
 
     @property
     def w(self) -> Array: ...
 
-    @property
-    def joints(self) -> Any: ...
-
-    @property
-    def tray(self) -> Any: ...
-
-    @property
-    def torque(self) -> Array: ...
-
-    def part(self, some: slice) -> ArmReaction: ...
+    def part(self, some: slice) -> Any: ...
 
 
 @dataclass(frozen=True, eq=False)

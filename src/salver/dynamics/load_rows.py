@@ -6,10 +6,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import reduce
+from typing import Any
 
 import numpy as np
 
-from salver.dynamics.load_response import ArmReaction, LoadResponse
+from salver.dynamics.load_response import LoadResponse
 from salver.dynamics.motion_gradients import Unknowns, wrench_by
 from salver.geometry import Array, Indices
 from salver.models.contact_rows import ContactRows
@@ -49,7 +50,7 @@ class LoadRows:
         return found
 
 
-def given_way(responses: Mapping[str, tuple[LoadResponse, ...]], what: Callable[[ArmReaction], Array]) -> Array:
+def given_way(responses: Mapping[str, tuple[LoadResponse, ...]], what: Callable[[Any], Array]) -> Array:
     """(T, m) most by which what moves in all loads changes something of the arm that carries them, `what` (T, m, K) of
     each reaction: each load at its worst case."""
     each = [[what(x.reaction) for x in parts if x.reaction is not None] for parts in responses.values()]

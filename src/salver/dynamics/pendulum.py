@@ -122,9 +122,6 @@ class Pendulum(LoadDynamics):
     def room(self, value: float) -> float:
         return value * float(np.sin(self.widest))
 
-    def away(self, value: float, seen: Array, slope: Array) -> Array:
-        return np.linalg.norm(seen + value * slope, axis=-1)
-
     def seen(self, value: float, incline: Array, slope: Array, turning: Array) -> Array:
         """(T, 3) m aside along x and y, and in all."""
         place = value * incline[:, 0] / np.sqrt(1 + (incline[:, 0] ** 2).sum(axis=1, keepdims=True))

@@ -177,10 +177,13 @@ class LoadDynamics(ABC):
         hung = np.repeat(-slope[:, None], len(self.modes(value).omega), axis=1)
         return self.seen(value, hung, slope, np.zeros(len(slope)))[:, :2]
 
-    @abstractmethod
-    def away(self, value: float, seen: Array, slope: Array) -> Array:
-        """(T,) m by which it is away from where it would be at rest under a slope (T, 2), f / f_z, at places (T, 2) as
-        of `seen`."""
+    def extent(self, value: float, places: Array) -> Array:
+        """(T,) m of places (T, 2) as of `seen`."""
+        return np.asarray(np.linalg.norm(places, axis=-1))
+
+    def away(self, value: float, places: Array, slope: Array) -> Array:
+        """(T,) m by which it is away at places (T, 2) from where it would be at rest under a slope (T, 2), f / f_z."""
+        return self.extent(value, places - self.at_rest(value, slope))
 
     @abstractmethod
     def seen(self, value: float, incline: Array, slope: Array, turning: Array) -> Array:

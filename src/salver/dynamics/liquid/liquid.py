@@ -162,8 +162,8 @@ class Liquid(LoadDynamics):
         """m from the surface at rest to the brim; infinite under a lid."""
         return np.inf if self.sealed else self.brim - value
 
-    def away(self, value: float, seen: Array, slope: Array) -> Array:
-        return self.modes(value).highest(seen + self.half * slope)
+    def extent(self, value: float, places: Array) -> Array:
+        return self.modes(value).highest(places)
 
     def seen(self, value: float, incline: Array, slope: Array, turning: Array) -> Array:
         """(T, 3) heights at the wall along x and y, and of the highest point, over the level at rest."""

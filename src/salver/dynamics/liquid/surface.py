@@ -17,9 +17,13 @@ from salver.geometry import Array, Indices
 from salver.models.load_dynamics import GRAVITY
 
 
+def _stacked(name: str) -> cached_property[Array]:
+    return cached_property(lambda which: np.stack([getattr(modes, name) for modes in which.modes]))
+
+
 @dataclass(frozen=True, eq=False)
 class SurfaceCases(ModalCases):
-    """K cases of liquids."""
+    """K cases of liquids. gain (K, n_modes, 2), half, peaking, rest_rise (K, 2): as in `SurfaceModes`."""
 
     @cached_property
     def modes(self) -> list[SurfaceModes]:
@@ -29,25 +33,8 @@ class SurfaceCases(ModalCases):
     def liquid(self) -> Liquid:
         return cast(Liquid, self.each[0].dynamics)
 
-    @cached_property
-    def gain(self) -> Array:
-        """(K, n_modes, 2) as in `SurfaceModes`."""
-        return np.stack([m.gain for m in self.modes])
-
-    @cached_property
-    def half(self) -> Array:
-        """(K, 2) as in `SurfaceModes`."""
-        return np.stack([m.half for m in self.modes])
-
-    @cached_property
-    def peaking(self) -> Array:
-        """(K, 2) as in `SurfaceModes`."""
-        return np.stack([m.peaking for m in self.modes])
-
-    @cached_property
-    def rest_rise(self) -> Array:
-        """(K, 2) as in `SurfaceModes`."""
-        return np.stack([m.rest_rise for m in self.modes])
+    gain, half = _stacked("gain"), _stacked("half")
+    peaking, rest_rise = _stacked("peaking"), _stacked("rest_rise")
 
     @cached_property
     def steepest(self) -> Array:

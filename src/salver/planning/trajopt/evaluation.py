@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from salver.dynamics.load_response import ArmReaction, LoadResponse
+from salver.dynamics.load_response import LoadResponse
 from salver.dynamics.load_rows import given_way
 from salver.dynamics.modal_history import CaseGroups, Past
 from salver.geometry import Array, Indices
@@ -192,7 +192,7 @@ class MotionEvaluation:
         moved = self._wider(position, lambda reaction: reaction.tray.state[:, :3])
         return moved, self._wider(turn, lambda reaction: reaction.tray.state[:, 3:6])
 
-    def _wider(self, radius: Array, what: Callable[[ArmReaction], Array]) -> Array:
+    def _wider(self, radius: Array, what: Callable[[Any], Array]) -> Array:
         """A radius (N, m), and what loads add to it."""
         return np.asarray(radius + given_way(self.loads, what)) if self.cases else radius
 
