@@ -44,14 +44,16 @@ def test_second_trip_is_quicker_nothing_is_lost_and_the_truth_stays_within_the_r
 
 
 @pytest.mark.slow
-def test_tilts_raise_the_least_friction_and_stop_when_the_load_moves() -> None:
+def test_tilts_raise_the_least_friction_and_stop_when_the_load_moves(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of two loads one slides early, by less than is said; what is known of both stays true, and neither is lost.
 
-    Cubes: a tall bottle would tip before it slides."""
+    Cubes: a tall bottle would tip before it slides. The second is not excited before, which takes most of the time."""
     wide = {"mass": "50%", "com": [0.004, 0.004, 0.01], "friction": 0.2}
     scenario = load("panda-cube").with_changes(objects__0__uncertainty=wide, objects__0__friction=0.4)
     first = plan_fastest(scenario)
     for seed, slides in ((3, True), (8, False)):
+        if not slides:
+            monkeypatch.setattr(_Hidden, "excite", lambda hidden: None)
         true = true_load(scenario, seed)
         trip = next(trips(scenario, 2, seed, first=first))
         moved = [tilt.moved for tilt in trip.tilts]
@@ -65,8 +67,9 @@ def test_tilts_raise_the_least_friction_and_stop_when_the_load_moves() -> None:
 
 
 @pytest.mark.slow
-def test_friction_is_looked_for_unless_it_is_not_to_be() -> None:
+def test_friction_is_looked_for_unless_it_is_not_to_be(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of a load of which nothing else is unknown."""
+    monkeypatch.setattr(_Hidden, "excite", lambda hidden: None)
     friction = {"objects__0__uncertainty": {"friction": 0.2}, "objects__0__friction": 0.4}
     first = plan_fastest(load("panda-tall-bottle").with_changes(**friction))
     tilted, not_tilted = (next(trips(first.scenario, 2, 2, "torques", first, tilts=x)) for x in (True, False))
