@@ -262,7 +262,12 @@ def test_the_safest_round_keeps_a_liquid_as_far_below_its_brim_as_the_loads_from
     case = scenario.parse(
         {
             "name": "round",
-            "motion": {"orientation": "free", "duration": 2.6, "start": {"position": (0.5, -0.3, 0.46)}},
+            "motion": {
+                "duration": 2.6,
+                "speeds": "full",
+                "orientation": "free",
+                "start": {"position": (0.5, -0.3, 0.46)},
+            },
             "legs": [
                 {"goal": {"position": (0.56, -0.05, 0.46)}, "take": "box"},
                 {"goal": {"position": (0.46, 0.2, 0.42)}},
