@@ -11,7 +11,6 @@ import json
 import math
 import os
 import platform
-import re
 import secrets
 import zipfile
 import zlib
@@ -250,12 +249,7 @@ def versions() -> dict[str, str]:
     }
 
 
-@cache
-def _version(package: str) -> str:
-    """As `metadata.version`, which reads the package's whole description for it, in five times the time."""
-    head = (metadata.distribution(package).read_text("METADATA") or "").partition("\n\n")[0]
-    found = re.search(r"^Version: *(\S+)", head, re.MULTILINE)
-    return found[1] if found else metadata.version(package)
+_version = cache(metadata.version)
 
 
 def _plain(obj: Any) -> Any:

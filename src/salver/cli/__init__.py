@@ -6,7 +6,6 @@ Modules of commands import what is heavy (CasADi, MuJoCo, Pinocchio, plotting) i
 
 from __future__ import annotations
 
-import gc
 import os
 import sys
 from collections.abc import Iterable
@@ -44,8 +43,6 @@ COMMANDS = {
     "track": "learning",
     "tune": "learning",
 }
-
-RARELY = 50_000  # new objects after which Python looks for some that nothing holds: imports make many that stay
 
 
 def _print_version(wanted: bool) -> None:
@@ -96,7 +93,6 @@ def main() -> None:
     The matrices here are small: threads of the linear algebra cost more than they give, and a campaign already has a
     process for each core. NumPy reads this when it is first imported, which no command has done yet.
     """
-    gc.set_threshold(RARELY)
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "1")  # it would look for some in every package that is installed

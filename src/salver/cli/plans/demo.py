@@ -12,6 +12,7 @@ from salver.cli.progress import step
 
 if TYPE_CHECKING:
     from salver.campaigns.engine import Campaign
+    from salver.planning.plan import Plan
 
 PAPER, BOTTLE = "panda-cube", "panda-tall-bottle"
 BOTTLE_SHARE = 5  # of the runs asked for, every fifth: what they show is not a matter of a few per cent
@@ -50,21 +51,13 @@ def demo(
 
 def paper(out: Path, n: int, seed: int, quiet: bool) -> dict[str, Any]:
     """Plan, run, draw and report the paper's scenario: the robust trajectory beside the straight line."""
-    from salver import scenario as scenarios
-    from salver.planning.make import plan_pair
     from salver.planning.plan import load_plan
     from salver.reports.pages.page import write_report
     from salver.reports.pictures.figures import write_figures
     from salver.simulation.physics import simulate
 
     _head(1, "The paper's cube, half a metre in 2.5 s: its robust trajectory, and the straight line")
-    plan, baseline = plan_pair(scenarios.load(PAPER))
-    plan.save(out)
-    baseline.save(out, "baseline")
-    if not quiet:
-        from salver.cli.plans.plan import show
-
-        show(plan, baseline, "baseline")
+    plan, _ = _planned(PAPER, None, "baseline", out, quiet)
 
     _head(2, f"Physics: arm, tray and loose cube; {n} runs of each with the cube's mass perturbed")
     for stem in ("plan", "baseline"):
@@ -78,9 +71,7 @@ def paper(out: Path, n: int, seed: int, quiet: bool) -> dict[str, Any]:
 
 def bottle(out: Path, n: int, seed: int, quiet: bool) -> dict[str, Any]:
     """The fastest motion of the tall bottle, planned for its ranges and for nominal values; the same true bottles."""
-    from salver import scenario as scenarios
     from salver.campaigns import parameters_of_run
-    from salver.planning.make import plan_pair
     from salver.planning.plan import load_plan
     from salver.reports.pages.page import write_report
     from salver.simulation.physics import simulate
@@ -89,13 +80,7 @@ def bottle(out: Path, n: int, seed: int, quiet: bool) -> dict[str, Any]:
         4,
         "A tall bottle as fast as possible, the tray leaning like a waiter's: planned for its ranges, and nominally",
     )
-    plan, nominal = plan_pair(scenarios.load(BOTTLE), "fastest", beside="nominal")
-    plan.save(out)
-    nominal.save(out, "nominal")
-    if not quiet:
-        from salver.cli.plans.plan import show
-
-        show(plan, nominal, "nominal")
+    plan, nominal = _planned(BOTTLE, "fastest", "nominal", out, quiet)
 
     _head(5, f"Physics: {n} bottles of unknown weight and balance, each with both motions")
     campaign = _campaign(out, n, seed, quiet)
@@ -110,6 +95,20 @@ def bottle(out: Path, n: int, seed: int, quiet: bool) -> dict[str, Any]:
         "campaign": campaign.summary,
         "page": write_report(out),
     }
+
+
+def _planned(name: str, method: str | None, beside: str, out: Path, quiet: bool) -> tuple[Plan, Plan]:
+    """A scenario's plan, and what it is compared with."""
+    from salver import scenario as scenarios
+    from salver.cli.plans.plan import show
+    from salver.planning.make import plan_pair
+
+    plan, other = plan_pair(scenarios.load(name), method, beside=beside)
+    plan.save(out)
+    other.save(out, beside)
+    if not quiet:
+        show(plan, other, beside)
+    return plan, other
 
 
 def _campaign(out: Path, n: int, seed: int, quiet: bool) -> Campaign:
