@@ -185,7 +185,7 @@ def test_stops_are_planned_backwards_each_to_be_at_rest_before_what_is_ahead(mon
     monkeypatch.setattr(stops, "_late", lambda problem, state: np.inf)  # none is sought from another beginning
     progress, soon = (lambda *done: told.append(done)), 0.0  # none is too late to be worth it
     library = plan_stops(nowhere, whole, 0.1, on_path=on_path, progress=progress, soon=soon)
-    assert told == [(k + 1, 9) for k in range(9)]
+    assert told == [(100 * k, 1000) for k in range(2, 11)]
     assert [now for now, _ in asked] == pytest.approx(np.arange(9, 0, -1) / 10)
     # Until 0.8 s nothing is sooner than the end; then each has to be at rest before the one that was kept.
     rests = [1.0, 1.0, 0.9, 0.9, 0.9, 0.89, 0.89, 0.4, 0.4]
@@ -225,7 +225,8 @@ def test_where_a_stop_is_late_it_is_sought_anew_and_instants_are_half_as_far_apa
         assert library.t == pytest.approx(np.arange(apart, last + 1e-9, apart))
         assert library.duration == pytest.approx(0.3)
         assert anew == pytest.approx([0.35] * 13 if late == 0.34 else [])  # at every instant from .65 s on
-        assert told == [(k + 1, 9) for k in range(9)]
+        done = [200, 300, *range(350, 1001, 50)] if apart == 0.05 else range(200, 1001, 100)
+        assert told == [(ms, 1000) for ms in done]
     finds, anew[:] = False, []
     monkeypatch.setattr(stops, "_late", lambda problem, state: 0.0)
     library = plan_stops(nowhere, swaying(1.0), 0.1)
@@ -254,7 +255,7 @@ def test_no_stop_is_sought_where_going_on_is_at_rest_soon_anyway(monkeypatch):
     assert library.t == pytest.approx(np.arange(0.08, 0.9, 0.08))
     assert library.stray[:, 0] == pytest.approx([*np.where(library.t < 0.5, 0.01, 0.02), 0.02])
     assert len(asked) == len(library.t)
-    assert told == [(k + 1, 24) for k in range(24)]
+    assert told == [(40 * k, 1000) for k in range(2, 26)]
 
 
 def test_a_stop_may_lean_as_far_as_its_plan_does_and_need_not_pass_its_poses():

@@ -118,8 +118,8 @@ def plan_stops(
     time, and the arm is at rest by up to as much later. soon: s; doubled, a slow plan has fewer stops. space: where the
     controller closes its loop along the motion. on_path: stops that never leave the motion's own path, of which only
     the timing is free; often there is none, as where a tray leans into the plan's acceleration. progress: called with
-    how many of how many instants are done. Raises SalverError when the motion has no stop because it begins or ends
-    moving."""
+    how many of how many ms are done, from the end on. Raises SalverError when the motion has no stop because it begins
+    or ends moving."""
     if np.abs(motion.dq[[0, -1]]).max() > 1e-6:
         raise SalverError("Stops are planned along motions from rest to rest; this one begins or ends moving.")
     end = motion.duration
@@ -158,8 +158,8 @@ def plan_stops(
         finer = path is None and now - before > 0.9 * every  # not halved already
         if finer and rest - before > _late(problem, state_at(before)):
             left.append(0.5 * (before + now))
-        elif progress:
-            progress(len(instants) - len(left), len(instants))
+        if progress:
+            progress(round(1e3 * (end - (left[-1] if left else 0.0))), round(1e3 * end))
     kept.reverse()
     shape = (len(kept), len(STORED), problem.n)
     q, dq, ddq = (np.array([getattr(stop.motion, x) for _, stop in kept]).reshape(shape) for x in ("q", "dq", "ddq"))
