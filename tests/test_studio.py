@@ -95,7 +95,14 @@ def test_what_is_wrong_is_told_at_its_line(old, new, line, words):
 def test_a_text_that_cannot_be_changed_is_refused_with_a_sentence():
     for text, key in (("a = [", ["a"]), ("a = 1", ["a", "b"]), ("a = [1]", ["a", 5])):
         with pytest.raises(ScenarioError, match="cannot be changed there"):
-            changed(text, [(key, 1.0)])
+            change(text, SCENARIO_DIR, [(key, 1.0)])
+    for key, value in (
+        (["objects", 0, "at"], "left"),
+        (["objects", 9, "uncertainty", "mass"], "5%"),
+        (["objects", 0], None),
+    ):
+        with pytest.raises(ScenarioError, match="no such change"):
+            change(CUBE, SCENARIO_DIR, [(key, value)])
 
 
 def test_ranges_that_were_assumed_are_written_down_before_one_is_changed():
@@ -135,6 +142,16 @@ def test_the_first_object_moves_on_a_tray_that_stays():
     np.testing.assert_allclose(
         tray(change(text, SCENARIO_DIR, [(["objects", 0, "at"], [0.03, -0.02])])), tray(text), atol=1e-5
     )
+
+
+def test_the_first_object_goes_and_the_tray_stays():
+    text = (SCENARIO_DIR / "panda-four-glasses.toml").read_text()
+    after = change(text, SCENARIO_DIR, [(["objects", 0], None)])
+    trays = []
+    for scenario in (checked(text, SCENARIO_DIR), checked(after, SCENARIO_DIR)):
+        trays.append(np.array(scenario.motion.goal.position) - scenario.payload.first.p_EB)  # level, heading along S
+    assert [item.name for item in scenario.objects] == ["glass2", "glass3", "glass4"]
+    np.testing.assert_allclose(trays[1], trays[0], atol=1e-5)
 
 
 def test_every_slider_of_every_scenario_puts_its_own_value_back():
@@ -247,7 +264,14 @@ def test_the_page_is_for_who_knows_its_address_on_this_machine_alone(tmp_path):
         ):
             assert asked(studio, "GET", path, host=host)[0] == 404
         assert asked(studio, "POST", "/wrong/say", b"{}")[0] == 404
-        for wrong in (7, [], {}, {"do": "dance"}, {"do": "look", "text": CUBE, "changes": [7]}):
+        for wrong in (
+            7,
+            [],
+            {},
+            {"do": "dance"},
+            {"do": "look", "text": CUBE, "changes": [7]},
+            {"do": "look", "text": CUBE, "near": 5},
+        ):
             answer = json.loads(asked(studio, "POST", place.path + "say", json.dumps(wrong).encode())[1])
             assert answer["problem"].endswith(".")
         assert "kB" in say(studio, "look", text="#" * 300_000)["problem"]

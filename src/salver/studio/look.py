@@ -14,7 +14,7 @@ import numpy as np
 
 from salver.contact_margins import margin_model
 from salver.contact_margins.time_scaling import TimeScaled
-from salver.errors import SalverError
+from salver.errors import SalverError, ScenarioError
 from salver.geometry import Array, invert
 from salver.models.arm.arm import load_arm
 from salver.planning.fastest import TransportProblem, transport_problem
@@ -59,15 +59,11 @@ def look(text: str, folder: Path, near: Sequence[float] | None = None, arm_drawn
 def change(text: str, folder: Path, changes: Sequence[tuple[Key, Any]]) -> str:
     """The text with the changes, and with what goes with them: ranges that were assumed are written down before one of
     them is changed, and a start posture follows the start, or is left out where the arm cannot."""
-    data, before = tomllib.loads(text), checked(text, folder)
-    first: list[tuple[Key, Any]] = []
-    for k in {key[1] for key, _ in changes if list(key[2:3]) == ["uncertainty"] and isinstance(key[1], int)}:
-        if isinstance(before, Scenario) and "uncertainty" not in data["objects"][k]:
-            assumed = before.objects[k].uncertainty.model_dump(mode="json", exclude_defaults=True)
-            first += [(["objects", k, "uncertainty", name], _written(half)) for name, half in assumed.items()]
-    for key, value in changes:
-        if isinstance(before, Scenario) and list(key) == ["objects", 0, "at"]:
-            first += _tray_stays(before, value)
+    before = checked(text, folder)
+    try:
+        first = [] if isinstance(before, list) else _first(before, tomllib.loads(text), changes)
+    except (LookupError, TypeError, ValueError) as error:
+        raise ScenarioError(f"There is no such change ({error}).") from None
     after = changed(text, [*first, *changes])
     scenario = checked(after, folder)
     if isinstance(scenario, Scenario) and scenario.arm is not None and scenario.arm.start_posture is not None:
@@ -77,14 +73,28 @@ def change(text: str, folder: Path, changes: Sequence[tuple[Key, Any]]) -> str:
     return after
 
 
-def _tray_stays(before: Scenario, at: Any) -> list[tuple[Key, Any]]:
-    """Start and goal are places of the first object: moved by as much as it moves, the tray stays where it is."""
+def _first(before: Scenario, data: dict[str, Any], changes: Sequence[tuple[Key, Any]]) -> list[tuple[Key, Any]]:
+    """What changes with them: ranges that were assumed, and start and goal with the first object."""
     found: list[tuple[Key, Any]] = []
-    for name, pose in (("start", before.motion.start), ("goal", before.motion.goal)):
-        R_SE = pose.rotation @ before.bodies[0].R_EB.T
-        moved = np.array(pose.position) + R_SE[:, :2] @ (np.array(at, dtype=float) - before.objects[0].at)
-        if name == "start" or not before.legs:
-            found.append((["motion", name, "position"], np.round(moved, 6).tolist()))
+    for key, value in changes:
+        match list(key):
+            case ["objects", 0, "at"]:
+                found += _tray_stays(before, np.append(np.subtract(value, before.objects[0].at), 0.0))
+            case ["objects", 0] if value is None:
+                found += _tray_stays(before, before.bodies[1].p_EB - before.bodies[0].p_EB)
+            case ["objects", int(k), "uncertainty", *_] if "uncertainty" not in data["objects"][k]:
+                assumed = before.objects[k].uncertainty.model_dump(mode="json", exclude_defaults=True)
+                found += [(["objects", k, "uncertainty", name], _written(half)) for name, half in assumed.items()]
+    return found
+
+
+def _tray_stays(before: Scenario, moved_E: Array) -> list[tuple[Key, Any]]:
+    """Start and goal are places of the first object: moved on the tray with it, they leave the tray where it is."""
+    found: list[tuple[Key, Any]] = []
+    for name in ("start", "goal") if not before.legs else ("start",):
+        pose = getattr(before.motion, name)
+        place = pose.position + pose.rotation @ before.bodies[0].R_EB.T @ moved_E
+        found.append((["motion", name, "position"], np.round(place, 6).tolist()))
     return found
 
 

@@ -42,7 +42,7 @@ def parts(scenario: Scenario) -> list[Part]:
                 _list("heading at the goal", ["motion", "goal_yaw"], ["free", "fixed"], motion.goal_yaw),
             ],
         },
-        *(_object(item, k) for k, item in enumerate(scenario.objects)),
+        *(_object(item, k, len(scenario.objects) > 1) for k, item in enumerate(scenario.objects)),
         *(_obstacle(item, k) for k, item in enumerate(scenario.obstacles)),
         {
             "name": "tray",
@@ -77,7 +77,7 @@ def _pose(name: str, pose: Pose, key: list[str | int]) -> Part:
     return {"name": name, "key": key, "handle": handle, "fields": fields}
 
 
-def _object(item: CarriedObject, k: int) -> Part:
+def _object(item: CarriedObject, k: int, several: bool) -> Part:
     key: list[str | int] = ["objects", k]
     ranges, shape = item.uncertainty, item.shape
     high = item.loose().solid.height
@@ -113,7 +113,7 @@ def _object(item: CarriedObject, k: int) -> Part:
         "key": key,
         "handle": {"key": [*key, "at"], "at": list(item.at), "of": "tray"},
         "fields": fields,
-        "removable": k > 0,
+        "removable": several,
     }
 
 

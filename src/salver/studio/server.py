@@ -123,6 +123,8 @@ class Studio:
             raise ScenarioError(f"Nobody knows what {do[:40]} means.")
         except SalverError as error:
             return {"problem": str(error)}
+        except Exception as error:  # one message that fails is no reason to end
+            return {"problem": f"It failed ({type(error).__name__}: {error})."}
 
     def _look(self, message: dict[str, Any], text: str) -> dict[str, Any]:
         try:
