@@ -7,7 +7,7 @@ const here = location.pathname.replace(/\/?$/, "/");
 const own = crypto.randomUUID();  // this window
 const COLOURS = { start: [0.0, 0.45, 0.7, 1], goal: [0.84, 0.37, 0.0, 1], objects: [0.9, 0.62, 0.0, 1], obstacles: [0.35, 0.38, 0.42, 1] };
 const RING = 0.04, NEAR = 16;  // m, and pixels, within which a ring is taken hold of
-const state = { text: given.text, saved: null, mistakes: [], answer: null, plan: null, planning: null, said: "", done: [], undone: [], chosen: "goal", time: 0, playing: false, gesture: null, base: "", viewer: null, looks: 0, milliseconds: 0 };
+const state = { text: given.text, saved: null, mistakes: [], answer: null, plan: null, planning: null, said: "", done: [], undone: [], chosen: "goal", time: 0, playing: false, gesture: null, base: "", viewer: null, looks: 0 };
 
 function post(does, more = {}) {
   return fetch(here + "say", { method: "POST", body: JSON.stringify({ do: does, window: own, ...more }) })
@@ -35,10 +35,9 @@ async function next() {
     [state.gesture, state.base, state.before] = [gesture, state.text, state.answer?.line];
   }
   asking = true;
-  const begun = performance.now(), known = state.answer ?? {};
+  const known = state.answer ?? {};
   const answer = await post("look", { text: text ?? state.base, changes: changes ?? [], near: known.posture, arm: known.arm });
   asking = false;
-  state.milliseconds = performance.now() - begun;
   heard(answer, typed);
   next();
 }
