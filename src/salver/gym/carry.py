@@ -18,9 +18,11 @@ from typing import Any, Literal
 import numpy as np
 
 from salver.control.arm import ArmState, controller_for
+from salver.driver.live import NO_HURRY
 from salver.errors import MissingDependencyError, ScenarioError
 from salver.geometry import Array, matrix_from_quat_wxyz, quat_wxyz_from_matrix
 from salver.live import Live, LiveCourse
+from salver.live.replanning.steer import TICK
 from salver.models.arm.arm import load_arm
 from salver.playground.inner_motions import InnerMotions
 from salver.playground.unprotected import Unprotected
@@ -38,9 +40,7 @@ except ImportError:
         "The environment salver/Carry-v0 needs Gymnasium; install it with: pip install 'salver[gym]'."
     ) from None
 
-STEP = 0.02  # s of an action: that of a tick of live motion
-SETTLE = 0.05  # s at first, until the tray bears its load
-PATIENCE = 60.0  # s that a step of planning may take: time waits for it, so that no clock decides anything
+STEP = TICK  # s of an action
 Actions = Literal["twist", "joints"]
 
 
@@ -113,7 +113,7 @@ class Carry(gymnasium.Env[Array, Array]):
         course = self if self._live is None else LiveCourse(self._live)
         self._controller = controller_for(self.scenario, course, None, arm=self.arm, space="joint")
         self._wanted = np.zeros(len(self.most))
-        for _ in range(round(SETTLE / self._period)):
+        for _ in range(round(self.scenario.physics.settle_before / self._period)):
             self._advance()
         self._distance = self._away()
         return self._seen(), self._told()
@@ -128,7 +128,7 @@ class Carry(gymnasium.Env[Array, Array]):
                 t = STEP * np.arange(1, 11)
                 limits, q = self.arm.limits, self._data.qpos[: self.arm.n]
                 self._live.chunk(t, joints=np.clip(q + t[:, None] * self._wanted, limits.q_min, limits.q_max))
-            self._live.plan(PATIENCE)
+            self._live.plan(NO_HURRY)  # time waits for it
         for _ in range(round(STEP / self._period)):
             self._advance()
         became, before, self._distance = self._became(), self._distance, self._away()
