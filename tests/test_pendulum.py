@@ -187,6 +187,39 @@ def test_what_it_must_keep_is_its_room_and_its_weight(body):
     assert left.residual
 
 
+def test_its_mass_is_drawn_on_its_rod_within_its_ring(body):
+    places = np.array([[0.02, 0.0], [0.0, -0.01], [0.0, 0.0]])
+    drawn, pivot = body.inner.drawn(body, LENGTH, places, 0.3), body.inner_origin_B(LENGTH)
+    for k, place in enumerate(places):
+        corners = drawn.triangles_B(k)
+        middle = corners.reshape(-1, 3).mean(axis=0)
+        np.testing.assert_allclose((middle - pivot)[:2], place, atol=1e-12)
+        assert np.linalg.norm(middle - pivot) == pytest.approx(LENGTH)
+        np.testing.assert_allclose(np.linalg.norm(corners - middle, axis=2), 0.1 * LENGTH)
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        assert np.all(np.sum(normals * (corners.mean(axis=1) - middle), axis=1) > 0)  # outwards
+    ring = drawn.edge_B - pivot
+    np.testing.assert_allclose(np.linalg.norm(ring[:, :2], axis=1), LENGTH * np.sin(WIDEST))
+    assert ring[:, 2] == pytest.approx(-np.sqrt(LENGTH**2 - 0.02**2))
+    assert drawn.edge_colour(0.2) != drawn.edge_colour(0.3)
+    page = drawn.page(np.array([1]))
+    np.testing.assert_allclose(page["triangles"] + page["moves"][0], drawn.triangles_B(1))
+
+
+def test_at_rest_it_hangs_along_gravity(body):
+    """On a tray that leans by 10 degrees: L sin(10 deg) aside, downhill."""
+    lean = np.tan(np.deg2rad(10.0)) * np.array([[0.6, -0.8]])
+    place = body.inner.at_rest(LENGTH, lean)
+    np.testing.assert_allclose(place, -LENGTH * np.sin(np.deg2rad(10.0)) * np.array([[0.6, -0.8]]), atol=1e-12)
+    assert body.inner.away(LENGTH, place, lean) == pytest.approx(0.0, abs=1e-12)
+    assert body.inner.away(LENGTH, np.zeros((1, 2)), lean) == pytest.approx(LENGTH * np.sin(np.deg2rad(10.0)))
+
+
+def test_a_tray_that_leans_further_than_it_may_swing_is_refused(lamp):
+    with pytest.raises(ScenarioError, match=r"the pendulum in lamp stands .* off already at rest"):
+        lamp.with_changes(motion__goal__rpy_deg=[17.0, 0.0, 0.0])
+
+
 @pytest.mark.parametrize("size", [1.0, -1.0])
 @pytest.mark.parametrize("yaw", [0.0, 70.0], ids=["straight", "turned"])
 def test_the_engine_swings_as_plans_say(lamp, size, yaw):

@@ -30,7 +30,7 @@ from test_map import MAP, ROOT, TestMap, copy_of_the_tree, file_of
 FOLDERS = [
     "models",
     "sensitivity",
-    "liquid",
+    "dynamics",
     "planning",
     "contact_margins",
     "simulation",

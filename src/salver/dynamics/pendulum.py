@@ -111,10 +111,9 @@ class Pendulum(LoadDynamics):
         return PendulumResponse
 
     def modes(self, value: float) -> Modes:
-        one, frozen = np.ones((1, 2)), RigidBody(self.mass, np.array([0.0, 0.0, -value]), np.zeros((3, 3)))
-        return Modes(
-            np.sqrt(GRAVITY / value) * one, self.mass * one, -value * one, frozen, round=True, following=np.inf
-        )
+        frozen = RigidBody(self.mass, np.array([0.0, 0.0, -value]), np.zeros((3, 3)))
+        omega, mass, height = (np.full((1, 2), x) for x in (np.sqrt(GRAVITY / value), self.mass, -value))
+        return Modes(omega, mass, height, frozen, round=True, following=np.inf)
 
     def origin(self, base: float, value: float) -> float:
         return base + self.pivot
