@@ -152,6 +152,11 @@ def continuous(quat_wxyz: Array) -> Array:
     return quat_wxyz * np.concatenate([[1.0], np.cumprod(np.where(turned, -1.0, 1.0))])[:, None]
 
 
+def lean(rotation: Array) -> Array:
+    """rad by which the z axes of rotations (..., 3, 3) lean from the vertical."""
+    return np.asarray(np.arccos(np.clip(rotation[..., 2, 2], -1.0, 1.0)))
+
+
 def spread(count: int, wanted: int) -> Indices:
     """At most so many indices of a row of `count`, evenly spread, both ends included."""
     return np.unique(np.round(np.linspace(0, count - 1, min(count, wanted))).astype(np.intp))

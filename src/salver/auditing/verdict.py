@@ -27,7 +27,7 @@ from salver.dynamics.load_limits import LoadVerdict
 from salver.dynamics.payload_response import PayloadResponse
 from salver.errors import Status
 from salver.files import provenance
-from salver.geometry import Array, Indices, invert
+from salver.geometry import Array, Indices, invert, lean
 from salver.models.tray_motion import at_rest, motion_vector
 from salver.models.uncertain.parameters import unshaken
 from salver.motion_files import JointSamples, Samples, of_columns, read
@@ -355,7 +355,7 @@ class Audit(Shown, Tabular):
                 "duration": float(s.t[-1] - s.t[0]),
                 "instants": len(s.t),
                 "peak_acceleration": float(np.linalg.norm(s.a_S, axis=1).max()),
-                "peak_tilt": float(np.arccos(np.clip(s.R_SB[:, 2, 2], -1, 1)).max()),
+                "peak_tilt": float(lean(s.R_SB).max()),
                 "recording": self._recording(),
                 "notes": list(self.motion.notes),
             },

@@ -13,7 +13,7 @@ import numpy as np
 
 from salver.campaigns.definition import Definition, instant_of_run, samples, seed_of_run
 from salver.errors import SalverError
-from salver.geometry import Array
+from salver.geometry import Array, interpolated
 from salver.sensitivity import tubes
 
 if TYPE_CHECKING:
@@ -170,7 +170,7 @@ def tube_scalars(plan: Plan, t: Array, coefficients: Array) -> Scalars:
     from scipy.interpolate import make_interp_spline
 
     nominal = make_interp_spline(plan.t, plan.cone_coefficients, k=3)(t)
-    radius = np.stack([np.interp(t, plan.t, column) for column in plan.cone_radius.T], axis=1)
+    radius = interpolated(plan.t, plan.cone_radius, t)
     excess = tubes.excess(coefficients, nominal, radius)
     when = int(np.argmax(excess.max(axis=1)))
     largest = float(plan.cone_radius.max())

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from salver.errors import Status
-from salver.geometry import Array
+from salver.geometry import Array, lean
 from salver.trajectory import MotionSamples
 
 _WORTH, _LEVEL = 5e-3, 0.05  # m, deg: less is not said
@@ -70,7 +70,7 @@ def extent(samples: MotionSamples, R_EB: Array, arm: Status | None) -> Extent:
     heading = np.unwrap(np.arctan2(R_SE[:, 1, 0], R_SE[:, 0, 0]))
     z = samples.p_SB[:, 2]
     return Extent(
-        lean=float(np.arccos(np.clip(R_SE[:, 2, 2], -1.0, 1.0)).max()),
+        lean=float(lean(R_SE).max()),
         turn=float(np.abs(heading - heading[0]).max()),
         rise=float(z.max() - max(z[0], z[-1])),
         sink=float(min(z[0], z[-1]) - z.min()),

@@ -21,7 +21,7 @@ import numpy as np
 from salver.control.object import Gains
 from salver.dynamics.modal_history import Past
 from salver.errors import SalverError, ScenarioError
-from salver.geometry import Array
+from salver.geometry import Array, lean
 from salver.models.arm.arm import load_arm
 from salver.planning.fastest.retiming import SplinePath
 from salver.planning.follow.forward import tray_motion
@@ -75,7 +75,7 @@ def stop_problem(plan: Plan) -> TransportProblem:
     q = plan.joint.sample(np.linspace(0.0, plan.joint.duration, 401))[0]
     free = plan.scenario.with_changes(arm__start_posture=None, motion__through=[])
     problem = replace(transport_problem(free), spare=SPARE)  # whoever judges a stop looks between its nodes
-    tilt = max(float(np.arccos(np.clip(problem.arm.tray_pose(x)[1][2, 2], -1.0, 1.0))) for x in q)
+    tilt = max(float(lean(problem.arm.tray_pose(x)[1])) for x in q)
     if tilt > max(problem.max_tilt, LEVEL_TOLERANCE):
         problem = replace(problem, max_tilt=1.01 * tilt)  # between the instants that were looked at it may be more
     if problem.keep_out is not None:

@@ -15,7 +15,7 @@ import numpy as np
 
 from salver.control.arm import ArmState, controller_for
 from salver.errors import Status
-from salver.geometry import Array, matrix_from_quat_wxyz, quat_wxyz_from_matrix
+from salver.geometry import Array, lean, matrix_from_quat_wxyz, quat_wxyz_from_matrix
 from salver.live import Live, LiveCourse
 from salver.live.replanning.wishes import numbers
 from salver.models.arm.arm import load_arm
@@ -280,7 +280,7 @@ class World:
         words = []
         half = 0.5 * np.array(self.scenario.tray.size)
         for k in range(len(p)):
-            tip = float(np.arccos(np.clip((R0[k].T @ R[k])[2, 2], -1.0, 1.0)))
+            tip = float(lean(R0[k].T @ R[k]))
             off = p[k, 2] < 0 or bool(np.any(np.abs(p[k, :2]) > half))
             slid = float(np.linalg.norm((p[k] - p0[k])[:2]))
             spilt = "spilt" if self.inner.beyond(k) else ""

@@ -17,6 +17,7 @@ from pydantic import Field, ValidationError, model_validator
 
 from salver.display import Shown
 from salver.errors import ScenarioError
+from salver.geometry import lean
 from salver.models.described import Floor, ObstacleDescription
 from salver.scenario.cell import Arm, Obstacle, Physics, Surroundings, Tray
 from salver.scenario.fields import Model, Text, Whole
@@ -126,7 +127,7 @@ class Scenario(Shown, Model):
         self.payload.check()
         self._kept_inside()
         for key, pose in (("start", self.motion.start), ("goal", self.motion.goal)):
-            tilt = np.rad2deg(np.arccos(np.clip(pose.rotation[2, 2], -1, 1)))
+            tilt = np.rad2deg(lean(pose.rotation))
             for body in self.payload.bodies:
                 least = self.payload.least_friction(body)
                 holds = np.rad2deg(np.arctan(least))
@@ -156,7 +157,7 @@ class Scenario(Shown, Model):
                 up = pose.rotation[2]
                 away = float(inner.away(most, still, np.abs(up[:2])[None] / max(float(up[2]), 1e-9))[0])
                 if away > inner.room(most):
-                    tilt = np.rad2deg(np.arccos(np.clip(up[2], -1, 1)))
+                    tilt = np.rad2deg(lean(pose.rotation))
                     raise ValueError(
                         f"motion.{key} tilts the tray by {tilt:.4g} deg, where the {inner.noun} in {item.name} stands "
                         f"{1e3 * away:.3g} mm off already at rest; it has room for {1e3 * inner.room(most):.3g} mm"

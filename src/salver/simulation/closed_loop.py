@@ -73,22 +73,16 @@ def rollout(
 
     def rates_at(instants: Array) -> Rate:
         samples = reference.sample(instants)
-        return lambda k, state: loop.rate(_at(samples, k), state)
+        return lambda k, state: loop.rate(samples.only(slice(k, k + 1)), state)
 
     states = integrate(rates_at, start, 0.0, t, max_step, corners=(reference.duration,))
     deviation = np.empty((len(phi), len(t), 12))
     coefficients = np.empty((len(phi), len(t), grasp_map.shape[1]))
     for row, state in enumerate(states):
-        samples = _at(wanted, row)
+        samples = wanted.only(slice(row, row + 1))
         deviation[:, row] = _deviation(samples, state)
         coefficients[:, row] = loop.inputs(samples, *loop.errors(samples, state))
     return Rollout(t, deviation, coefficients)
-
-
-def _at(samples: MotionSamples, k: int) -> MotionSamples:
-    one = slice(k, k + 1)
-    s = samples
-    return MotionSamples(s.t[one], s.p_SB[one], s.v_S[one], s.a_S[one], s.R_SB[one], s.omega_B[one], s.alpha_B[one])
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ import numpy.typing as npt
 import pinocchio as pin
 
 from salver.errors import Status
-from salver.geometry import Array, Indices
+from salver.geometry import Array, Indices, interpolated
 from salver.live.replanning import wishes
 from salver.models.arm.arm_geometry import ArmGeometry
 from salver.planning.fastest import Block, Constraint, MotionEvaluation, padded
@@ -171,7 +171,7 @@ class Predicted:
             p, v, a = self.powers
             return p + u * v + u**2 * a, v + 2 * u * a
         times, positions = self.samples
-        where = np.stack([np.interp(t, times, column) for column in positions.T], axis=1)
+        where = interpolated(times, positions, t)
         if len(times) == 1:
             return where, np.zeros_like(where)
         k = np.clip(np.searchsorted(times, t, side="right") - 1, 0, len(times) - 2)

@@ -16,7 +16,7 @@ import numpy as np
 
 from salver.dynamics.motion_gradients import Unknowns
 from salver.errors import Status
-from salver.geometry import Array, Indices, Mask, exp, hat, log
+from salver.geometry import Array, Indices, Mask, exp, hat, interpolated, log
 from salver.live.committed.commit import Finding, verified
 from salver.live.committed.motion import SAME, Committed
 from salver.live.replanning.replan import Sought
@@ -113,11 +113,11 @@ class ChunkWanted:
 
     def residuals(self, motion: MotionEvaluation, t: Array, weight: Array) -> Residuals:
         if self.q is not None:
-            wanted = np.stack([np.interp(t, self.t, column) for column in self.q.T], axis=1)
+            wanted = interpolated(self.t, self.q, t)
             return _joints(motion, wanted, np.repeat(JOINTS * weight, motion.n))
         assert self.p_SE is not None
         assert self.R_SE is not None
-        p = np.stack([np.interp(t, self.t, column) for column in self.p_SE.T], axis=1)
+        p = interpolated(self.t, self.p_SE, t)
         k = np.interp(t, self.t, np.arange(len(self.t)))
         first = k.astype(np.intp)
         R, after = self.R_SE[first], self.R_SE[np.minimum(first + 1, len(self.t) - 1)]

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from salver.errors import Status
-from salver.geometry import Array
+from salver.geometry import Array, lean
 from salver.live.committed.profile import STANDARD
 from salver.live.replanning.steer import ChunkWanted, TwistWanted, Wanted
 from salver.planning.fastest import AtPose, AtPosture, End, TransportProblem
@@ -175,7 +175,7 @@ def pose_goal(problem: TransportProblem, pose: Pose) -> Goal | Status:
     first = problem.items[0]
     if not whole:
         rotation = first.R_EB  # the tray level
-    leans = float(np.arccos(np.clip((rotation @ first.R_EB.T)[2, 2], -1.0, 1.0)))
+    leans = float(lean(rotation @ first.R_EB.T))
     most = max(problem.max_tilt, LEVEL_TOLERANCE)
     if leans > most:
         return refused(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from salver.geometry import Array
+from salver.geometry import Array, interpolated
 
 _COARSE = 25  # instants at which the programme is solved before interpolating between them
 _ROWS = 40  # taken into the programme at a time
@@ -24,16 +24,15 @@ def internal_wrenches(value: Array, internal: Array) -> Array:
     knots = np.unique(np.linspace(0, count - 1, min(count, _COARSE)).astype(int))
     solved = {int(k): _least(value[k], internal) for k in knots}
 
-    def interpolated() -> Array:
+    def between() -> Array:
         at = sorted(solved)
-        points = np.array([solved[k] for k in at])
-        return np.stack([np.interp(np.arange(count), at, points[:, i]) for i in range(n_w)], axis=1)
+        return interpolated(np.array(at), np.array([solved[k] for k in at]), np.arange(count))
 
     def largest(k: int) -> float:
         return float((value[k] + internal @ solved[k]).max())
 
     for _ in range(_MOST):
-        seen = (value + interpolated() @ internal.T).max(axis=1)
+        seen = (value + between() @ internal.T).max(axis=1)
         worst, known = int(np.argmax(seen)), max(largest(k) for k in solved)
         failing = np.flatnonzero(seen > 0)
         if worst not in solved and seen[worst] > max(known, 0.0):
@@ -42,7 +41,7 @@ def internal_wrenches(value: Array, internal: Array) -> Array:
             solved[int(failing[0])] = _least(value[failing[0]], internal)  # and the first instant without one
         else:
             break
-    return interpolated()
+    return between()
 
 
 def _least(value: Array, internal: Array) -> Array:

@@ -20,7 +20,7 @@ from scipy.optimize import linprog
 from scipy.sparse import coo_matrix
 
 from salver.errors import ScenarioError, Status, UnreachableError
-from salver.geometry import Array, quat_wxyz_from_matrix
+from salver.geometry import Array, interpolated, quat_wxyz_from_matrix
 from salver.planning.fastest import joint_plan
 from salver.planning.fastest.speeds import at_every_speed
 from salver.planning.round import MultiLegPlan
@@ -76,7 +76,7 @@ class SplinePath:
                 return path
         if len(q) <= DEGREE:  # too few for the degree: fill up along straight pieces
             wanted = np.unique(np.concatenate([length, np.linspace(0.0, length[-1], DEGREE + 3)]))
-            q = np.column_stack([np.interp(wanted, length, column) for column in q.T])
+            q = interpolated(length, q, wanted)
             length = wanted
         return cls(make_interp_spline(length / length[-1], q, DEGREE))
 

@@ -9,7 +9,7 @@ from itertools import chain
 
 import numpy as np
 
-from salver.geometry import GRAVITY_S, Array, exp
+from salver.geometry import GRAVITY_S, Array, exp, interpolated
 from salver.models.arm.arm_limits import POSITION
 from salver.planning.postures import postures_along
 from salver.planning.seeds.around import way_around
@@ -80,7 +80,7 @@ class Start:
     def path(self, s: Array) -> Array:
         """(len(s), n) postures at s in [0, 1]."""
         u = min_jerk_blend(s)
-        return np.stack([np.interp(u, self._length, joint) for joint in self.postures.T], axis=1)
+        return interpolated(self._length, self.postures, u)
 
     def least(self, problem: TransportProblem) -> float:
         """About how long a motion along it takes, s: what the joints take to go as far, and friction lets the tray."""

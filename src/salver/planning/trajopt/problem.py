@@ -13,7 +13,7 @@ from salver.dynamics.load_cases import VERDICT_APART, LoadCase, load_cases
 from salver.dynamics.load_response import slacks
 from salver.dynamics.modal_history import CaseGroups, Past
 from salver.errors import ScenarioError
-from salver.geometry import Array, Indices
+from salver.geometry import Array, Indices, lean
 from salver.models.arm.arm import ArmModel, load_arm, with_load
 from salver.models.arm.arm_geometry import arm_geometry
 from salver.models.arm.arm_limits import JointLimits
@@ -250,7 +250,7 @@ def _level_enough(motion: Motion, max_tilt: float) -> None:
     """Raise ScenarioError for a pose that tilts the tray by more than max_tilt, rad."""
     on_the_way = [(f"through[{k}]", pose) for k, pose in enumerate(motion.through)]
     for key, pose in (("start", motion.start), *on_the_way, ("goal", motion.goal)):
-        leans = float(np.arccos(np.clip(pose.rotation[2, 2], -1.0, 1.0)))
+        leans = float(lean(pose.rotation))
         if leans > max(max_tilt, np.sqrt(2) * LEVEL_TOLERANCE):  # about each of two axes: a stop may end so
             raise ScenarioError(
                 f"motion.{key} tilts the tray by {np.rad2deg(leans):.3g} deg, and the motion may tilt it by at most "

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from salver.errors import ScenarioError
-from salver.geometry import Array, spread
+from salver.geometry import Array, lean, spread
 from salver.models.uncertain.parameters import Parameter
 from salver.reports.parameters import pretty
 from salver.reports.style import CYCLE, ROLE_COLOURS
@@ -229,7 +229,7 @@ def reference_charts(run: ReportedRun) -> list[Spec]:
     for axis, name in enumerate("xyz"):
         curves = [series(m, m.label, m.t, m.arrays["p_SB"][:, axis]) for m in run.motions]
         charts.append(time_chart(f"Position {name}", f"{name}, m", curves, unit="m", height=170))
-    tilt = [series(m, m.label, m.t, np.rad2deg(np.arccos(np.clip(m.R_SB[:, 2, 2], -1, 1)))) for m in run.motions]
+    tilt = [series(m, m.label, m.t, np.rad2deg(lean(m.R_SB))) for m in run.motions]
     if max(max(c["y"]) for c in tilt) > 0.05:
         charts.append(time_chart("Tilt of the tray", "angle from level, °", tilt, unit="°", height=170, zero=True))
     return charts

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from salver.geometry import Array, matrix_from_quat_wxyz
+from salver.geometry import Array, interpolated, matrix_from_quat_wxyz
 from salver.models.arm.arm import ArmModel, load_arm
 from salver.models.load_dynamics import Colour, Drawn
 from salver.scenario import Scenario
@@ -198,7 +198,7 @@ def _add_trail(scene: Any, path: Array | None, spacing: float = 6e-3) -> None:
     if not 0 < length[-1] < 20:
         return
     at = np.linspace(0, length[-1], max(2, int(length[-1] / spacing)))
-    for point in np.stack([np.interp(at, length, path[:, i]) for i in range(3)], axis=1):
+    for point in interpolated(length, path[:, :3], at):
         _add(scene, mujoco.mjtGeom.mjGEOM_SPHERE, np.full(3, 2e-3), point, np.eye(3), (0.10, 0.25, 0.55, 0.8))
 
 
