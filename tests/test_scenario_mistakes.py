@@ -130,7 +130,7 @@ BAD = [
         "objects.0.uncertainty.weight",
         "10%",
         "unknown key objects[0].uncertainty.weight; accepted are mass, com, inertia, friction, position, fill, "
-        "contents.",
+        "length, contents.",
     ),
     ("control.gains", 1, "unknown key control.gains; accepted are kp, kd."),
     # objects
