@@ -26,7 +26,7 @@ def internal_wrenches(value: Array, internal: Array) -> Array:
 
     def between() -> Array:
         at = sorted(solved)
-        return interpolated(np.array(at), np.array([solved[k] for k in at]), np.arange(count))
+        return interpolated(np.array(at), np.array([solved[k] for k in at]), np.arange(count, dtype=float))
 
     def largest(k: int) -> float:
         return float((value[k] + internal @ solved[k]).max())
