@@ -26,7 +26,7 @@ from salver.planning.trajopt.watch import Watch
 from salver.trajectory import JointMotion, SampledReference
 
 FEW = FastestOptions(spans=8)
-BOTTLE = scenario.load("panda-tall-bottle").with_changes(motion__duration=1.2)
+BOTTLE = scenario.load("panda-tall-bottle").with_changes(motion__duration=1.2, motion__speeds="full")
 
 
 def cost_of(plan: Plan) -> float:

@@ -34,7 +34,7 @@ from salver.planning.fastest.together import LegsCurve, LegsProgramme
 from salver.planning.plan import load_plan
 from salver.planning.postures import PoseTarget
 from salver.planning.round import load_round
-from salver.planning.stops import with_stops
+from salver.planning.stops import plan_stops, stop_problem
 from salver.planning.trajopt.constraints.via_poses import PassPose
 from salver.planning.trajopt.curves import FreeCurve, Grid
 from salver.planning.trajopt.exchange import SHORTEST
@@ -278,7 +278,8 @@ def test_what_slid_begins_the_next_leg_where_it_was_left(planned):
 @pytest.mark.slow
 def test_a_run_of_all_legs_can_be_stopped_on_any_of_them(planned, tmp_path, capsys):
     """The legs before are done; the one that the instant falls on comes to rest by its own stop, which ends the run."""
-    legs = tuple(with_stops(leg) for leg in planned.legs)
+    stops = (plan_stops(stop_problem(leg), leg.joint, every=0.1, space=leg.space) for leg in planned.legs)
+    legs = tuple(replace(leg, stops=found) for leg, found in zip(planned.legs, stops, strict=True))
     plan = replace(planned, legs=legs)
     first, second = (leg.duration for leg in legs)
     for stop_at, own in ((0.3 * first, 0.3 * first), (first + 0.4 * second, 0.4 * second)):

@@ -224,7 +224,7 @@ def test_how_far_the_safest_motion_keeps_a_contact_from_its_edge_is_told(monkeyp
 def test_the_safest_round_gives_its_legs_the_same_margin_and_takes_its_time(monkeypatch):
     """It keeps more than the fastest round, and holds in the engine. The fastest, which each begins from, is looked for
     once."""
-    case = scenario.load("waiters-round")
+    case = scenario.load("waiters-round").with_changes(motion__speeds="full")
     quickest = plan_legs(case, options=FEW)
     given = case.with_changes(motion__duration=1.3 * quickest.duration)
     with pytest.raises(ScenarioError, match="--safest"):
