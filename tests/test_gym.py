@@ -31,7 +31,9 @@ def rolled(env: Any, seed: int, steps: int, act: Any) -> list[np.ndarray]:
 def test_it_is_an_environment_as_gymnasium_checks_it(options: dict[str, Any]) -> None:
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message=".*infinity")  # of bounds: who falls goes anywhere
-        check_env(gymnasium.make("salver/Carry-v0", **options).unwrapped)
+        made = gymnasium.make("salver/Carry-v0", **options).unwrapped
+        check_env(made)
+    assert isinstance(made, gym.Carry)
 
 
 @pytest.mark.parametrize("options", [{}, {"shield": True}, {"shield": True, "actions": "joints"}])
