@@ -11,7 +11,6 @@ is. All of it is added.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -21,6 +20,7 @@ from salver.auditing.recorded import FASTER, LEVER, OUTER
 from salver.auditing.slip import hidden_shakes, up_to
 from salver.dynamics.liquid.sloshing import SloshingResponse
 from salver.dynamics.liquid.spills import Spill
+from salver.dynamics.liquid.surface import SurfaceMotion
 from salver.dynamics.load_limits import LoadVerdict
 from salver.dynamics.load_response import LoadResponse
 from salver.dynamics.modal_motion import ModalMotion
@@ -28,7 +28,8 @@ from salver.geometry import Array
 from salver.models.load_dynamics import GRAVITY
 
 FOLLOWED = 2.0  # times the fastest mode: a surface does not follow what shakes it faster, but for what moves a mass
-_SOFTEST = 0.1  # beyond which no second order says anything
+_SOFTEST = 0.5  # share of the frequency, beyond which no second order says anything
+_UNSEEN = 1e-9  # m
 
 
 def unseen(name: str, parts: Sequence[LoadResponse], motion: AuditedMotion) -> tuple[LoadVerdict, float]:
@@ -52,12 +53,15 @@ def unmodelled(name: str, parts: Sequence[LoadResponse], known: LoadVerdict, opt
 
 
 def _of_liquid(name: str, parts: Sequence[SloshingResponse], known: Spill, options: AuditOptions) -> list[Doubt]:
-    highest, slower = float(known.size.max()), softened(name, parts, options.softening)
-    if slower.slack.min() < 0 and slower.size.max() > options.runaway * highest:
+    highest, slower = float(known.size.max()), 0.0
+    for part in parts:
+        most, crest = part.modes.cases.room, part.crest.max(axis=1) * softened(part.modes, options.softening)
+        limit = np.where(np.isfinite(most), most, part.modes.cases.steepest)
+        slower = max(slower, float(crest[crest > limit].max(initial=0.0)))
+    if slower > options.runaway * highest:
         clause = (
             f"the motion is near the sloshing frequency of {name}: high waves are slower, and may reach "
-            f"{1e3 * slower.size.max():.2g} mm where linear ones reach {1e3 * highest:.2g}; how they swirl is not "
-            "known either"
+            f"{1e3 * slower:.2g} mm where linear ones reach {1e3 * highest:.2g}; how they swirl is not known either"
         )
         return [("resonance", clause)]
     half = min(float(part.modes.cases.half.min()) for part in parts)
@@ -71,27 +75,38 @@ def _of_liquid(name: str, parts: Sequence[SloshingResponse], known: Spill, optio
     return []
 
 
-def softened(name: str, parts: Sequence[SloshingResponse], softening: float) -> Spill:
-    """A liquid whose frequency falls with the height of its waves: near resonance they grow fast.
+def softened(modes: SurfaceMotion, softening: float) -> Array:
+    """(K,) how many times as high the first mode swings whose frequency f falls with its amplitude a: to second order
+    it is f (1 - c (a / R)^2), c: softening.
 
-    A wave of amplitude a has the frequency f (1 - c (a / R)^2), c: softening; each round takes the highest crest so far
-    for a, and passes the half of that on its way.
+    a is that of the swing at each instant, so a short motion ends before the frequency matters and a long shake below
+    resonance runs away, as in nonlinear potential flow (tests/test_audit_sloshing.py). Velocity Verlet, r along axes
+    that stand still: r'' = -f - kd r' - (omega (1 - c (a / R)^2))^2 (f_z / g) r.
     """
-    found = []
-    for part in parts:
-        highest = part
-        for _ in range(4):
-            which, modes = highest.modes.cases, part.modes
-            softer = np.minimum(softening * (highest.crest.max(axis=1) / which.half.min(axis=1)) ** 2, _SOFTEST)
-            each = [replace(x, softer=float(k * s)) for k in (0.5, 1) for x, s in zip(which.each, softer, strict=True)]
-            tried = SloshingResponse.of(modes.along(each, modes.t, modes.w[0])).crest.max(axis=1).reshape(2, -1)
-            best = [each[k * len(softer) + i] for i, k in enumerate(np.argmax(tried, axis=0))]
-            other = SloshingResponse.of(modes.along(best, modes.t, modes.w[0]))
-            if other.crest.max() <= highest.crest.max():
-                break
-            highest = other
-        found.append(highest)
-    return Spill.along(name, found)
+    which = modes.cases
+    omega, kd, gain = (x[:, 0] for x in (which.omega, which.kd, which.gain))
+    up, half = modes.upward[:, :, None] / GRAVITY, which.half.min(axis=1)
+
+    def highest(c: float) -> Array:
+        r, rate = modes.r[:, 0, 0], modes.rate[:, 0, 0]
+
+        def second(k: int) -> Array:
+            swing = np.square(gain * r) + np.square(gain * rate / omega)
+            softer = np.minimum(c * swing.sum(axis=1) / half**2, _SOFTEST)
+            return np.asarray(
+                -modes.at_modes[:, k, 0] - kd * rate - (omega * (1 - softer)[:, None]) ** 2 * up[:, k] * r
+            )
+
+        pull, top = second(0), np.linalg.norm(gain * r, axis=1)
+        for k, dt in enumerate(np.diff(modes.t), start=1):
+            rate = rate + 0.5 * dt * pull
+            r = r + dt * rate
+            pull = second(k)
+            rate = rate + 0.5 * dt * pull
+            top = np.maximum(top, np.linalg.norm(gain * r, axis=1))
+        return top
+
+    return np.asarray(highest(softening) / np.maximum(highest(0.0), _UNSEEN))
 
 
 def _away(modal: ModalMotion, motion: AuditedMotion) -> tuple[Array, Array]:

@@ -20,13 +20,11 @@ VERDICT_APART = 0.02  # of frequency, between the values at which a verdict look
 
 @dataclass(frozen=True, eq=False)
 class LoadCase:
-    """What is in one body, at one value (m) of its quantity and one damping (of critical). softer: share of its
-    frequencies by which high amplitudes are slower than small ones."""
+    """What is in one body, at one value (m) of its quantity and one damping (of critical)."""
 
     body: Body
     value: float
     damping: float
-    softer: float = 0.0
 
     @property
     def dynamics(self) -> LoadDynamics:
@@ -73,7 +71,7 @@ class ModalCases:
             at_mode.append(np.array([[x[0], y[1]] for x, y in maps]))
             to_E.append(to_tray(O_E, body.R_EB))
         damping = np.array([case.damping for case in each])
-        omega = np.stack([m.omega * (1 - case.softer) for case, m in zip(each, modes, strict=True)])
+        omega = np.stack([m.omega for m in modes])
         return cls(
             each,
             np.stack(at_O),
