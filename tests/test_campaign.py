@@ -350,38 +350,6 @@ def test_directories_that_are_no_run_directory_are_refused(tmp_path):
 
 
 @pytest.mark.slow
-def test_on_a_ray_cluster_a_lost_worker_costs_nothing(finished, run_dir):
-    """Two nodes, one of which is lost while it works: the same table as at once on this machine."""
-    ray = pytest.importorskip("ray")
-    from ray.cluster_utils import Cluster
-
-    cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False})
-    try:
-        node = cluster.add_node(num_cpus=1)
-        lost = []
-
-        def progress(done, total, _counts):
-            if done >= total // 4 and not lost:
-                lost.append(done)
-                cluster.remove_node(node, allow_graceful=False)
-
-        run_campaign(run_dir, n=N, engine="closed-loop", ray=cluster.address, progress=progress)
-    finally:
-        ray.shutdown()
-        cluster.shutdown()
-    assert lost
-    assert lost[0] < 2 * N
-    assert parquet(run_dir) == (finished.folder / "runs.parquet").read_bytes()
-
-
-@pytest.mark.slow
-def test_a_ray_cluster_that_does_not_answer_is_one_sentence(run_dir):
-    pytest.importorskip("ray")
-    with pytest.raises(SalverError, match=r"No Ray cluster answers at 127.0.0.1:1"):
-        run_campaign(run_dir, n=3, engine="closed-loop", ray="127.0.0.1:1")
-
-
-@pytest.mark.slow
 def test_a_run_of_the_physics_engine_is_reproduced_alone_from_its_number(tmp_path):
     from salver.planning.plan import load_plan
     from salver.simulation.physics import simulate

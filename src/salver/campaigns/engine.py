@@ -73,7 +73,6 @@ def run_campaign(
     stems: Sequence[str] | None = None,
     engine: str = "physics",
     jobs: int | None = None,
-    ray: str | None = None,
     folder: str | None = None,
     progress: Progress | None = None,
     *,
@@ -82,7 +81,7 @@ def run_campaign(
     """n runs of each plan of a run directory, all plans on the same samples; goes on where an earlier one stopped.
 
     stems: plans to run (default: plan and baseline). jobs: processes (default: all cores, but one for FEW runs).
-    ray: address of a Ray cluster to use instead. progress(done, total, outcomes by (stem, outcome)) is called after
+    progress(done, total, outcomes by (stem, outcome)) is called after
     each run. folder: in the run directory, "campaign" or with stops "stops" unless given. stops: stop each run by the
     plan's own stops, at a random instant of its own; of plans that have stops.
     Raises SalverError when the folder holds another campaign: nothing is overwritten.
@@ -113,7 +112,7 @@ def run_campaign(
         if batches:
             head = {"complete": False, "definition": asdict(definition), "provenance": _provenance(directory)}
             write_json(place / SUMMARY, head)
-        with closing(_results(context, batches, jobs or (_cores() if len(batches) > FEW else 1), ray)) as results:
+        with closing(_results(context, batches, jobs or (_cores() if len(batches) > FEW else 1))) as results:
             for records in results:
                 for record in records:
                     journal.append(record)
@@ -197,14 +196,10 @@ def _batches(items: set[Item], stems: Sequence[str], engine: str) -> list[worker
     return [(stems[rank], tuple(sorted(runs))) for (_, rank), runs in sorted(blocks.items())]
 
 
-def _results(
-    context: Context, batches: list[workers.Batch], jobs: int, ray: str | None
-) -> Generator[workers.Records, None, None]:
+def _results(context: Context, batches: list[workers.Batch], jobs: int) -> Generator[workers.Records, None, None]:
     if not batches:
         return
-    if ray is not None:
-        yield from workers.ray_cluster(context, batches, ray)
-    elif min(jobs, len(batches)) == 1:
+    if min(jobs, len(batches)) == 1:
         yield from workers.serial(context, batches)
     else:
         yield from workers.processes(context, batches, min(jobs, len(batches)))

@@ -1,21 +1,18 @@
-"""Workers of a campaign: this process, a pool of processes, a Ray cluster. Records come as runs finish."""
+"""Workers of a campaign: this process, or a pool of processes. Records come as runs finish."""
 
 from __future__ import annotations
 
 import multiprocessing
 import os
-import socket
 import threading
 from collections.abc import Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from multiprocessing import connection
-from pathlib import Path
 from typing import Any
 
 from salver.campaigns.runners import Context
-from salver.errors import MissingDependencyError, SalverError
 
 Batch = tuple[str, tuple[int, ...]]  # (stem, runs)
 Records = list[dict[str, Any]]
@@ -123,65 +120,3 @@ def _crashed(context: Context, stem: str, run: int) -> dict[str, Any]:
         "outcome": "crashed",
         "scalars": {"sentence": f"The process that made this run died, {ATTEMPTS} times."},
     }
-
-
-def ray_cluster(context: Context, batches: Sequence[Batch], address: str) -> Iterator[Records]:
-    """On a Ray cluster. The run directory's files travel with the work; a lost worker's runs are done again.
-
-    address: of a running cluster, "auto" for the one of this machine, "local" to start one here.
-    """
-    try:
-        import ray
-    except ImportError:
-        raise MissingDependencyError(
-            "--ray needs the package ray, which is not installed; install it with: pip install 'salver[ray]'."
-        ) from None
-    started = not ray.is_initialized()
-    if started:
-        _check_reachable(address)
-        try:
-            ray.init(address=address, log_to_driver=False, logging_level="ERROR", include_dashboard=False)
-        except (ConnectionError, RuntimeError, ValueError) as error:
-            raise SalverError(f"No Ray cluster answers at {address} ({str(error).splitlines()[0]}).") from None
-    try:
-        names = ["scenario.toml", *(f"{stem}{end}" for stem in context.definition.plans for end in (".npz", ".json"))]
-        files = ray.put({name: (context.directory / name).read_bytes() for name in names})
-        task = ray.remote(num_cpus=1, max_retries=-1)(_execute_from_files)
-        waiting = iter(batches)
-        pending: list[Any] = []
-        while True:
-            limit = 2 * max(1, int(ray.cluster_resources().get("CPU", 1)))
-            while len(pending) < limit and (batch := next(waiting, None)) is not None:
-                pending.append(task.remote(files, context.definition, batch))
-            if not pending:
-                return
-            finished, pending = ray.wait(pending, num_returns=1)
-            yield from ray.get(finished)
-    finally:
-        if started:
-            ray.shutdown()
-
-
-def _check_reachable(address: str) -> None:
-    """Ray itself would try for minutes."""
-    host, _, port = address.removeprefix("ray://").rpartition(":")
-    if not host:
-        return  # "auto" or "local"
-    try:
-        socket.create_connection((host, int(port)), timeout=5).close()
-    except (OSError, ValueError) as error:
-        raise SalverError(f"No Ray cluster answers at {address} ({error}); give HOST:PORT, auto or local.") from None
-
-
-def _execute_from_files(files: dict[str, bytes], definition: Any, batch: Batch) -> Records:
-    """On a worker that may be another machine: the run directory is unpacked there once."""
-    global _context
-    if _context is None or _context.definition != definition:
-        import tempfile
-
-        os.environ.update(dict.fromkeys(_ONE_THREAD, "1"))
-        directory = Path(tempfile.mkdtemp(prefix="salver-campaign-"))
-        for name, content in files.items():
-            (directory / name).write_bytes(content)
-        _context = Context(directory, definition)
-    return _context.execute(*batch)

@@ -29,12 +29,6 @@ def campaign(
     jobs: Annotated[
         int | None, typer.Option("-j", "--jobs", help="Processes. Default: one for each core, or one for few runs.")
     ] = None,
-    ray: Annotated[
-        str | None,
-        typer.Option(
-            help='Address of a Ray cluster to use instead ("auto" for this machine\'s, "local" to start one).'
-        ),
-    ] = None,
     folder: Annotated[
         str | None, typer.Option(help="Folder in DIRECTORY for the results. Default: campaign, or stops with --stops.")
     ] = None,
@@ -58,7 +52,7 @@ def campaign(
     from salver.campaigns import run_campaign
 
     try:
-        result = run_campaign(directory, n, seed, method, stem, engine, jobs, ray, folder, told, stops=stops)
+        result = run_campaign(directory, n, seed, method, stem, engine, jobs, folder, told, stops=stops)
     except KeyboardInterrupt:
         say("salver: stopped; the runs that were finished are kept, and the same command goes on from there.")
         raise typer.Exit(130) from None
