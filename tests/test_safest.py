@@ -41,7 +41,8 @@ def test_the_safest_motion_keeps_more_than_the_fastest_and_what_it_says_is_verif
     fastest = plan_fastest(case.with_changes(motion__duration=None), options=FEW)
     assert plan.verification.slack > fastest.verification.slack + 0.1
     assert plan.verification.slack == pytest.approx(plan.solver["margin"], abs=5e-3)
-    assert plan.solver["shortest"] == pytest.approx(fastest.duration)
+    # The plan of the fastest is longer by what its check asks for.
+    assert 1.0 <= fastest.duration / plan.solver["shortest"] <= 1.0 + 1e-4 + 1e-9
 
 
 @pytest.mark.slow
@@ -216,6 +217,7 @@ def test_how_far_the_safest_motion_keeps_a_contact_from_its_edge_is_told(monkeyp
         return SimpleNamespace(status=status)
 
     monkeypatch.setattr(safest, "joint_plan", joint_plan)
+    monkeypatch.setattr(safest, "judged", lambda plan, problem: plan)
     told = plan_safest(scenario.load("panda-cube").with_changes(contact__margin=0.05)).status.sentence
     assert "keeps every contact 25 % of the weight from its edge; the shortest found takes 0.7000 s." in told
 

@@ -21,7 +21,7 @@ from scipy.sparse import coo_matrix
 
 from salver.errors import ScenarioError, Status, UnreachableError
 from salver.geometry import Array, interpolated, quat_wxyz_from_matrix
-from salver.planning.fastest import joint_plan
+from salver.planning.fastest.planned import joint_plan, judged
 from salver.planning.fastest.speeds import at_every_speed
 from salver.planning.round import MultiLegPlan
 from salver.planning.trajopt.constraints.constraints import evaluate, worst_of
@@ -205,7 +205,7 @@ def plan_retimed(scenario: Scenario, waypoints: Array, *, robust: bool = True) -
             "worst": found.worst,
             "waypoints_missed": path.missed,
         }
-        return found, joint_plan(moved, problem, found.joint_motion(), found.status, record)
+        return found, judged(joint_plan(moved, problem, found.joint_motion(), found.status, record), problem)
 
     plan = planned(found)[1]
     return at_every_speed(found, plan, lambda known: planned(retime(known.problem, path)))[1] if robust else plan

@@ -15,7 +15,7 @@ from salver.geometry import Array
 from salver.planning.fastest.found import FastestMotion, FastestOptions
 from salver.planning.fastest.legs import plan_legs
 from salver.planning.fastest.optimum import DEGREE, nearby
-from salver.planning.fastest.planned import joint_plan, solver_record
+from salver.planning.fastest.planned import joint_plan, judged, solver_record
 from salver.planning.fastest.search import fastest
 from salver.planning.fastest.speeds import at_every_speed
 from salver.planning.round import MultiLegPlan
@@ -60,7 +60,8 @@ def plan_safest(
             )
             status = Status(watch.ended or "optimal", sentence, True)
         record = {**solver_record(best, robust), "margin": best.margin, "shortest": quickest.duration}
-        return best, joint_plan(scenario, problem, best.joint_motion(), status, record, method="safest")
+        plan = joint_plan(scenario, problem, best.joint_motion(), status, record, method="safest")
+        return best, judged(plan, best.problem)
 
     def again(known: FastestMotion) -> tuple[FastestMotion, Plan]:
         return planned(nearby(known, objective, duration, options, watch=watch).after(known))
@@ -234,4 +235,5 @@ def _margin_at_rest(found: FastestMotion) -> float:
 def _planned(leg: Plan, found: FastestMotion, said: str) -> Plan:
     status = replace(found.status, sentence=said) if found.status.ok else found.status
     record = {**solver_record(found, True), "margin": found.margin, "shortest": leg.duration}
-    return joint_plan(leg.scenario, found.problem, found.joint_motion(), status, record, method="safest")
+    plan = joint_plan(leg.scenario, found.problem, found.joint_motion(), status, record, method="safest")
+    return judged(plan, found.problem)

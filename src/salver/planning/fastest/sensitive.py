@@ -14,7 +14,7 @@ from salver.geometry import Array
 from salver.linear_filter import QuadratureGrid
 from salver.planning.fastest.found import FastestMotion, FastestOptions
 from salver.planning.fastest.optimum import nearby
-from salver.planning.fastest.planned import joint_plan, solver_record
+from salver.planning.fastest.planned import joint_plan, judged, solver_record
 from salver.planning.fastest.safest import optima, quickest_within
 from salver.planning.fastest.speeds import at_every_speed
 from salver.planning.object.cost import CostWeights, cost_residual, refinement, sensitivity_cost, tray_loop
@@ -149,7 +149,8 @@ def plan_least_sensitive(
             )
             status = Status(watch.ended or "optimal", sentence, True)
         record = {**solver_record(best, True), "cost": share * line, "line": line, "shortest": quickest.duration}
-        return best, joint_plan(scenario, problem, best.joint_motion(), status, record, method="least-sensitive")
+        plan = joint_plan(scenario, problem, best.joint_motion(), status, record, method="least-sensitive")
+        return best, judged(plan, best.problem)
 
     def again(known: FastestMotion) -> tuple[FastestMotion, Plan]:
         return planned(nearby(known, objective, duration, options, watch=watch).after(known))

@@ -15,6 +15,7 @@ from salver.models.arm.arm_limits import LIMITS
 from salver.planning.trajopt.constraints.constraints import (
     FINEST,
     Block,
+    Clearance,
     Constraint,
     ContactConstraint,
     JointLimit,
@@ -51,8 +52,9 @@ class VerdictOptions:
         inside: share of its room that what moves inside keeps: its state is known from one motion to the next to a
             thousandth.
         at_rest_instants: of the rest after the end, until the deviation has settled; closer together where it begins.
-        spent: of what a planner keeps between its instants (`FINEST`), what a verdict does not ask for once more. Live
-            motions, which others go on from, have to keep all of it.
+        spent: of what a planner keeps between its instants (`FINEST`), what a verdict does not ask for once more; of a
+            distance, which it keeps at its instants only, as much may be lacking: 0.01 mm. Live motions, which others
+            go on from, have to keep all of it.
         forgiven: share of a row's margin, never of the row itself, that may be lacking at first (`beginning`, s), where
             the jerk has just changed. At 0, bends are refused for a margin that the arm inherits.
         at_rest: rad/s and rad/s^2 that may be left at the end of a motion: rounding.
@@ -76,9 +78,10 @@ class VerdictOptions:
 
     def margin(self, block: Block, constraint: Constraint | None) -> float:
         """What a motion keeps from the boundary of a constraint, in the unit of its rows."""
-        least = {ContactConstraint: self.contact, TorqueRateLimit: self.torque_rate, LoadConstraint: self.inside}
-        kept = (x for kind, x in least.items() if isinstance(constraint, kind))
-        return max(block.margins[1] - self.spent, *kept, 0.0)
+        margins = {ContactConstraint: self.contact, TorqueRateLimit: self.torque_rate, LoadConstraint: self.inside}
+        kept = (x for kind, x in margins.items() if isinstance(constraint, kind))
+        least = -self.spent if isinstance(constraint, Clearance) else 0.0
+        return max(block.margins[1] - self.spent, *kept, least)
 
 
 STANDARD = VerdictOptions()

@@ -217,7 +217,7 @@ def touches(judged: Judged, blocks: Sequence[Block]) -> str:
         if type(block.of) is not Clearance:  # of a subclass nobody knows what its rows are
             continue
         out = block.of.keep_out
-        low = out.least - block.values / PER_METRE
+        low = out.least - (block.values - judged.options.margin(block, block.of)) / PER_METRE
         moved = ways(judged.t, states) @ out.parts.levers(states[0]).T
         if np.any(low[:-1] + low[1:] - moved <= 2 * TOUCHING) and (touch := sweep(out.parts, judged.motion).touch):
             return f"{touch.first} and {touch.second} would touch"
