@@ -14,7 +14,6 @@ from salver.auditing import audit, audit_motion
 from salver.auditing.motion import AuditedMotion, tray_motion
 from salver.auditing.sloshing import _gain, softened, unseen
 from salver.dynamics.liquid.sloshing import SloshingResponse
-from salver.dynamics.liquid.spills import Spill
 from salver.dynamics.liquid.surface import SurfaceMotion
 from salver.dynamics.load_cases import LoadCase
 from salver.geometry import quat_wxyz_from_matrix
@@ -125,7 +124,9 @@ def test_what_is_kept_is_told_of_each_thing_that_is_allowed(cup):
         (0.075, shaken, "what they may reach"),
         (0.05, falling, "the weight that may be taken away"),
     ):
-        spill = Spill.along("cup", (SloshingResponse.of(SurfaceMotion.along((LoadCase(body, fill, 0.01),), t, w)),))
+        spill = SloshingResponse.verdict(
+            "cup", (SloshingResponse.of(SurfaceMotion.along((LoadCase(body, fill, 0.01),), t, w)),)
+        )
         kept = spill.kept
         assert min(kept, key=kept.get) == least
         assert min(kept.values()) == spill.slack.min()
@@ -191,7 +192,7 @@ def test_of_a_recording_that_begins_and_ends_in_a_jolt_the_truth_is_within_what_
         cup,
     )
     read, (most, _) = found._loads.nominal["cup"], found._inner[False]["cup"]
-    known, fine = Spill.along("cup", read), np.linspace(0.0, t[-1], 2001)
+    known, fine = SloshingResponse.verdict("cup", read), np.linspace(0.0, t[-1], 2001)
     w = np.tile(at_rest(), (len(fine), 1))
     w[1:, 1] += np.where(fine[1:] < 0.5, 0.9, -0.9)  # until then the surface is level
     truth = SurfaceMotion.along(read[0].modes.cases.each, fine, w).crest.max(axis=0)
@@ -208,7 +209,7 @@ def test_what_a_liquid_does_after_a_recording_that_ends_moving_is_not_known(cup)
     columns = {"t": t[keep], **dict(zip(("x", "y", "z"), p[keep].T, strict=True))}
     columns |= dict(zip(("qw", "qx", "qy", "qz"), quat[keep].T, strict=True))
     found = audit(columns, cup)
-    told = Spill.along("cup", found._loads.nominal["cup"]).slack
+    told = SloshingResponse.verdict("cup", found._loads.nominal["cup"]).slack
     assert told[:-1].min() > 0
     assert found.outcome == "cannot_tell"
     assert "ended" in found.worst.details["reasons"]
@@ -237,7 +238,7 @@ def test_acceleration_that_grows_from_rest_within_the_outermost_samples_raises_n
     w[:, 1] += force
     truth = SurfaceMotion.along(read[0].modes.cases.each, fine[::20], w[::20]).crest.max(axis=0)
     some = (fine[::20] > 0.02) & (fine[::20] < 0.4)
-    known = Spill.along("cup", read)
+    known = SloshingResponse.verdict("cup", read)
     assert np.abs(truth - np.interp(fine[::20], known.t, known.size))[some].max() < 1.5e-4
 
 
@@ -253,7 +254,7 @@ def test_waves_that_come_too_high_after_a_recording_that_ends_at_rest_are_known_
     still = 0 * t
     columns = {"t": t, "x": 0.5 + still, "y": y, "z": 0.4 + still, "qw": 1 + still}
     found = audit(columns | dict.fromkeys(("qx", "qy", "qz"), still), cup)
-    slack = Spill.along("cup", found._loads.nominal["cup"]).slack
+    slack = SloshingResponse.verdict("cup", found._loads.nominal["cup"]).slack
     assert slack[:-1].min() > 0 > slack[-1]
     assert found.nominal.code == code, found.nominal.sentence
     assert "ended" not in found.nominal.details.get("reasons", {})

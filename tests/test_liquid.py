@@ -7,7 +7,8 @@ import pytest
 from scipy.sparse import diags, identity, kron
 from scipy.sparse.linalg import spsolve
 
-from salver.dynamics.liquid.liquid import Liquid, damping_of
+from salver.dynamics.liquid.liquid import damping_of
+from salver.dynamics.liquid.sloshing import Liquid
 from salver.dynamics.load_cases import load_cases
 from salver.errors import ScenarioError
 

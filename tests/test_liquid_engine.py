@@ -9,7 +9,7 @@ import pytest
 
 import salver as sv
 from salver.contact_margins import margins
-from salver.dynamics.liquid.liquid import Liquid
+from salver.dynamics.liquid.sloshing import Liquid
 from salver.dynamics.liquid.surface import SurfaceMotion
 from salver.errors import SalverError
 from salver.export.mujoco import write_scene

@@ -7,7 +7,8 @@ from itertools import product
 import numpy as np
 import pytest
 
-from salver.dynamics.liquid.liquid import Liquid, damping_of, hollow
+from salver.dynamics.liquid.liquid import damping_of, hollow
+from salver.dynamics.liquid.sloshing import Liquid
 from salver.geometry import Array
 from salver.models.arm.link_shapes import link_shapes
 from salver.models.bodies import Body

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from salver.dynamics.liquid.sloshing import SloshingResponse
-from salver.dynamics.liquid.spills import LIGHTEST, Spill
+from salver.dynamics.liquid.spills import LIGHTEST
 from salver.dynamics.liquid.surface import SurfaceMotion
 from salver.dynamics.load_cases import VERDICT_APART, LoadCase, load_cases
 from salver.dynamics.load_response import slacks
@@ -80,7 +80,7 @@ def test_every_fill_in_the_range_is_covered_by_the_cases(coffee):
     body = payload.first
     whole = PayloadResponse.along(payload, t, w)
     assert whole is not None
-    least = Spill.along(body.name, whole.worst[body.name]).slack.min()
+    least = SloshingResponse.verdict(body.name, whole.worst[body.name]).slack.min()
     for fill in np.linspace(0.035, 0.065, 31):
         for damping in np.linspace(*body.inner.damping, 3):
             waves = SurfaceMotion.along((LoadCase(body, float(fill), float(damping)),), t, w)
@@ -95,7 +95,7 @@ def test_a_wave_that_must_have_settled_takes_what_is_missing_of_the_last_slack(c
     def spill(**demand):
         case = coffee.with_changes(**{f"objects__0__liquid__{key}": value for key, value in demand.items()})
         parts = PayloadResponse.along(case.payload, t, w).worst[name]
-        return Spill.along(name, parts), max(float(part.left(0.5).max()) for part in parts)
+        return SloshingResponse.verdict(name, parts), max(float(part.left(0.5).max()) for part in parts)
 
     free, left = spill()
     found, _ = spill(settled_wave=1.05 * left, settled_within=0.5)

@@ -11,7 +11,7 @@ from salver.scenario.fields import Metres, Number
 from salver.scenario.inner import InnerDynamics
 
 if TYPE_CHECKING:
-    from salver.dynamics.liquid.liquid import Liquid
+    from salver.dynamics.liquid.sloshing import Liquid
 
 Damped = Annotated[Number, Field(ge=0, le=1)]  # of critical
 
@@ -130,7 +130,8 @@ class LiquidIn(InnerDynamics):
             )
 
     def dynamics(self, height: float) -> Liquid:
-        from salver.dynamics.liquid.liquid import FLUIDS, Liquid
+        from salver.dynamics.liquid.liquid import FLUIDS
+        from salver.dynamics.liquid.sloshing import Liquid
 
         known = FLUIDS[self.kind]
         return Liquid(

@@ -8,7 +8,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from salver.dynamics.liquid.liquid import Liquid
+from salver.dynamics.liquid.liquid import Container
 from salver.geometry import Array
 from salver.models.bodies import Body
 from salver.models.load_dynamics import Colour, Drawn
@@ -19,7 +19,7 @@ COLOURS: Mapping[str, Colour] = {"coffee": (0.36, 0.23, 0.12), "oil": (0.78, 0.6
 
 def wall(body: Body) -> Array:
     """(n, 2) corners of the inside of its container, counter-clockwise, from the axis, m."""
-    liquid = cast(Liquid, body.inner)
+    liquid = cast(Container, body.inner)
     if liquid.round:
         angle = np.linspace(0, 2 * np.pi, ROUND, endpoint=False)
         return np.asarray(liquid.size[0] * np.stack([np.cos(angle), np.sin(angle)], axis=1))
@@ -42,14 +42,14 @@ class DrawnSurface(Drawn):
     @classmethod
     def of_heights(cls, body: Body, fill: float, heights: Array, beyond: float | None) -> DrawnSurface:
         """From heights (T, 2) at the wall along x and y over the level at rest, m (`SimulationRecord.surface`)."""
-        modes = cast(Liquid, body.inner).modes(fill)
+        modes = cast(Container, body.inner).modes(fill)
         eta = np.nan_to_num(heights)
         held = np.minimum(1.0, fill / np.maximum(modes.highest(eta), 1e-12))
         return cls(body, fill, held[:, None] * eta / modes.half, beyond)
 
     @property
-    def liquid(self) -> Liquid:
-        return cast(Liquid, self.body.inner)
+    def liquid(self) -> Container:
+        return cast(Container, self.body.inner)
 
     @property
     def level_B(self) -> Array:

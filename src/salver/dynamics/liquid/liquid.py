@@ -19,12 +19,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
 from salver.geometry import Array
-from salver.models.load_dynamics import GRAVITY, Drawn, LoadDynamics, Modes
+from salver.models.load_dynamics import GRAVITY, LoadDynamics, Modes
 from salver.models.rigid_body import RigidBody
 from salver.models.shapes import shapes
 from salver.models.shapes.shapes import Solid
@@ -96,8 +96,8 @@ class SurfaceModes(Modes):
 
 
 @dataclass(frozen=True)
-class Liquid(LoadDynamics):
-    """A liquid in a container, and its limits.
+class Container(LoadDynamics):
+    """A liquid in a container, and its limits: all of a `Liquid` but how it sloshes and is drawn.
 
     size: (radius,) of an upright cylinder, or (x, y) of an upright box, inside, m. floor: height of its bottom over the
     object's base, m. fill, brim: heights over that bottom, m. density kg/m^3. damping: least and most, of critical.
@@ -126,12 +126,6 @@ class Liquid(LoadDynamics):
     @property
     def value(self) -> float:
         return self.fill
-
-    @property
-    def response(self) -> type[Any]:
-        from salver.dynamics.liquid.sloshing import SloshingResponse
-
-        return SloshingResponse
 
     def origin(self, base: float, value: float) -> float:
         """Height of the centre of the still surface, m."""
@@ -171,11 +165,6 @@ class Liquid(LoadDynamics):
         eta = np.einsum("na,tna->ta", modes.rise, incline) - modes.rest_rise * slope
         return np.column_stack([eta, modes.crest(eta, slope, turning)])
 
-    def drawn(self, body: Any, value: float, seen: Array, beyond: float | None) -> Drawn:
-        from salver.dynamics.liquid.drawn_surface import DrawnSurface
-
-        return DrawnSurface.of_heights(body, value, seen, beyond)
-
     def check_value(self, owner: str, value: float) -> None:
         if not 0 < value <= self.brim:
             raise ValueError(
@@ -201,7 +190,7 @@ def damping_of(size: tuple[float, ...], fill: float, viscosity: float) -> float:
     return float(0.79 * np.sqrt(viscosity / np.sqrt(GRAVITY * R**3)) * (1 + shallow))
 
 
-def hollow(solid: Solid, liquid: Liquid) -> tuple[Array, Array]:
+def hollow(solid: Solid, liquid: Container) -> tuple[Array, Array]:
     """(3,) centre of mass of a uniform container from the centre of the solid it is cut out of, and (3, 3) its inertia
     about that, per mass."""
     inside = shapes.cylinder(liquid.size[0], liquid.brim) if liquid.round else shapes.box((*liquid.size, liquid.brim))

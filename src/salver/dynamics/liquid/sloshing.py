@@ -6,20 +6,21 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import ClassVar, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from salver.dynamics.liquid.liquid import LEANING, LEFT_OVER, STEEPEST, TILTING
+from salver.dynamics.liquid.drawn_surface import DrawnSurface
+from salver.dynamics.liquid.liquid import LEANING, LEFT_OVER, STEEPEST, TILTING, Container
 from salver.dynamics.liquid.spills import HIGH, STEEP, Spill
 from salver.dynamics.liquid.surface import SurfaceMotion, surface_by
-from salver.dynamics.load_limits import LoadLimit, of_end
-from salver.dynamics.load_response import LoadResponse
+from salver.dynamics.load_limits import LIGHT, LoadLimit, of_end
+from salver.dynamics.load_response import LoadResponse, slacks
 from salver.dynamics.modal_changes import Change
 from salver.dynamics.modal_motion import ModalMotion
 from salver.dynamics.motion_gradients import Unknowns, at_node
 from salver.geometry import Array, Indices
-from salver.models.load_dynamics import GRAVITY
+from salver.models.load_dynamics import GRAVITY, Drawn
 
 LESS = STEEPEST / LEANING
 LEAST_SIZE = 1e-4  # m; waves smaller than this turn as fast as they like
@@ -85,7 +86,19 @@ class SloshingResponse(LoadResponse):
 
     @classmethod
     def verdict(cls, name: str, parts: Sequence[Self]) -> Spill:
-        return Spill.along(name, parts)
+        which = [part.modes.cases for part in parts]
+        liquid, room = which[0].liquid, np.concatenate([x.room for x in which])
+        crest, rest = (np.concatenate(x) for x in ([p.crest for p in parts], [p.left() for p in parts]))
+        left, after = room[:, None] - crest, room - rest
+        settled = liquid.settled - max(float(p.left(liquid.within).max()) for p in parts)
+        steep, light, below = (
+            np.concatenate([slacks(part, group) for part in parts]).min(axis=0) for group in (STEEP, LIGHT, HIGH)
+        )
+        slack = np.minimum(np.minimum(steep, light), below)
+        kept = {HIGH: float(below.min()), STEEP: 1 - float((1 - steep).max()), LIGHT: 1 - float((1 - light).max())}
+        dry = left.min(axis=0), float(after.min())
+        t = parts[0].modes.t
+        return Spill(name, liquid, t, slack, kept, crest.max(axis=0), *dry, 1 - steep, 1 - light, float(settled))
 
     @cached_property
     def crest(self) -> Array:
@@ -260,3 +273,15 @@ class SloshingResponse(LoadResponse):
         away, speed = (x[case] for x in waves.ending)
         by_size = fading * which.gain[case] * by_amplitude[:, None] / np.maximum(np.hypot(away, speed), 1e-12)
         return at_node(unknowns, self.planned, case, last, by_size * away, by_size * speed * to_speed)
+
+
+@dataclass(frozen=True)
+class Liquid(Container):
+    """A liquid in a container in which it sloshes."""
+
+    @property
+    def response(self) -> type[SloshingResponse]:
+        return SloshingResponse
+
+    def drawn(self, body: Any, value: float, seen: Array, beyond: float | None) -> Drawn:
+        return DrawnSurface.of_heights(body, value, seen, beyond)

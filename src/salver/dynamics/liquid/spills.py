@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from salver.dynamics.load_limits import LIGHT, LIGHTEST, LoadVerdict
+from salver.dynamics.load_limits import LIGHTEST, LoadVerdict
 from salver.errors import Status
 from salver.geometry import Array
 from salver.models.load_dynamics import LEAST_WEIGHT
-
-if TYPE_CHECKING:
-    from salver.dynamics.liquid.sloshing import SloshingResponse
 
 # Groups of its limits, in words.
 HIGH = "what they may reach"
@@ -36,25 +31,6 @@ class Spill(LoadVerdict):
     steep: Array
     light: Array
     settled: float
-
-    @classmethod
-    def along(cls, name: str, parts: Sequence[SloshingResponse]) -> Spill:
-        """At the worst of all cases of all parts."""
-        from salver.dynamics.load_response import slacks
-
-        which = [part.modes.cases for part in parts]
-        liquid, room = which[0].liquid, np.concatenate([x.room for x in which])
-        crest, rest = (np.concatenate(x) for x in ([p.crest for p in parts], [p.left() for p in parts]))
-        left, after = room[:, None] - crest, room - rest
-        settled = liquid.settled - max(float(p.left(liquid.within).max()) for p in parts)
-        steep, light, below = (
-            np.concatenate([slacks(part, group) for part in parts]).min(axis=0) for group in (STEEP, LIGHT, HIGH)
-        )
-        slack = np.minimum(np.minimum(steep, light), below)
-        kept = {HIGH: float(below.min()), STEEP: 1 - float((1 - steep).max()), LIGHT: 1 - float((1 - light).max())}
-        dry = left.min(axis=0), float(after.min())
-        t = parts[0].modes.t
-        return cls(name, liquid, t, slack, kept, crest.max(axis=0), *dry, 1 - steep, 1 - light, float(settled))
 
     def status(self, case: str = "") -> Status:
         """Whether one liquid stays in its container, in one sentence. case: words for the parameters."""

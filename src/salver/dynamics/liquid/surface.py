@@ -8,7 +8,7 @@ from typing import ClassVar, cast
 
 import numpy as np
 
-from salver.dynamics.liquid.liquid import LEFT_OVER, STEEPEST, TILTING, Liquid, SurfaceModes
+from salver.dynamics.liquid.liquid import LEFT_OVER, STEEPEST, TILTING, Container, SurfaceModes
 from salver.dynamics.load_cases import ModalCases
 from salver.dynamics.modal_changes import Change, turned_each
 from salver.dynamics.modal_motion import TURNING, ModalMotion, across, turned
@@ -30,8 +30,8 @@ class SurfaceCases(ModalCases):
         return [cast(SurfaceModes, case.modes) for case in self.each]
 
     @property
-    def liquid(self) -> Liquid:
-        return cast(Liquid, self.each[0].dynamics)
+    def liquid(self) -> Container:
+        return cast(Container, self.each[0].dynamics)
 
     gain, half = _stacked("gain"), _stacked("half")
     peaking, rest_rise = _stacked("peaking"), _stacked("rest_rise")
