@@ -187,6 +187,36 @@ def test_what_it_must_keep_is_its_room_and_its_weight(body):
     assert left.residual
 
 
+def test_its_verdict_names_what_is_exceeded_and_when_first(body):
+    """Pushed at 0.3 s so that it swings to 31 of 25.9 mm: beyond its room from where it passes that."""
+    t = np.linspace(0.0, 1.0, 201)
+    w = np.tile(at_rest(), (len(t), 1))
+    w[60:, 0] = 1.5
+    gentle = np.where(np.arange(12) < 1, 0.5, 1.0) * w
+    part, other = PendulumResponse.of(swing(body, t, w)), PendulumResponse.of(swing(body, t, gentle))
+    found = PendulumResponse.verdict("lamp", (other, part))
+    np.testing.assert_allclose(found.size, part.modes.height[0])
+    assert found.slack.min() == pytest.approx(1 - part.modes.height.max() / (LENGTH * np.sin(WIDEST)), abs=1e-3)
+    assert min(found.kept, key=found.kept.get) == "the room there is"
+    said, first = found.status("at its longest "), t[np.argmax(part.modes.height[0] > LENGTH * np.sin(WIDEST))]
+    assert (said.ok, said.code) == (False, "swings")
+    assert said.details["time"] == pytest.approx(first)
+    assert said.sentence.startswith("The pendulum in lamp at its longest exceeds the room there is by 1")
+    assert said.sentence.endswith(f"the first time at {first:.3f} s.")
+    kept = PendulumResponse.verdict("lamp", (other,)).status()
+    assert (kept.ok, kept.code) == (True, "holds")
+    assert kept.details["left"] == pytest.approx(other.limits()[1].left(201).min(), abs=0.01)
+
+
+def test_what_a_recording_leaves_open_is_added_to_its_swing_and_to_what_is_left(body):
+    t = np.linspace(0.0, 1.0, 101)
+    part = PendulumResponse.of(swing(body, t, np.tile(at_rest(), (len(t), 1))))
+    away = np.linspace(0.0, 4e-3, 101)[None, :, None, None] * np.ones((1, 101, 1, 2))
+    _, far, left = part.unsure(away, np.zeros((1, 101, 1))).limits()
+    np.testing.assert_allclose(far.values[0], away[0, :, 0, 0], atol=1e-12)
+    assert left.values[0, 0] == pytest.approx(4e-3)
+
+
 def test_its_mass_is_drawn_on_its_rod_within_its_ring(body):
     places = np.array([[0.02, 0.0], [0.0, -0.01], [0.0, 0.0]])
     drawn, pivot = body.inner.drawn(body, LENGTH, places, 0.3), body.inner_origin_B(LENGTH)
