@@ -13,7 +13,7 @@ from salver.errors import ScenarioError
 from salver.geometry import Array
 from salver.models.tray_motion import Speed
 from salver.planning.fastest import FastestMotion, FastestOptions, fastest, nearby, object_motion, plan_fastest
-from salver.planning.fastest.planned import each_kind, joint_plan, slow_enough
+from salver.planning.fastest.planned import each_kind, joint_plan, judged, slow_enough
 from salver.planning.fastest.tradeoff import SCALES, TradeoffTask, scaled, tradeoff
 from salver.planning.make import make_plan
 from salver.planning.plan import Plan
@@ -368,6 +368,19 @@ def test_what_oversteps_a_limit_by_a_hair_between_the_optimisers_instants_is_mad
     assert f"{slower.duration:.4f} s" in plan.status.sentence
     much = planned(0.97)
     assert slow_enough(scenario, *much, robust=True) == much
+
+
+def test_a_plan_whose_motion_fails_the_verdict_is_unsafe():
+    """Found for the cube; with two thirds of its friction the motion would lose it."""
+    scenario = cube(motion__duration=None)
+    problem = transport_problem(scenario)
+    found = fastest(problem, FastestOptions(spans=8))
+    plan = joint_plan(scenario, problem, found.joint_motion(), found.status, {})
+    slipping = transport_problem(cube(motion__duration=None, objects__0__friction=0.33))
+    told = judged(plan, slipping).status
+    assert not told.ok
+    assert "contact of cube" in told.sentence
+    assert judged(replace(plan, status=told), slipping).status is told
 
 
 @pytest.mark.slow

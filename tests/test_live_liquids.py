@@ -269,6 +269,17 @@ def test_how_far_the_arm_may_stray_includes_that_it_gives_way_to_waves(changed):
     assert (found / alone).max() > 1.1
 
 
+def test_the_rest_after_a_motion_is_judged_with_the_waves_and_the_deviation_that_there_are_then(changed):
+    live, (before, base, *_), _ = changed
+    after = Judged.of(before.left(base.begins, live.problem), base.motion).after
+    wanted, cases = base.left(base.ends, live.problem), live.problem.every_case
+    found, there = (at.past.begun(cases).planned.r for at in (after, wanted))
+    assert np.abs(there).max() > 1e-4  # m
+    np.testing.assert_allclose(found, there, atol=1e-9)
+    np.testing.assert_allclose(after.tracking.start, wanted.tracking.start, atol=1e-9)
+    assert np.abs(wanted.tracking.start).max() > 1e-4
+
+
 def test_a_long_stir_does_not_count_for_ever(changed):
     """How far the phase of a high wave may have drifted is a wave as well, and dies away."""
     live, (_, base, _), _ = changed

@@ -15,8 +15,15 @@ from salver.models.arm.arm_limits import LIMITS
 from salver.models.tray_motion import Speed
 from salver.models.uncertain.worst_case import Drift, WorstCase
 from salver.planning.fastest import fastest, transport_problem
-from salver.planning.trajopt.constraints.constraints import FINEST, Clearance, ContactConstraint, strayed
-from salver.planning.verdict.judged import STANDARD, Judged
+from salver.planning.trajopt.constraints.constraints import (
+    FINEST,
+    Block,
+    Clearance,
+    ContactConstraint,
+    JointLimit,
+    strayed,
+)
+from salver.planning.verdict.judged import PLANNED, STANDARD, Judged, no_gradient
 from salver.planning.verdict.margins import ConstraintMargins
 from salver.planning.verdict.verify import Verdict, clearance, torque_rate
 from salver.trajectory import JointMotion, extremes, hulls
@@ -94,6 +101,20 @@ def test_a_deviation_is_that_of_a_drive_that_is_linear_between_three_times_as_ma
     near = exact > -0.1
     assert near.any()
     assert np.abs(WorstCase.of(rows, w, drift).values - exact)[near].max() < 0.2 * STANDARD.contact
+
+
+def test_a_plan_keeps_what_its_scenario_asks_for_and_a_live_motion_more(motion):
+    """Of a margin of 5 %, of one thousandth, of a limit, and of a distance, with a margin for what lies between."""
+    problem, _ = motion
+    asked = Block("", np.zeros((1, 1)), no_gradient, np.zeros(1, dtype=int), (0.0, 0.05))
+    contact, limit, near = (ContactConstraint(problem.contacts[0]), JointLimit(problem.limits), Clearance(None))
+    finest = asked.having(margins=(0.0, FINEST))
+    assert [options.margin(asked, contact) for options in (STANDARD, PLANNED)] == pytest.approx([0.05, 0.05 - FINEST])
+    assert [options.margin(finest, contact) for options in (STANDARD, PLANNED)] == pytest.approx([1e-3, 0.0], abs=1e-12)
+    assert [options.margin(finest, limit) for options in (STANDARD, PLANNED)] == pytest.approx([FINEST, 0.0], abs=1e-12)
+    bare = asked.having(margins=(0.0, 0.0))
+    assert [options.margin(bare, near) for options in (STANDARD, PLANNED)] == [0.0, -FINEST]
+    assert [options.margin(bare, limit) for options in (STANDARD, PLANNED)] == [0.0, 0.0]
 
 
 def quick(given):
