@@ -341,6 +341,7 @@ def test_each_limit_alone_refuses_a_motion(motion, kind, sign):
         found = verified(replace(problem, limits=replace(problem.limits, **{name: given})), slow, 0.0, None)
         assert (found.committed is not None) == held, found.sentence
         assert held or found.what == f"{kind.name} of {problem.arm.joint_names[j]}"
+        assert held or np.isfinite(found.slower) == (kind.key != "position")  # where the joint goes, time mends nothing
 
 
 @pytest.mark.parametrize("speed", [Speed(1.0), Speed(0.6), Speed(0.0), Speed(0.0, 0.25)], ids=str)
