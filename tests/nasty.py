@@ -270,9 +270,9 @@ class TrueRows:
         self.above = {item.name: carried_by(made, item.name) for item in made.objects}
         self._known: dict[Any, tuple[TrueBody, Array, Array]] = {}
         self.facets = []
-        for body, item in zip(self.items, made.objects, strict=True):
+        for body in self.items:
             points = sure_points_B(made, body.name)
-            contacts = support_contacts(points, item.least_friction, edges or made.contact.edges)
+            contacts = support_contacts(points, made.payload.least_friction(body), edges or made.contact.edges)
             self.facets.append(cone_facets(contacts).rows)
 
     def at(self, change: dict[str, float], w: Array, weight: dict[str, float] | None = None) -> list[Array]:

@@ -244,8 +244,8 @@ def tumbling(made: Scenario) -> PolynomialReference:
 
 def pyramid_coefficients(made: Scenario, name: str) -> Array:
     """pinv(G F-hat) (n, 6) of the sure contact of an object with its least friction, written out point by point."""
-    item = next(o for o in made.objects if o.name == name)
-    mu, k = item.least_friction, made.contact.edges
+    body = next(each for each in made.payload.bodies if each.name == name)
+    mu, k = made.payload.least_friction(body), made.contact.edges
     columns = []
     for p in nasty.sure_points_B(made, name):
         for j in range(k):
