@@ -171,3 +171,11 @@ def test_the_slope_of_a_wave_that_must_settle_is_of_when_it_must(coffee):
     (limit,) = (each for each in part.limits() if each.name == "settled waves")
     slope = limit.by(np.array([0]), np.array([100]), Unknowns(dw[:, :, None]))[0, 0]
     assert slope == pytest.approx((more.left(4.0) - less.left(4.0))[0] / 2e-4, rel=1e-2)
+
+
+def test_room_of_a_verdict_is_what_is_left_under_the_brim(coffee) -> None:
+    """In mm in `salver plan`: of a cup at rest all of it, the brim less the fill."""
+    t = np.linspace(0, 1, 21)
+    waves = SurfaceMotion.along((LoadCase(coffee.payload.first, 0.05, 0.01),), t, np.tile(at_rest(), (len(t), 1)))
+    inner = coffee.payload.first.inner
+    assert SloshingResponse.verdict("cup", (SloshingResponse.of(waves),)).room == pytest.approx(inner.room(0.05))

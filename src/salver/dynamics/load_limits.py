@@ -69,6 +69,11 @@ class LoadVerdict:
         least = {group: float(own.min()) for group, own in left.items()}
         return cls(name, inner, t, np.min(list(left.values()), axis=0), least, size)
 
+    @property
+    def room(self) -> float:
+        """m that are left to its edge; infinite where nothing is in the way."""
+        return float((self.inner.edge(self.inner.value) - self.size).min())
+
     def status(self, case: str = "") -> Status:
         """Whether it keeps its limits, in one sentence. case: words for the parameters."""
         k, group = int(np.argmin(self.slack)), min(self.kept, key=self.kept.__getitem__)

@@ -295,7 +295,7 @@ def show(plan: Plan, other: Plan, beside: str) -> None:
         "distance to tipping, worst case": lambda p: millimetres(
             min(m.tip_over_worst.min() for m in p.margins.interfaces)
         ),
-        **({"room of what moves inside, worst case": _room} if scenario.payload.dynamic else {}),
+        **({"room inside the load, worst case": _room} if scenario.payload.dynamic else {}),
         "contact condition kept everywhere": lambda p: "yes" if p.verification.violation == 0 else "NO",
         "arm can follow, as far as checked": lambda p: (
             "-" if p.arm_status is None else "yes" if p.arm_status.ok else "NO"
@@ -323,8 +323,8 @@ def show(plan: Plan, other: Plan, beside: str) -> None:
 
 
 def _room(plan: Plan) -> str:
-    """The least that what moves inside leaves of its limits, during the motion and after it."""
-    return f"{100 * min(float(each.slack.min()) for each in plan.margins.load_verdicts(worst=True)):.1f} %"
+    """What is left of the room in which a load's liquid or pendulum moves, during the motion and after it."""
+    return millimetres(min(each.room for each in plan.margins.load_verdicts(worst=True)), "no edge")
 
 
 def _friction(plan: Plan) -> str:

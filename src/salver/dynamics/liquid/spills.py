@@ -32,6 +32,11 @@ class Spill(LoadVerdict):
     light: Array
     settled: float
 
+    @property
+    def room(self) -> float:
+        """m that are left under the brim, during the motion and after it."""
+        return min(float(self.left.min()), self.after)
+
     def status(self, case: str = "") -> Status:
         """Whether one liquid stays in its container, in one sentence. case: words for the parameters."""
         k = int(np.argmin(self.left))
