@@ -29,7 +29,6 @@ from salver.models.load_dynamics import GRAVITY
 
 FOLLOWED = 2.0  # times the fastest mode: a surface does not follow what shakes it faster, but for what moves a mass
 _SOFTEST = 0.5  # share of the frequency, beyond which no second order says anything
-_UNSEEN = 1e-9  # m
 
 
 def unseen(name: str, parts: Sequence[LoadResponse], motion: AuditedMotion) -> tuple[LoadVerdict, float]:
@@ -106,7 +105,7 @@ def softened(modes: SurfaceMotion, softening: float) -> Array:
             top = np.maximum(top, np.linalg.norm(gain * r, axis=1))
         return top
 
-    return np.asarray(highest(softening) / np.maximum(highest(0.0), _UNSEEN))
+    return np.asarray(highest(softening) / np.maximum(highest(0.0), np.finfo(float).tiny))
 
 
 def _away(modal: ModalMotion, motion: AuditedMotion) -> tuple[Array, Array]:
