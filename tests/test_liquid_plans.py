@@ -388,8 +388,8 @@ def test_a_plan_to_a_goal_that_leans_is_checked_in_the_wave_after_it(coffee):
 def test_what_is_printed_of_a_plan_with_an_open_liquid_says_what_room_is_left(coffee, capsys):
     plan = make_plan(coffee.with_changes(motion__duration=2.0), "baseline")
     show(plan, plan, "baseline")
-    (line,) = [line for line in capsys.readouterr().out.splitlines() if "room of what moves" in line]
+    (line,) = [line for line in capsys.readouterr().out.splitlines() if "room inside the load" in line]
     (spill,) = plan.margins.load_verdicts(worst=True)
-    least = 100 * min(spill.slack)
-    assert line.split()[-4:] == 2 * [f"{least:.1f}", "%"]
-    assert 20.0 < least < 80.0
+    least = 1e3 * spill.room
+    assert line.split()[-4:] == 2 * [f"{least:.1f}", "mm"]
+    assert 5.0 < least < 30.0

@@ -369,6 +369,10 @@ def test_the_command_says_what_it_cannot_begin_with(tmp_path, monkeypatch):
 
 def drag(browser, name, dx, dy, shift=False):
     """By the mouse: take hold of a thing's ring and move it by so many pixels."""
+    browser.wait_for(  # a headline of another length moves the picture: it must have come to rest
+        "(() => { const top = document.getElementById('canvas').getBoundingClientRect().top, same = top === window.top_;"
+        "window.top_ = top; return same && salver.state.idle(); })()"
+    )
     x, y = browser.script(
         """
         const box = document.getElementById("canvas").getBoundingClientRect();

@@ -205,7 +205,8 @@ def plan_retimed(scenario: Scenario, waypoints: Array, *, robust: bool = True) -
             "worst": found.worst,
             "waypoints_missed": path.missed,
         }
-        return found, judged(joint_plan(moved, problem, found.joint_motion(), found.status, record), problem)
+        plan = joint_plan(moved, problem, found.joint_motion(), found.status, record)
+        return found, judged(plan, found.problem)  # how the path leans, and what it passes, was not chosen
 
     plan = planned(found)[1]
     return at_every_speed(found, plan, lambda known: planned(retime(known.problem, path)))[1] if robust else plan
