@@ -22,7 +22,7 @@ from salver.reports.pages.charts import curve, time_chart
 from salver.reports.pages.page import filled, replay
 from salver.reports.pages.sections import Sections, tile_list
 from salver.reports.pages.speed_bar import speed_bar
-from salver.reports.pages.words import Answer
+from salver.reports.pages.words import Headline
 from salver.reports.parameters import ranges
 from salver.reports.run import ReportedMotion, ReportedRun
 from salver.reports.style import BLUE, VERMILION
@@ -54,7 +54,7 @@ def audit_page(audit: Audit) -> str:
     if audit.outcome == "holds" and not audit.arm.ok:
         level, headline = "bad", "The load would stay where it is, but the arm cannot go this way"
     sentence = audit.worst.sentence if audit.nominal.ok else audit.nominal.sentence
-    answer = Answer(level, headline, f"{audit.arm.sentence} {sentence}")
+    answer = Headline(level, headline, f"{audit.arm.sentence} {sentence}")
     shown = replay(run, arm)
     for variant in shown["variants"]:
         variant["caption"] = "as it was read"

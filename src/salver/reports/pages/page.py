@@ -24,7 +24,7 @@ from salver.reports.pages.charts import thin
 from salver.reports.pages.replay import replay_scene
 from salver.reports.pages.round import overview
 from salver.reports.pages.sections import Sections
-from salver.reports.pages.words import Answer, asked, outcome_in_words, true_parameters, verdict
+from salver.reports.pages.words import Headline, asked, outcome_in_words, true_parameters, verdict
 from salver.reports.parameters import ranges
 from salver.reports.run import ReportedMotion, ReportedRun, read_campaign, read_leg, read_run
 from salver.reports.style import ROLE_COLOURS
@@ -99,7 +99,7 @@ def warned(record: Mapping[str, Any]) -> list[str]:
 
 
 def filled(
-    answer: Answer,
+    answer: Headline,
     made: Sections,
     shown: dict[str, Any] | None,
     *,

@@ -12,7 +12,7 @@ from markupsafe import Markup
 from salver.planning.plan_files import PlanFiles
 from salver.reports.pages.cells import outcome_cell, percent, table
 from salver.reports.pages.sections import Sections, tile_list
-from salver.reports.pages.words import Answer
+from salver.reports.pages.words import Headline
 from salver.reports.run import ReportedRun
 from salver.scenario import Scenario
 from salver.wording import listed
@@ -20,7 +20,7 @@ from salver.wording import listed
 
 def overview(
     files: PlanFiles, runs: Sequence[ReportedRun], places: Sequence[Path], campaign: dict[str, Any] | None
-) -> tuple[Answer, Sections, str, Markup]:
+) -> tuple[Headline, Sections, str, Markup]:
     """Content of the page of the task: verdict, sections, task, tiles. places: the pages of the legs."""
     scenario, record = files.scenario, files.record
     held = campaign["plans"]["plan"]["outcomes"] if campaign else {}
@@ -67,22 +67,22 @@ def overview(
     return _verdict(record, runs, held), made, _asked(scenario, record), tiles
 
 
-def _verdict(record: dict[str, Any], runs: Sequence[ReportedRun], held: dict[str, Any]) -> Answer:
+def _verdict(record: dict[str, Any], runs: Sequence[ReportedRun], held: dict[str, Any]) -> Headline:
     """Campaign before simulation before plan, as for one leg."""
     if not record["ok"]:
-        return Answer("bad", "No safe plan of all legs was found", record["status"]["sentence"])
+        return Headline("bad", "No safe plan of all legs was found", record["status"]["sentence"])
     blind = f"Not checked: {'; '.join(record['unchecked'])}." if record["unchecked"] else ""
     if held:
         count, of = held["holds"]["count"], held["holds"]["of"]
         level = "good" if count == of else "warning" if 2 * count > of else "bad"
-        return Answer(level, f"The load stayed put on all legs in {count} of {of} perturbed runs", blind)
+        return Headline(level, f"The load stayed put on all legs in {count} of {of} perturbed runs", blind)
     seen = [run.plan.simulation.summary.get("outcome") if run.plan.simulation else None for run in runs]
     wrong = [f"leg {k}: {word}" for k, word in enumerate(seen, 1) if word not in (None, "holds")]
     if wrong:
-        return Answer("bad", f"In simulation the load did not stay put ({listed(wrong)})", blind)
+        return Headline("bad", f"In simulation the load did not stay put ({listed(wrong)})", blind)
     if all(seen):
-        return Answer("good", "The load stays put on all legs, in theory and in simulation", blind)
-    return Answer("good", "The load is predicted to stay put on all legs for every parameter assumed", blind)
+        return Headline("good", "The load stays put on all legs, in theory and in simulation", blind)
+    return Headline("good", "The load is predicted to stay put on all legs for every parameter assumed", blind)
 
 
 def _asked(scenario: Scenario, record: dict[str, Any]) -> str:

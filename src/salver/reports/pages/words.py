@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Answer:
+class Headline:
     """The answer in one line. level: "good", "warning" or "bad"."""
 
     level: str
@@ -27,12 +27,12 @@ class Answer:
     detail: str
 
 
-def verdict(run: ReportedRun) -> Answer:
+def verdict(run: ReportedRun) -> Headline:
     """Campaign before simulation before plan: the strongest evidence there is decides."""
     plan, load = run.plan, run.load[0].upper() + run.load[1:]
     several = len(run.bodies) > 1
     if not plan.summary.get("ok", True):
-        return Answer("bad", "No safe plan was found", str(plan.summary.get("verdict", "")).removeprefix("UNSAFE: "))
+        return Headline("bad", "No safe plan was found", str(plan.summary.get("verdict", "")).removeprefix("UNSAFE: "))
     blind = plan.summary.get("unchecked", [])
     exactly = "" if run.scenario.uncertain.size else "For exactly these values: "
     promise = (f"Not checked: {'; '.join(blind)}. " if blind else "") + exactly + _promise(run)
@@ -41,9 +41,9 @@ def verdict(run: ReportedRun) -> Answer:
         total, held = sum(outcomes.values()), outcomes.get("holds", 0)
         others = ", ".join(f"{n} {word}" for word, n in outcomes.items() if word != "holds")
         if held == total:
-            return Answer("good", f"{load} stayed put in all {total} perturbed runs", f"{promise}.")
+            return Headline("good", f"{load} stayed put in all {total} perturbed runs", f"{promise}.")
         level = "warning" if held > total / 2 else "bad"
-        return Answer(
+        return Headline(
             level, f"{load} stayed put in {held} of {total} perturbed runs", f"The others: {others}. {promise}."
         )
     if plan.simulation is not None:
@@ -54,14 +54,14 @@ def verdict(run: ReportedRun) -> Answer:
         true = f" with {true}" if true else ""
         if outcome == "holds":
             stay = "stay" if several else "stays"
-            return Answer("good", f"{load} {stay} put, in theory and in simulation{true}", f"{promise}{moved}.")
+            return Headline("good", f"{load} {stay} put, in theory and in simulation{true}", f"{promise}{moved}.")
         which = plan.simulation.summary.get("worst_object", run.bodies[0].name)
         what = {"limit": "the arm broke its limits", "lost": f"the {which} left the tray"}.get(
             outcome, f"the {which} {outcome}"
         )
-        return Answer("bad", f"In simulation{true} {what}", f"{promise}{moved}.")
+        return Headline("bad", f"In simulation{true} {what}", f"{promise}{moved}.")
     verb = "are" if several else "is"
-    return Answer(
+    return Headline(
         "good", f"{load} {verb} predicted to stay put for every parameter in the assumed range", f"{promise}."
     )
 
