@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from salver.errors import ScenarioError
+from salver.errors import SalverError, ScenarioError
 from salver.playground.unprotected import Unprotected
 
 gymnasium = pytest.importorskip("gymnasium")
@@ -63,7 +63,7 @@ def straight(env: Any) -> Any:
     """Towards the goal, as fast as may be."""
 
     def act(k: int) -> np.ndarray:
-        away = env.goal - env._data.qpos[env._scene.qpos_ids[0] :][:3]
+        away = env.goal - env.plant.p_SB()
         return np.append(away * min(4.0, 1.0 / float(np.linalg.norm(away))), 0.0)
 
     return act
@@ -137,3 +137,27 @@ def test_jogging_joints_keep_their_limits() -> None:
 def test_what_cannot_be_is_told(options: dict[str, Any], told: str) -> None:
     with pytest.raises(ScenarioError, match=told):
         gym.Carry(**options)
+
+
+@pytest.mark.parametrize("action", [[0.1, 0.0, 0.0], [[0.1, 0.0, 0.0, 0.0]], [np.nan, 0, 0, 0], "left", None])
+def test_what_is_no_action_is_refused_and_moves_nothing(action: Any) -> None:
+    env = gym.Carry("panda-cube")
+    env.reset(seed=0)
+    before = env.plant.q
+    with pytest.raises(SalverError, match="it must be 4 finite numbers from -1 to 1"):
+        env.step(action)
+    assert np.array_equal(env.plant.q, before)
+
+
+def test_a_load_at_no_known_place_is_lost() -> None:
+    env = gym.Carry("panda-cube")
+    env.reset(seed=0)
+    i = env.plant.scene.qpos_ids[0]
+    env.plant.data.qpos[i : i + 3] = np.nan
+    assert env.plant.became(env.fallen) == ["lost"]
+
+
+@pytest.mark.parametrize("parameters", [{"mass": "x"}, {"weight": 1.0}, 5])
+def test_loads_that_cannot_be_are_told(parameters: Any) -> None:
+    with pytest.raises(ScenarioError):
+        gym.Carry("panda-cube").reset(options={"parameters": parameters})

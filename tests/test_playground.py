@@ -84,7 +84,7 @@ def test_a_recording_may_begin_where_an_earlier_goal_has_left_the_arm(tmp_path):
     assert (world.frame()["doing"], world.frame()["planning"]) == ("resting", True)  # what the page says at once
     run(world, 1.2, 60)
     assert not world.frame()["planning"]
-    q = world._data.qpos[:7].copy()
+    q = world.plant.data.qpos[:7].copy()
     assert world.say({"record": True}).ok
     assert world.say({"goto": first}).ok
     run(world, 0.4, 60)
@@ -108,7 +108,7 @@ def test_a_ball_that_touches_the_load_has_hit_it():
     said, touched = [], []
     for k in range(1400):
         world.advance()
-        touched.append(world.ball._geom in world._data.contact.geom)
+        touched.append(world.ball._geom in world.plant.data.contact.geom)
         if k % 50 == 0:
             said.append((k, world.frame()["said"]))
     first = touched.index(True)
@@ -138,14 +138,14 @@ def test_without_protection_the_arm_of_the_engine_goes_no_faster_than_it_can():
         world.say({"twist": [*rng.uniform(-1.2, 1.2, 3), rng.uniform(-1.5, 1.5)]})
         for _ in range(80):
             world.advance()
-            top = max(top, float((np.abs(world._data.qvel[:7]) / world.arm.limits.velocity).max()))
+            top = max(top, float((np.abs(world.plant.data.qvel[:7]) / world.arm.limits.velocity).max()))
     assert 0.5 < top < 1.05
 
 
 def test_a_liquid_is_shown_as_the_whole_run_has_it_and_told_when_it_spills(monkeypatch):
     world = World(sv.load_scenario("panda-coffee"), {"fill": 0.065}, lead=0.02)
-    whole, took, shown, said = Recorder(world.scene, 4000), world.inner.took, [], None
-    period, late = world.period, world.inner._late
+    whole, took, shown, said = Recorder(world.plant.scene, 4000), world.plant.inner.took, [], None
+    period, late = world.period, world.plant.inner._late
     first = world.t
 
     def taken(t, q, dq, tau, data):
@@ -153,7 +153,7 @@ def test_a_liquid_is_shown_as_the_whole_run_has_it_and_told_when_it_spills(monke
         whole.joints(t, q, dq, tau)
         whole.take(data)
 
-    monkeypatch.setattr(world.inner, "took", taken)
+    monkeypatch.setattr(world.plant.inner, "took", taken)
     assert world.say({"protected": False}).ok
     for k in range(1200):
         if k % 60 == 0:
@@ -164,8 +164,8 @@ def test_a_liquid_is_shown_as_the_whole_run_has_it_and_told_when_it_spills(monke
             shown.append((world.t, world.frame()["inside"][0]))
             if said is None and became(world) == ["spilt"]:
                 said = world.t
-    seen = inner_motions(world.scene, whole.trace())[:, 0]
-    liquid, half = world.scenario.payload.bodies[0].inner, world.scene.loads[0].modes.half
+    seen = inner_motions(world.plant.scene, whole.trace())[:, 0]
+    liquid, half = world.scenario.payload.bodies[0].inner, world.plant.scene.loads[0].modes.half
     for t, drawn in shown:
         eta = seen[round((t - first) / period) - 1 - late, :2]
         if np.linalg.norm(eta) < 0.06:  # all of the bottom is wet

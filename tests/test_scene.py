@@ -329,6 +329,7 @@ def test_clip_by_hand():
         ({"weight": 1.0}, ['"weight"', "panda-cube", "mass"]),
         ({"mass": -1.0}, ["mass", "-1", "positive"]),
         ({"mass": float("nan")}, ["mass", "finite"]),
+        ({"mass": "x"}, ["mass", "'x'", "finite"]),
         ({"friction": 0.0}, ["friction", "positive"]),
         ({"inertia_xx": 1.0}, ["inertia", "sum of the other two"]),
         ({"inertia_xx": 1e-16, "inertia_yy": 1e-16, "inertia_zz": 1e-16}, ["inertia", "at least"]),

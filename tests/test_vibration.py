@@ -378,7 +378,7 @@ def test_the_simulated_robot_and_the_page_that_is_steered_by_hand_shake_too(care
     robot.start()
     robot.write(np.zeros(7), Sensed(0.0, np.zeros(7), np.zeros(7)))
     most = SHAKE["amplitude"] * (2 * np.pi * SHAKE["frequency"]) ** 2
-    for data, scene in ((robot._data, robot._run.scene), (world._data, world.scene)):
+    for data, scene in ((robot._data, robot._run.scene), (world.plant.data, world.plant.scene)):
         force = float(np.linalg.norm(data.xfrc_applied[scene.object_ids[0], :3]))
         assert 0.0 < force <= most * scene.model.body_mass[scene.object_ids[0]] * (1 + 1e-9)
 

@@ -33,6 +33,7 @@ class InnerMotions:
     def begin(self) -> None:
         """Everything stands in its place, and still."""
         self._recorder.keep(0)
+        self._seen = True
         self._beyond: dict[int, float] = {}  # when, of which load
         self._rough = -np.inf  # s, when it was seen to swing last
         self._shown: list[Drawn | None] = [None] * len(self._scene.loads)
@@ -45,6 +46,7 @@ class InnerMotions:
             self._look()
         self._recorder.joints(t, q, dq, tau)
         self._recorder.take(data)
+        self._seen = False
 
     @property
     def shown(self) -> list[Drawn | None]:
@@ -55,6 +57,8 @@ class InnerMotions:
 
     def beyond(self, k: int) -> bool:
         """Whether what moves inside load k was seen beyond its edge."""
+        if self._scene.swings:
+            self._look()
         return k in self._beyond
 
     def calm(self) -> bool:
@@ -66,6 +70,9 @@ class InnerMotions:
 
     def _look(self) -> None:
         """At what was taken since the last look; what the next one needs of it is kept."""
+        if self._seen:
+            return
+        self._seen = True
         trace = self._recorder.trace()
         seen = inner_motions(self._scene, trace)
         whole = slice(self._late, max(self._late, len(trace.t) - self._late))  # known with all of their means

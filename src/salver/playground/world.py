@@ -13,20 +13,20 @@ from typing import Any
 
 import numpy as np
 
-from salver.control.arm import ArmState, controller_for
+from salver.control.arm import controller_for
 from salver.errors import Status
-from salver.geometry import Array, lean, matrix_from_quat_wxyz, quat_wxyz_from_matrix
+from salver.geometry import Array, quat_wxyz_from_matrix
 from salver.live import Live, LiveCourse
 from salver.live.replanning.wishes import numbers
 from salver.models.arm.arm import load_arm
 from salver.playground.ball import Ball, Throw, furnish
-from salver.playground.inner_motions import InnerMotions
+from salver.playground.plant import Plant
 from salver.playground.recording import SessionRecording
 from salver.playground.unprotected import Unprotected
 from salver.scenario import Scenario
 from salver.simulation.scene.engine import mujoco
-from salver.simulation.scene.loads import true_world
-from salver.simulation.scene.scene import build
+
+FALLEN = float(np.deg2rad(10.0))  # tipped over by so much
 
 
 class World:
@@ -47,14 +47,9 @@ class World:
         self.scenario, self.live, throw = scenario, Live(scenario, lead=lead), Throw()
         assert scenario.arm is not None  # a live motion has one
         self.arm = load_arm(scenario.arm, scenario.tray)
-        self.scene = build(
-            scenario, true_world(scenario, parameters), self.arm, also=lambda spec: furnish(spec, self.arm, throw)
-        )
-        self.period = scenario.physics.command_period
-        self._steps = round(self.period / scenario.physics.timestep)
-        self._data = mujoco.MjData(self.scene.model)
-        self.ball = Ball(self.scene.model, self.arm, scenario.payload, throw)
-        self.inner = InnerMotions(self.scene, self.period)
+        self.plant = Plant(scenario, self.arm, parameters, lambda spec: furnish(spec, self.arm, throw))
+        self.period = self.plant.period
+        self.ball = Ball(self.plant.scene.model, self.arm, scenario.payload, throw)
         self._lock = threading.RLock()
         self._course = LiveCourse(self.live)
         self._controller = controller_for(scenario, self, None, arm=self.arm, space="joint")
@@ -70,7 +65,6 @@ class World:
         self._parameters, self._keep_in = dict(parameters or {}), keep_in
         self._recording: SessionRecording | None = None
         self._ending = self._was_free = False
-        self._torque = np.zeros(self.arm.n)
         self._placed()
 
     # --- what the controller follows: `salver.control.arm.Course`
@@ -99,25 +93,20 @@ class World:
     def advance(self) -> None:
         """One control period."""
         with self._lock:
-            data, n = self._data, self.arm.n
-            state = ArmState(data.qpos[:n].copy(), data.qvel[:n].copy())
-            self._torque = (self._controller if self.protected else self._jogging).step(state, self.t)
-            data.qfrc_applied[:n] = self._torque
-            self.scene.shake(data, self.t)
             recording = self._recording
-            mujoco.mj_step(self.scene.model, data)
-            self.inner.took(self.t, state.q, state.dq, self._torque, data)
-            if recording is not None and recording.due():
-                recording.took(self.t, state.q, state.dq, self._torque, self.at(0, 0.0), data)
-            if self._steps > 1:
-                mujoco.mj_step(self.scene.model, data, nstep=self._steps - 1)
+            due = recording is not None and recording.due()
+            self.plant.step(self._controller if self.protected else self._jogging, self.t, self._took if due else None)
             self.t += self.period
-            seen = self.ball.step(data, self.t)
+            seen = self.ball.step(self.plant.data, self.t)
             if seen is not None:
                 self.live.obstacles(seen)
             if recording is not None:
                 self._was_free |= self._free is not None
                 self._watch(recording)
+
+    def _took(self, q: Array, dq: Array, torque: Array) -> None:
+        assert self._recording is not None
+        self._recording.took(self.t, q, dq, torque, self.at(0, 0.0), self.plant.data)
 
     @property
     def protected(self) -> bool:
@@ -153,7 +142,7 @@ class World:
                 case "protected" if isinstance(value, bool):
                     return self._protect(value)
                 case "throw" if value is True:
-                    self.ball.throw(self._data, self.t, self.scene.tray_pose(self._data)[0])
+                    self.ball.throw(self.plant.data, self.t, self.plant.scene.tray_pose(self.plant.data)[0])
                     return Status("accepted", "", True)
                 case "again":
                     return self._again()
@@ -191,9 +180,9 @@ class World:
         assert self._free is not None
         if not self._resting:
             return Status("refused", "The arm moves; press stop first.", False)
-        if any(self._displaced()):
+        if any(self._became()):
             return Status("refused", "The load is not where it stood; begin again.", False)
-        if not self.inner.calm():
+        if not self.plant.inner.calm():
             return Status("refused", "What is inside still moves; wait until it is calm, or begin again.", False)
         status = self.live.restart(self._free.q, calm=True)
         if status.ok:
@@ -217,7 +206,7 @@ class World:
             return Status("refused", "A recording begins at rest; press stop first.", False)
         if wanted:
             self._was_free = self._ending = False
-            self._recording = SessionRecording(self.scenario, self._parameters, self.scene, self.t)
+            self._recording = SessionRecording(self.scenario, self._parameters, self.plant.scene, self.t)
             return Status("accepted", "", True)
         self._ending = True
         stopped = bool(self.live.stopped)
@@ -255,44 +244,24 @@ class World:
         return status
 
     def _placed(self) -> None:
-        self.scene.place(self._data, self.begin)
-        self.inner.begin()
-        self._data.qacc_warmstart[:] = 0
+        self.plant.place(self.begin)
         self._controller.reset()
         self._course.instant(self.t)
         for _ in range(50):  # until it bears its weight
             self.advance()
-        self._rest = self._on_tray()
+        self._rest = self.plant.on_tray()[0]
 
     # --- what is seen
 
-    def _on_tray(self) -> tuple[Array, Array]:
-        """(m, 3) and (m, 3, 3): poses of the objects relative to the tray."""
-        p_SE, R_SE = self.scene.tray_pose(self._data)
-        qpos = self._data.qpos
-        p = np.array([qpos[i : i + 3] for i in self.scene.qpos_ids])
-        R = np.array([matrix_from_quat_wxyz(qpos[i + 3 : i + 7]) for i in self.scene.qpos_ids])
-        return (p - p_SE) @ R_SE, R_SE.T @ R
-
-    def _displaced(self) -> list[str]:
-        """What became of each object: nothing, or a word."""
-        (p, R), (p0, R0) = self._on_tray(), self._rest
-        words = []
-        half = 0.5 * np.array(self.scenario.tray.size)
-        for k in range(len(p)):
-            tip = float(lean(R0[k].T @ R[k]))
-            off = p[k, 2] < 0 or bool(np.any(np.abs(p[k, :2]) > half))
-            slid = float(np.linalg.norm((p[k] - p0[k])[:2]))
-            spilt = "spilt" if self.inner.beyond(k) else ""
-            words.append(
-                "lost" if off else "fallen" if tip > np.deg2rad(10.0) else spilt or ("slid" if slid > 5e-3 else "")
-            )
-        return words
+    def _became(self) -> list[str]:
+        """Of each object: nothing, or what became of it."""
+        slid = np.linalg.norm((self.plant.on_tray()[0] - self._rest)[:, :2], axis=1) > 5e-3  # m
+        return [word or ("slid" if k else "") for word, k in zip(self.plant.became(FALLEN), slid, strict=True)]
 
     def friction_used(self) -> list[float]:
         """Of each object: tangential force on its feet over what friction holds on its support; 1 slides, infinite
         when it does not stand there."""
-        scene, data = self.scene, self._data
+        scene, data = self.plant.scene, self.plant.data
         pull = np.zeros((len(scene.loads), 3))
         held = np.zeros(len(scene.loads))
         force = np.empty(6)
@@ -312,19 +281,18 @@ class World:
     def measure(self) -> None:
         """Note how near the ball is to what moves of arm, tray and load."""
         with self._lock:
-            self.ball.measure(self._data, self._data.qpos[: self.arm.n].copy())
+            self.ball.measure(self.plant.data, self.plant.q)
 
     def frame(self) -> dict[str, Any]:
         """What the page shows of this instant, ready for JSON."""
         from salver.reports.pages.replay import joint_poses
 
         with self._lock:
-            data, scene = self._data, self.scene
-            q = data.qpos[: self.arm.n].copy()
+            data, scene, q = self.plant.data, self.plant.scene, self.plant.q
             p_SE, R_SE = scene.tray_pose(data)
-            v = (R_SE @ (self.arm.body_jacobian(q) @ data.qvel[: self.arm.n])[:3]).tolist()
-            inside = self.inner.shown
-            state, words = self.live.state, self._displaced()
+            v = (R_SE @ (self.arm.body_jacobian(q) @ self.plant.dq)[:3]).tolist()
+            inside = self.plant.inner.shown
+            state, words = self.live.state, self._became()
             used = self.friction_used()
             self.measure()
             live = (state.stopped, state.passing, state.refused) if self.protected else ()

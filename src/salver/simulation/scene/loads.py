@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from numbers import Real
+from typing import Any
 
 import numpy as np
 
@@ -131,17 +133,17 @@ def true_world(scenario: Scenario, parameters: Mapping[str, float] | None = None
     Names as in docs/conventions.md, with `object.` in front when there are several objects.
     Raises ScenarioError for an unknown name, a value that cannot be, or an object that then stands on nothing.
     """
-    values = {name: float(value) for name, value in (parameters or {}).items()}
+    values: dict[str, Any] = dict(parameters or {})
     known = {parameter.name: parameter for parameter in all_parameters([item.name for item in scenario.objects])}
     for name, value in values.items():
         if name not in known:
             names = list(known)
             shown = ", ".join(names if len(names) < 40 else [*names[:13], "...", *names[-2:]])
             raise ScenarioError(f'There is no parameter "{name}" in {scenario.name}; known are {shown}.')
-        if not np.isfinite(value):
-            raise ScenarioError(f"Parameter {name} = {value}; it must be a finite number.")
+        if not isinstance(value, Real) or not np.isfinite(float(value)):
+            raise ScenarioError(f"Parameter {name} = {value!r}; it must be a finite number.")
     loads: list[Load] = []
-    true = {known[name]: value for name, value in values.items()}
+    true = {known[name]: float(value) for name, value in values.items()}
     for item, nominal in zip(scenario.objects, scenario.payload.bodies, strict=True):
         loads.append(_load(item, nominal, true, scenario, loads))
     return TrueWorld(tuple(loads), np.array([*(true.get(tilt, 0.0) for tilt in TILT), 0.0]))

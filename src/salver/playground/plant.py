@@ -1,0 +1,92 @@
+"""What a controller moves, one period at a time: arm, tray and loose objects in the physics engine."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from salver.control.arm import ArmController, ArmState
+from salver.geometry import Array, lean, matrix_from_quat_wxyz
+from salver.models.arm.arm import ArmModel
+from salver.playground.inner_motions import InnerMotions
+from salver.scenario import Scenario
+from salver.simulation.scene.engine import mujoco
+from salver.simulation.scene.loads import true_world
+from salver.simulation.scene.scene import build
+
+
+class Plant:
+    """scene, data: of the engine. inner: what moves inside the loads. period: s."""
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        arm: ArmModel,
+        parameters: Mapping[str, float] | None = None,
+        also: Callable[[Any], None] | None = None,
+    ) -> None:
+        """parameters: true values by name, where not nominal. also: adds to the mujoco.MjSpec what else there is.
+
+        Raises ScenarioError for a parameter that is not known or cannot be.
+        """
+        self.scene = build(scenario, true_world(scenario, parameters), arm, also=also)
+        self.data = mujoco.MjData(self.scene.model)
+        self.period = scenario.physics.command_period
+        self.inner = InnerMotions(self.scene, self.period)
+        self._steps = round(self.period / scenario.physics.timestep)
+        self._half = 0.5 * np.array(scenario.tray.size)
+
+    @property
+    def q(self) -> Array:
+        return np.array(self.data.qpos[: self.scene.n])
+
+    @property
+    def dq(self) -> Array:
+        return np.array(self.data.qvel[: self.scene.n])
+
+    def place(self, q: Array) -> None:
+        """The arm at q (n,), everything at its place and at rest."""
+        self.scene.place(self.data, q)
+        self.inner.begin()
+        self.data.qacc_warmstart[:] = 0
+
+    def step(
+        self, controller: ArmController, t: float, took: Callable[[Array, Array, Array], None] | None = None
+    ) -> None:
+        """One control period from time t. took: told q, dq and the torque, (n,) each, when the engine has made one step
+        since."""
+        data, scene = self.data, self.scene
+        state = ArmState(self.q, self.dq)
+        torque = controller.step(state, t)
+        data.qfrc_applied[: scene.n] = torque
+        scene.shake(data, t)
+        mujoco.mj_step(scene.model, data)
+        self.inner.took(t, state.q, state.dq, torque, data)
+        if took is not None:
+            took(state.q, state.dq, torque)
+        if self._steps > 1:
+            mujoco.mj_step(scene.model, data, nstep=self._steps - 1)
+
+    def p_SB(self, k: int = 0) -> Array:
+        """(3,) m: where object k is."""
+        i = self.scene.qpos_ids[k]
+        return np.array(self.data.qpos[i : i + 3])
+
+    def on_tray(self) -> tuple[Array, Array]:
+        """(m, 3) m and (m, 3, 3): poses of the objects in the tray's frame E."""
+        (p_SE, R_SE), qpos = self.scene.tray_pose(self.data), self.data.qpos
+        p = np.array([qpos[i : i + 3] for i in self.scene.qpos_ids])
+        R = np.array([matrix_from_quat_wxyz(qpos[i + 3 : i + 7]) for i in self.scene.qpos_ids])
+        return (p - p_SE) @ R_SE, R_SE.T @ R
+
+    def became(self, fallen: float) -> list[str]:
+        """Of each object: "" on the tray, "lost" off it or at no known place, "fallen" over by so many rad, "spilt"."""
+        p, R = self.on_tray()
+        words = []
+        for k, load in enumerate(self.scene.loads):
+            on = p[k, 2] >= 0 and bool(np.all(np.abs(p[k, :2]) <= self._half))  # not so for NaN
+            tip = float(lean(load.R_EB.T @ R[k]))
+            words.append("lost" if not on else "fallen" if tip > fallen else "spilt" if self.inner.beyond(k) else "")
+        return words
