@@ -170,6 +170,18 @@ def test_waves_that_are_slower_as_they_are_high_cover_nonlinear_potential_flow(c
     assert 0.98 * flow < waves.crest.max() * softened(waves, 0.3)[0] < most * flow
 
 
+@pytest.mark.parametrize("step", [0.02, 0.03])
+def test_how_much_slower_a_high_wave_is_does_not_depend_on_the_instants_that_are_recorded(cup, step):
+    case = LoadCase(cup.payload.first, 0.05, 0.01)
+    factors = []
+    for t in (np.arange(0.0, 2.0, 3e-4), np.arange(0.0, 2.0, step)):
+        w = np.tile(at_rest(), (len(t), 1))
+        size = np.clip(np.minimum(t, 2.0 - t), 0.0, 0.5)
+        w[:, 0] = 0.5 * size * np.sin(0.93 * float(case.modes.omega[0, 0]) * t)
+        factors.append(softened(SurfaceMotion.along((case,), t, w), 0.3)[0])
+    assert factors[1] == pytest.approx(factors[0], rel=4e-3)  # it is 1.05
+
+
 def jolted(rate, peak=0.9, half=0.5):
     """A level line that accelerates at once, for half of its time, and brakes at once; without rest before or after."""
     t = np.arange(round(2 * half * rate) + 1) / rate

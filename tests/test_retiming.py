@@ -241,6 +241,20 @@ def test_retimed_plan_checks_itself(problem):
     assert plan.solver["lower_bound"] < plan.duration
 
 
+def test_a_path_that_passes_nearer_than_the_arm_may_stray_is_unsafe(problem):
+    """3.3 mm at the goal, with this load; the ball ahead of the cube's tray is 2 mm from it, and 4 mm."""
+    uncertainty = {"mass": "40%", "com": [0.01, 0.01, 0.01], "friction": "20%"}
+    path = swing(problem, 1.0).derivatives(np.linspace(0, 1, 6), 0)[0]
+    centre = problem.arm.object_pose(path[-1], problem.items[0].p_EB, problem.items[0].R_EB)[0]
+    ahead = np.array([-np.sin(1.0), np.cos(1.0), 0.0])
+    verdicts = []
+    for distance in (0.1092, 0.1133):
+        ball = {"type": "sphere", "name": "ball", "radius": 0.02, "position": tuple(centre + distance * ahead)}
+        plan = plan_retimed(cube(objects__0__uncertainty=uncertainty, obstacles=[ball]), path)
+        verdicts.append((plan.ok, "clearance of tray from ball would be 0.5" in plan.status.sentence))
+    assert verdicts == [(False, True), (True, False)]
+
+
 def test_waypoints_of_another_arm_are_refused():
     with pytest.raises(ScenarioError, match=r"needs rows of 7"):
         plan_retimed(cube(), np.zeros((3, 6)))

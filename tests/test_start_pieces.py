@@ -28,6 +28,7 @@ from salver.planning.seeds.starts import (
     _shape,
     _slid_free,
     _sought,
+    _unwound,
     between,
     braking_time,
     ends,
@@ -67,6 +68,14 @@ def test_whole_turns_bring_an_arm_nowhere_and_rails_do() -> None:
         ([0.0, 0.0, turn], [0.0, 0.0, 0.0], turn),
     ):
         assert _apart(problem, q + np.array(more), q + np.array(less)) == pytest.approx(apart)
+
+
+def test_a_pair_of_ends_begins_no_whole_turn_away_and_a_rail_stays_where_it_is() -> None:
+    limits = SimpleNamespace(range=lambda kind: (np.zeros(3), np.array([2 * np.pi, 2.9, 5.0])))
+    problem: Any = SimpleNamespace(arm=SimpleNamespace(linear=np.array([False, False, True])), limits=limits)
+    start, goal = _unwound(problem, np.array([3.0, 2.8, 4.9]), np.array([6.0, 2.9, 4.5]))
+    np.testing.assert_allclose(start, [3.0 - 2 * np.pi, 2.8, 4.9])
+    np.testing.assert_allclose(goal, [6.0 - 2 * np.pi, 2.9, 4.5])
 
 
 def test_a_pair_of_ends_is_dearer_where_a_joint_is_at_its_limit(plain) -> None:

@@ -25,6 +25,7 @@ from salver.planning.fastest.planned import joint_plan, judged
 from salver.planning.fastest.speeds import at_every_speed
 from salver.planning.round import MultiLegPlan
 from salver.planning.trajopt.constraints.constraints import evaluate, worst_of
+from salver.planning.trajopt.constraints.obstacles import KeepOut
 from salver.planning.trajopt.curves import Grid, PathCurve, united
 from salver.planning.trajopt.exchange import CurveOf, optimise
 from salver.planning.trajopt.problem import TransportProblem, transport_problem
@@ -196,6 +197,10 @@ def plan_retimed(scenario: Scenario, waypoints: Array, *, robust: bool = True) -
         changes[f"motion__{end}"] = {"position": p_SB.tolist(), "quat_wxyz": quat_wxyz_from_matrix(R_SB).tolist()}
     moved = given.with_changes(**changes, motion__duration=None)
 
+    # How the path leans, and how near it passes, is given: nearer than the arm may stray it touches.
+    out = problem.keep_out
+    strayed_from = None if out is None else KeepOut(out.parts, np.zeros_like(out.required))
+
     def planned(found: RetimedMotion) -> tuple[RetimedMotion, Plan]:
         record = {
             "name": "time law by sequential quadratic programming (PIQP)",
@@ -206,7 +211,7 @@ def plan_retimed(scenario: Scenario, waypoints: Array, *, robust: bool = True) -
             "waypoints_missed": path.missed,
         }
         plan = joint_plan(moved, problem, found.joint_motion(), found.status, record)
-        return found, judged(plan, found.problem)  # how the path leans, and what it passes, was not chosen
+        return found, judged(plan, replace(found.problem, keep_out=strayed_from))
 
     plan = planned(found)[1]
     return at_every_speed(found, plan, lambda known: planned(retime(known.problem, path)))[1] if robust else plan

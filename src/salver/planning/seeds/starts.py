@@ -302,8 +302,8 @@ def standing_at(problem: TransportProblem, end: End, rng: np.random.Generator) -
 def _unwound(problem: TransportProblem, start: Array, goal: Array) -> tuple[Array, Array]:
     """The same two postures by whole turns as near to the middle of the joints' ranges as they can be: nobody wants an
     arm that begins a turn away, and cables less."""
-    middle, half = problem.limits.range(POSITION)
-    turns = np.where(problem.arm.linear | (half < np.pi), 0.0, np.round((0.5 * (start + goal) - middle) / (2 * np.pi)))
+    middle = problem.limits.range(POSITION)[0]
+    turns = np.where(problem.arm.linear, 0.0, np.round((0.5 * (start + goal) - middle) / (2 * np.pi)))
     return start - 2 * np.pi * turns, goal - 2 * np.pi * turns
 
 
