@@ -28,7 +28,6 @@ from salver.geometry import Array, interpolated
 from salver.models.load_dynamics import GRAVITY
 
 FOLLOWED = 2.0  # times the fastest mode: a surface does not follow what shakes it faster, but for what moves a mass
-_SOFTEST = 0.5  # share of the frequency, beyond which no second order says anything
 STEPS = 16  # of the integration, for each radian of the fastest mode: crests are then known to 0.2 %
 
 
@@ -95,7 +94,7 @@ def softened(modes: SurfaceMotion, softening: float) -> Array:
         top = np.zeros(len(r))
         for pushed, stiffer in zip(force, up, strict=True):
             swing = np.square(gain * r) + np.square(gain * rate / omega)
-            softer = np.minimum(c * swing.sum(axis=1) / half**2, _SOFTEST)
+            softer = np.minimum(c * swing.sum(axis=1) / half**2, 1.0)
             pull = -pushed - kd * rate - (omega * (1 - softer)[:, None]) ** 2 * stiffer[:, None] * r
             top = np.maximum(top, np.linalg.norm(gain * r, axis=1))
             rate = rate + dt * pull
