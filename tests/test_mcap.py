@@ -1,6 +1,7 @@
 """`salver render -o NAME.mcap`: a run as ROS 2 messages, read again by rosbags."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +10,7 @@ import pinocchio as pin
 import pytest
 
 from salver.cli import main
-from salver.errors import FileFormatError, SalverError
+from salver.errors import FileFormatError, SalverError, ScenarioError
 from salver.files import read_result
 from salver.geometry import matrix_from_quat_wxyz
 from salver.models.arm.arm import load_arm
@@ -119,6 +120,15 @@ def test_what_cannot_be_written_is_told(cube_plans: Path, tmp_path: Path) -> Non
         write_mcap(tmp_path, tmp_path / "x.mcap")
     with pytest.raises(SalverError, match="cannot be written"):
         write_mcap(cube_plans, tmp_path / "none" / "x.mcap")
+
+
+@pytest.mark.parametrize("name", ["world", "panda_link4"])
+def test_an_object_with_the_name_of_another_frame_is_refused(cube_plans: Path, tmp_path: Path, name: str) -> None:
+    plan = load_plan(cube_plans)
+    replace(plan, scenario=plan.scenario.with_changes(objects__0__name=name)).save(tmp_path / "run")
+    with pytest.raises(ScenarioError, match=f'Two frames would be called "{name}"'):
+        write_mcap(tmp_path / "run", tmp_path / "x.mcap")
+    assert not (tmp_path / "x.mcap").exists()
 
 
 def test_the_command_writes_it(

@@ -166,6 +166,19 @@ def test_room_below_a_brim_is_no_share_of_a_weight(tmp_path: Path) -> None:
     assert plan.facts()["left in the worst case"] == f"{100 * plan.left:.3g} % of the weight"
 
 
+def test_stops_that_keep_next_to_nothing_are_a_sentence_and_no_empty_chart(cube_plans: Path) -> None:
+    run = read_run(cube_plans)
+    assert "Stops on the path" in build(run, None).html
+    for curves in run.contact.values():
+        known = curves.braking
+        assert known is not None
+        known.margin[:] = np.where(np.isfinite(known.margin), -1.0, np.nan)
+        known.margin[0, 0] = 1.0  # one instant is left of 40
+    html = build(run, None).html
+    assert "Stops on the path" not in html
+    assert "A stop on the path keeps it at 2 % of the instants at most, however long it takes" in html
+
+
 def test_a_share_is_told_of_what_has_a_zero() -> None:
     com, mass = (Parameter("cup", kind, axis) for kind, axis in (("com", "z"), ("mass", "")))
     assert half_range(com, 7.5e-4, 3e-3) == "3 mm"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import itertools
 import shutil
 from pathlib import Path
 
@@ -16,7 +17,7 @@ from salver.models.arm.arm import load_arm
 from salver.planning.make import make_plan
 from salver.reports.pages.meshes import decimate, link_meshes, merge_vertices, pack
 from salver.reports.pages.page import write_report
-from salver.reports.pages.replay import replay_scene
+from salver.reports.pages.replay import replay_scene, stage
 from salver.reports.run import read_run
 
 pytestmark = pytest.mark.slow
@@ -46,6 +47,20 @@ def test_replay_is_the_plan(cube_plans: Path) -> None:
     assert np.array_equal(
         floats(scene["variants"][0]["joints"]).reshape(frames, arm.n + 1, 7)[:, 0], [[0, 0, 0, 1, 0, 0, 0]] * frames
     )
+
+
+@pytest.mark.parametrize("rpy_deg", [(180.0, 0.0, 0.0), (160.0, 0.0, 40.0), (20.0, 0.0, 0.0)])
+def test_the_tray_is_held_from_below_whatever_the_side_of_its_flange(rpy_deg: tuple[float, float, float]) -> None:
+    """What holds it is drawn from the flange to its underside, never through what stands between them."""
+    task = scenario.load("panda-cube").with_changes(tray__height=0.15, tray__rpy_deg=rpy_deg)
+    arm = load_arm(task.arm, task.tray)  # type: ignore[arg-type]
+    post = np.array(stage(task, task.payload.bodies, arm)["tray"]["post"])
+    p, R = arm.tray_pose(np.zeros(7))
+    assert np.abs(p + R @ post[0] - arm.link_pose(np.zeros(7), arm.flange)[0]).max() < 1e-9
+    assert post[-1].tolist() == [0.0, 0.0, -task.tray.thickness]
+    along = np.concatenate([np.linspace(a, b, 50) for a, b in itertools.pairwise(post)])
+    beside = np.any(np.abs(along[:, :2]) > 0.5 * np.array(task.tray.size) + 0.029, axis=1)  # its radius
+    assert np.all(beside | (along[:, 2] <= 0.0) | (along[:, 2] >= post[0, 2] - 1e-9))
 
 
 def test_replay_of_a_simulation_shows_what_was_simulated(cube_run: Path) -> None:

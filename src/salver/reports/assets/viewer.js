@@ -284,7 +284,7 @@ function createViewer(canvas, scene) {
     shapes = {
       ground: made(prism([[-6, -6], [6, -6], [6, 6], [-6, 6]], -0.002, 0)),
       tray: made(prism([[hx, hy], [-hx, hy], [-hx, -hy], [hx, -hy]], -thick, 0)),
-      post: made(tube([scene.tray.flange, [0, 0, -thick]], 0.029, 28)),
+      post: made(tube(scene.tray.post, 0.029, 28)),
       shaft: made(revolve([[0, 0], [1, 0], [1, 1], [0, 1]], 14)),
       head: made(revolve([[0, 0], [1, 0], [0, 1]], 18)),
       cone: made(revolve([[0, 0], [1, 1]], 40)),

@@ -108,17 +108,23 @@ def margin_charts(run: ReportedRun) -> list[Spec]:
     ]
 
 
-def braking_charts(run: ReportedRun) -> list[Spec]:
-    """Effect of a stop on the path on the load; not with inner dynamics."""
-    found = [(m, run.contact[m.stem].braking) for m in run.motions]
-    curves = [series(m, m.label, known.durations, 100 * known.kept) for m, known in found if known is not None]
+def braking_charts(run: ReportedRun) -> tuple[list[Spec], str]:
+    """Effect of a stop on the path on the load, and what the section's first sentence says of it; no chart with inner
+    dynamics, or where there would be next to nothing in it."""
+    found = [(m, known) for m in run.motions if (known := run.contact[m.stem].braking) is not None]
+    if not found:
+        return [], ", without a chart of braking, which needs a dry load"
+    best = max(float(known.kept.max()) for _, known in found)
+    if best < 0.1:
+        return [], f". A stop on the path keeps it at {100 * best:.0f} % of the instants at most, however long it takes"
+    curves = [series(m, m.label, known.durations, 100 * known.kept) for m, known in found]
     note = (
         "A protective or soft stop of the robot lets the speed fall evenly to zero on the path. Look up how long yours "
         "takes: the load then stays if it begins at so many of the instants, in the worst case. Only stops that end "
         "before the motion are counted. How the arm strays from its path is left out."
     )
     chart = {"title": "Stops on the path", "note": note, "x": "duration of the stop, s", "unit": "%", "range": [0, 100]}
-    return [{**chart, "y": "instants, %", "series": curves}] if curves else []
+    return [{**chart, "y": "instants, %", "series": curves}], ", and what a stop of the robot does"
 
 
 def _tip_range(curves: list[Spec]) -> list[float] | None:

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from salver.errors import FileFormatError
+from salver.errors import FileFormatError, ScenarioError
 from salver.files import output_file, put_in_place, writing
 from salver.geometry import Array
 from salver.models.arm.arm import load_arm, moved_links
@@ -34,7 +34,8 @@ Row = tuple[str, str, int, dict[str, Any]]  # topic, type, ns, content
 def write_mcap(directory: str | Path, path: str | Path, stem: str = "plan") -> Path:
     """Write a motion of a run directory: as it was run, in the engine or on an arm, or else as it is planned.
 
-    Raises FileFormatError for a directory without such a motion, SalverError for a place that is taken.
+    Raises FileFormatError for a directory without such a motion, ScenarioError for an object that has the name of
+    another frame, SalverError for a place that is taken.
     """
     directory, path = Path(directory), output_file(Path(path), (".mcap",))
     leg = leg_number(stem)
@@ -44,6 +45,13 @@ def write_mcap(directory: str | Path, path: str | Path, stem: str = "plan") -> P
         raise FileFormatError(f'{directory} has no motion "{stem}"; it has {", ".join(m.stem for m in run.motions)}.')
     scenario, source = run.scenario, motion.seen.arrays if motion.seen else motion.arrays
     arm = None if scenario.arm is None else load_arm(scenario.arm, scenario.tray)
+    links = {0: WORLD_FRAME} | ({} if arm is None else moved_links(arm.pin_model))
+    called = ["tray", *links.values(), *(body.name for body in run.bodies)]
+    for name in called:
+        if called.count(name) > 1:
+            raise ScenarioError(
+                f'Two frames would be called "{name}"; give the object or link of that name another one.'
+            )
     ns = np.round((source["t"] - source["t"][0]) * 1e9).astype(np.int64)
     tray, objects = poses(motion, run.bodies, np.arange(len(ns)))
     frames: dict[str, Array] = {"tray": tray}
@@ -54,7 +62,7 @@ def write_mcap(directory: str | Path, path: str | Path, stem: str = "plan") -> P
     for mesh in obstacle_meshes(scenario.obstacles, tuple(rgb(OBSTACLE_COLOUR))):  # type: ignore[arg-type]
         markers.append(_marker("obstacles", WORLD_FRAME, mesh.vertices[mesh.triangles], mesh.colour))
     if arm is not None:
-        links, at = {0: WORLD_FRAME, **moved_links(arm.pin_model)}, joint_poses(source["q"], arm)
+        at = joint_poses(source["q"], arm)
         frames |= {links[j]: at[:, j] for j in range(1, arm.n + 1)}
         for mesh in link_meshes(arm):
             markers.append(_marker("arm", links[mesh.joint], mesh.vertices[mesh.triangles], mesh.colour))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from salver.geometry import GRAVITY_S, Array, interpolated, matrix_from_quat_wxyz, quat_wxyz_from_matrix, spread
+from salver.geometry import GRAVITY_S, Array, interpolated, invert, matrix_from_quat_wxyz, quat_wxyz_from_matrix, spread
 from salver.models.bodies import Body
 from salver.models.load_dynamics import BEYOND_COLOUR, EDGE_COLOUR, Drawn, LoadDynamics
 from salver.models.shapes import hulls
@@ -24,20 +24,21 @@ from salver.simulation.scene.loads import true_world
 if TYPE_CHECKING:
     from salver.models.arm.arm import ArmModel
     from salver.reports.run import ReportedMotion, ReportedRun
-    from salver.scenario import Scenario
+    from salver.scenario import Scenario, Tray
 
 
 def stage(scenario: Scenario, bodies: Sequence[Body], arm: ArmModel | None) -> dict[str, Any]:
     """Arm, tray, objects and obstacles for the viewer before anything moves, ready for JSON."""
-    first = bodies[0]
+    first, tray = bodies[0], scenario.tray
+    flange_E = invert(arm.p_FE, arm.R_FE)[0] if arm else np.array([0.0, 0.0, -tray.height])
     return {
         "meshes": [pack(mesh) for mesh in link_meshes(arm)] if arm else [],
         "obstacles": [pack(mesh) for mesh in _obstacles(scenario)],
         "joints": arm.n + 1 if arm else 1,
         "tray": {
-            "size": list(scenario.tray.size),
-            "thickness": scenario.tray.thickness,
-            "flange": (-arm.R_FE.T @ arm.p_FE).tolist() if arm else [0.0, 0.0, -scenario.tray.height],
+            "size": list(tray.size),
+            "thickness": tray.thickness,
+            "post": _post(tray, flange_E),
             "colour": rgb(TRAY_COLOUR),
         },
         "objects": [
@@ -53,6 +54,16 @@ def stage(scenario: Scenario, bodies: Sequence[Body], arm: ArmModel | None) -> d
         "wallOpacity": WALL_OPACITY,
         "loadHeight": max(float(b.p_EB[2] - b.com_G[2] + b.solid.base_z + b.solid.height) for b in bodies),
     }
+
+
+def _post(tray: Tray, flange_E: Array) -> list[list[float]]:
+    """Points, in E, of what holds the tray at the flange (3,): straight from below; from above around the tray's edge,
+    for the load is between them."""
+    x, y, z = flange_E.tolist()
+    if z <= 0.0:
+        return [[x, y, z], [0.0, 0.0, -tray.thickness]]
+    beside, low = float(np.copysign(0.5 * tray.size[0] + 0.04, x)), -tray.thickness - 0.04  # 29 mm: the post's radius
+    return [[x, y, z], [beside, y, z], [beside, y, low], [0.0, 0.0, low], [0.0, 0.0, -tray.thickness]]
 
 
 def replay_scene(run: ReportedRun, arm: ArmModel | None) -> dict[str, Any]:

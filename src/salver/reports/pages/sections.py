@@ -76,12 +76,11 @@ class Sections:
 def build(run: ReportedRun, arm: ArmModel | None) -> Sections:
     """All sections for what the run directory has."""
     page = Sections()
-    stops = charts.braking_charts(run)
-    stopping = "and what a stop of the robot does" if stops else "without a chart of braking, which needs a dry load"
+    stops, stopping = charts.braking_charts(run)
     page.add(
         "margins",
         "Margins",
-        f"How far {run.load} is from sliding, tipping or lifting, {stopping}.",
+        f"How far {run.load} is from sliding, tipping or lifting{stopping}.",
         charts.margin_charts(run) + stops,
         speed_bar(run.plan.summary.get("speeds")),
     )
