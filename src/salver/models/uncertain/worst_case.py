@@ -167,8 +167,6 @@ class UncertainRows:
                 replace(f.only(rows), rows=c.rows) for f, c in zip(self.fillings, chosen.fillings, strict=True)
             ),
         )
-        if "_roles" in vars(self):  # of parameters, whichever the rows
-            vars(made)["_roles"] = vars(self)["_roles"]
         return made
 
 
@@ -259,13 +257,7 @@ class _Roles:
 
 
 def _roles(rows: UncertainRows, drift: Drift) -> _Roles:
-    """Those that were found last are kept with the rows: only to look them up by what they are of takes long."""
-    last: tuple[object, _Roles] | None = vars(rows).get("_roles")
-    if last is not None and last[0] is drift.terms:
-        return last[1]
-    found = _roles_of(rows.acting, rows.masses, tuple(filling.moved for filling in rows.fillings), drift.terms)
-    vars(rows)["_roles"] = drift.terms, found
-    return found
+    return _roles_of(rows.acting, rows.masses, tuple(filling.moved for filling in rows.fillings), drift.terms)
 
 
 @lru_cache(maxsize=256)

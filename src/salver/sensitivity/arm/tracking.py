@@ -107,10 +107,7 @@ class Reaction:
     def part(self, some: slice | Indices) -> Reaction:
         """To some of the wrenches."""
         joints, tray = ({name: x[..., some] for name, x in vars(of).items()} for of in (self.joints, self.tray))
-        made = Reaction(self.terms, JointDeviation(**joints), TrayDeviation(**tray))
-        if "torque" in vars(self):
-            vars(made)["torque"] = self.torque[..., some]
-        return made
+        return Reaction(self.terms, JointDeviation(**joints), TrayDeviation(**tray))
 
 
 @dataclass(frozen=True, eq=False)
