@@ -334,11 +334,16 @@ def test_a_plan_that_is_stopped_before_it_begins_does_not_begin(ready: Arm, safe
 def test_a_plan_that_cannot_be_carried_out_is_refused_in_a_sentence(ready: Arm, safe: Any, tmp_path: Path) -> None:
     carrier = ready.carrier
     assert "is not a run directory" in carrier.run(str(tmp_path), 0.0)[1]
-    for name, told, changes in (
-        ("prisma-cube", "of another arm, tray or load", {}),
-        (SCENARIO, "is not carried out: UNSAFE: ", {"motion__duration": 0.5}),
-    ):
-        directory = make_plan(sv.load_scenario(name, **changes), "baseline").save(tmp_path / name)
+    here = carrier.scenario
+    box = {"type": "box", "name": "far", "size": [0.1, 0.1, 0.1], "position": [3.0, 0.0, 0.5]}
+    cases = (
+        (sv.load_scenario("prisma-cube"), "was planned for other values of arm, "),
+        (here.with_changes(motion__duration=0.5), "is not carried out: UNSAFE: "),
+        (here.with_changes(surroundings__floor=-0.3), "was planned for other values of surroundings; start with "),
+        (here.with_changes(obstacles=[box]), "was planned for other values of obstacles; start with "),
+    )
+    for k, (case, told) in enumerate(cases):
+        directory = make_plan(case, "baseline").save(tmp_path / str(k))
         assert told in carrier.run(str(directory), 0.0)[1]
     carrier.measured(carrier.joints, ready.q + 0.02 * np.eye(7)[1], ready.t)
     assert carrier.run(str(safe.folder), ready.t)[1].startswith(

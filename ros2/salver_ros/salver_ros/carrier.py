@@ -26,6 +26,9 @@ from salver.planning.stop_library import StopLibrary
 from salver.scenario import Scenario
 from salver.trajectory import JointMotion
 
+# Keys of a scenario that a plan and the node must share: the verdict on the plan holds for these only.
+CELL = ("arm", "tray", "objects", "uncertainty", "contact", "obstacles", "surroundings")
+
 
 @dataclass(frozen=True)
 class Options:
@@ -193,11 +196,14 @@ class Carrier:
         here, of = self.scenario, plan.scenario
         if plan.verdict.startswith(UNSAFE):
             return False, f"{directory} is not carried out: {plan.verdict}"
-        if plan.told is None or (of.arm, of.tray, of.objects) != (here.arm, here.tray, here.objects):
+        if other := [key for key in CELL if getattr(of, key) != getattr(here, key)]:
             return (
                 False,
-                f"{directory} is of another arm, tray or load; start with scenario:={directory}/scenario.toml.",
+                f"{directory} was planned for other values of {', '.join(other)}; start with "
+                f"scenario:={directory}/scenario.toml.",
             )
+        if plan.told is None:
+            return False, f"{directory} has no joint motion; plan it with an arm."
         if options.streams:
             return False, 'A plan is not streamed; start the node with output:=action or "topic".'
         if self._busy or live.stopped or self._lost or not live.settled:
