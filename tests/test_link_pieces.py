@@ -104,9 +104,6 @@ def test_a_ur_reaches_down_past_its_base() -> None:
     pair = [k for k, names in enumerate(named) if names == ("base_link", "upper_arm_link")]
     down = np.array([[-0.79, lift, -1.4, 2.31, -1.57, 2.36] for lift in np.linspace(0.6, 1.2, 7)])
     assert parts.clearance(down)[:, pair].min() > 0.0
-    hollow = {item.link for item in link_shapes(arm.urdf).shapes if item.hollow}
-    assert {"upper_arm_link", "forearm_link"} <= hollow
-    assert "shoulder_link" not in hollow
 
 
 @pytest.mark.parametrize("model", URS)
@@ -124,6 +121,21 @@ def test_what_touches_by_its_meshes_touches_by_what_stands_for_them(model: str) 
         assert meshes <= named
         seen, told = seen + bool(meshes), told + bool(named & compared)
     assert told <= seen + 3
+
+
+def test_links_whose_meshes_are_open_get_pieces_too() -> None:
+    """Of random postures of a Lite 6 hulls would report 23 % as self-collisions in which no meshes touch."""
+    arm = arm_of("lite6")
+    parts = arm_geometry(arm)
+    links = {item.link for item in link_shapes(arm.urdf).shapes}
+    linked = [k for k, (i, j) in enumerate(parts.pairs) if {parts.names[i], parts.names[j]} <= links]
+    compared = {(parts.names[i], parts.names[j]) for i, j in parts.pairs}
+    low, high = np.maximum(arm.limits.q_min, -np.pi), np.minimum(arm.limits.q_max, np.pi)
+    postures = np.random.default_rng(5).uniform(low, high, (100, arm.n))
+    told = parts.clearance(postures)[:, linked].min(axis=1) <= 0
+    seen = np.array([bool(meshes_overlap(arm, q) & compared) for q in postures])
+    assert np.all(told[seen])
+    assert np.mean(told & ~seen) < 0.04  # 1.9 % of a thousand
 
 
 @pytest.mark.parametrize("model", URS)

@@ -8,8 +8,10 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+import trimesh
 
 from salver import scenario
+from salver.errors import ScenarioError
 from salver.learning.load.identify import identify
 from salver.learning.load.sensors import SensedArm, Sensors, nominal_load
 from salver.models.arm.arm import ArmModel, load_arm
@@ -63,11 +65,64 @@ def test_plate_that_may_touch_is_where_the_bracket_has_it(bracket: tuple[ArmMode
     assert ours.geometry.halfSide == pytest.approx(theirs.geometry.halfSide)
 
 
+def carried(size: list[float], **tray: object) -> scenario.Scenario:
+    """A box on the tray of a UR5e."""
+    return scenario.load("panda-cube").with_changes(
+        arm={"model": "ur5e"},
+        objects=[{"name": "cube", "shape": {"type": "box", "size": size}, "mass": 0.2, "friction": 0.5}],
+        **{f"tray__{key}": value for key, value in tray.items()},
+    )
+
+
+UPSIDE_DOWN = (180.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("size", "tray", "link"),
+    [
+        ([0.04, 0.04, 0.04], {"height": 0.0, "rpy_deg": UPSIDE_DOWN}, "wrist_3_link"),
+        ([0.04, 0.04, 0.2], {"height": 0.05, "rpy_deg": UPSIDE_DOWN}, "wrist_2_link"),  # whatever wrist 3 does
+        ([0.01, 0.01, 0.01], {"height": -0.025}, "wrist_3_link"),  # its surface and the link's do not meet
+    ],
+)
+def test_a_load_inside_the_wrist_is_refused(size: list[float], tray: dict[str, object], link: str) -> None:
+    with pytest.raises(ScenarioError, match=f"^cube lies inside {link} in every posture; move the tray .* tray.height"):
+        make_plan(carried(size, **tray), "baseline")
+
+
+@pytest.mark.parametrize("tray", [{}, {"height": 0.0, "thickness": 0.001}, {"height": 0.05, "rpy_deg": UPSIDE_DOWN}])
+def test_a_load_that_stands_on_the_wrist_or_before_it_is_not_inside_it(tray: dict[str, object]) -> None:
+    case = carried([0.04, 0.04, 0.04], **tray)
+    assert case.arm is not None
+    parts = arm_geometry(load_arm(case.arm, case.tray), case.payload.bodies)
+    assert not [pair for pair in parts.left_out.get("always", []) if "cube" in pair]
+
+
+def test_a_load_on_a_rimmed_tray_that_is_a_link_is_not_inside_it(tmp_path: Path) -> None:
+    """The hull of such a tray is full; its mesh is not."""
+    rim = [
+        ((0.2, 0.2, 0.01), (0, 0, -0.005)),
+        ((0.01, 0.2, 0.05), (0.095, 0, 0.02)),
+        ((0.01, 0.2, 0.05), (-0.095, 0, 0.02)),
+    ]
+    boxes = [trimesh.creation.box(size, trimesh.transformations.translation_matrix(at)) for size, at in rim]
+    trimesh.util.concatenate(boxes).export(tmp_path / "tray.stl")
+    path = tmp_path / "arm.urdf"
+    path.write_text(f"""<robot name="arm"><link name="base"/><link name="tray"><inertial><mass value="1"/>
+      <inertia ixx=".1" iyy=".1" izz=".1" ixy="0" ixz="0" iyz="0"/></inertial>
+      <collision><geometry><mesh filename="{tmp_path}/tray.stl"/></geometry></collision></link>
+      <joint name="turn" type="revolute"><parent link="base"/><child link="tray"/><origin xyz="0 0 1"/>
+      <axis xyz="0 0 1"/><limit lower="-3" upper="3" effort="9" velocity="1"/></joint></robot>""")
+    case = carried([0.04, 0.04, 0.04], height=0.0, thickness=0.001)
+    parts = arm_geometry(load_arm(scenario.Arm(model=str(path), flange="tray"), case.tray), case.payload.bodies)
+    assert parts.names == ("tray", "tray", "cube")
+
+
 def test_side_mount_is_planned_holds_in_the_engine_and_weighs_its_load() -> None:
-    """The flange points sideways, the tray's middle is 8 cm from its axis. A log of the wrist shows the load's mass."""
+    """The flange points sideways, the tray's middle is 8 cm above its axis. The wrist's log shows the load's mass."""
     case = scenario.load("ur5-bottle").with_changes(
         arm__model="ur5e",
-        tray__offset=(0.02, 0.08),
+        tray__offset=(0.02, -0.08),
         tray__height=0.03,
         tray__rpy_deg=(90.0, 0.0, 0.0),
     )

@@ -20,13 +20,14 @@ from salver.errors import ScenarioError
 from salver.geometry import Array, Indices, Mask, cross
 from salver.models.arm.arm import ArmModel
 from salver.models.arm.link_pairs import Links, Pair, add, bulky, comparable, placed, postures_of
-from salver.models.arm.link_shapes import link_shapes
+from salver.models.arm.link_shapes import LinkShapes, link_shapes
 from salver.models.bodies import Body
 from salver.models.described import Floor, ObstacleDescription
 from salver.models.shapes.obstacle_shapes import obstacle_shapes
 from salver.wording import listed
 
 TRAY = "tray"
+_TOUCHING = 1e-3  # m into a link by which a load that stands on it may seem to reach
 _STILL = 1e-6  # m: a distance that changes by less does not change
 _STRIDES = (64, 16, 4, 1)  # from coarse to fine, distances along a path are taken where they may be short
 _REMEMBERED = 4  # paths of different numbers of postures of which distances are remembered
@@ -292,7 +293,7 @@ def arm_geometry(
     floor; two links of which any shapes do are not compared at all.
 
     Raises ScenarioError when the geometry of a link is not known and `arm.collisions` does not say what to do about
-    it, or when an obstacle's mesh cannot be used.
+    it, when what is carried lies inside a link whatever the posture is, or when an obstacle's mesh cannot be used.
     """
     known = link_shapes(arm.urdf, capsules=arm.collisions == "capsules")
     if known.missing and arm.collisions != "unchecked":
@@ -334,6 +335,13 @@ def arm_geometry(
     left_out["always"] = [
         (i, j) for i, j in pairs if (i, j) in overlap or (j < tray and (names[i], names[j]) in linked)
     ]
+    # With the links on the load's own joint no posture changes anything.
+    same = [(i, j) for i, j in itertools.product(range(links), range(tray + 1, fixed)) if _fixed_in(known, parts, i, j)]
+    for link, load in [*((i, j) for i, j in left_out["always"] if j > tray), *same]:
+        raise ScenarioError(
+            f"{names[load]} lies inside {names[link]} in every posture; move the tray away from it by tray.height, "
+            "tray.offset or tray.rpy_deg, or the load on it by `at`."
+        )
     links_floor = _with_pairs(compared, tuple(pair for pair in pairs if pair[0] < tray))
     left_out["floor"], left_out["sunk"] = _on_floor(links_floor)
     gone = {pair for key in ("always", "floor", "sunk") for pair in left_out[key]}
@@ -354,6 +362,21 @@ def _always(parts: ArmGeometry) -> list[Pair]:
         if not overlap.all():
             parts = _with_pairs(parts, tuple(pair for pair, yes in zip(parts.pairs, overlap, strict=True) if yes))
     return list(parts.pairs)
+
+
+def _fixed_in(known: LinkShapes, parts: Any, link: int, load: int) -> bool:
+    """Whether a load reaches further than `_TOUCHING` into a link that the same joint moves: into its mesh, not the
+    mesh's hull, which would fill a tray with a rim that is a link of the URDF."""
+    one, other = (parts.geometryObjects[k] for k in (link, load))
+    if one.parentJoint != other.parentJoint:
+        return False
+    half = np.maximum(np.asarray(other.geometry.halfSide) - _TOUCHING, 0.5 * _TOUCHING)
+    shape, place = known.shapes[link], one.placement.actInv(other.placement)
+    there = coal.Transform3s(place.rotation, place.translation)
+    box, request, result = coal.Box(*(2 * half)), coal.CollisionRequest(), coal.CollisionResult()
+    return bool(coal.collide(shape.itself, coal.Transform3s(), box, there, request, result)) or shape.holds(
+        place.translation
+    )
 
 
 def _on_floor(parts: ArmGeometry) -> tuple[list[Pair], list[Pair]]:

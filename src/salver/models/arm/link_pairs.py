@@ -74,12 +74,9 @@ class Links:
 def bulky(links: Links) -> tuple[Pair, ...]:
     """Pairs of links (indices of their shapes) whose hulls overlap in many postures in which pieces of them do not."""
     arm, shapes = links.arm, links.known.shapes
-    hollow = [item.hollow for item in shapes]
-    if not any(hollow):
-        return ()
     parts, names = placed(arm, links.known)
     pairs = comparable(arm, parts, names, range(len(names)), len(names), len(names))[0]
-    pairs = [(i, j) for i, j in pairs if hollow[i] or hollow[j]]
+    pairs = [(i, j) for i, j in pairs if shapes[i].mesh or shapes[j].mesh]
     postures = postures_of(arm)
     often = BULKY * len(postures)
     found = []

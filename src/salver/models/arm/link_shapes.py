@@ -24,7 +24,6 @@ from salver.models.shapes.convex_shapes import Triangles, convex, convex_pieces
 DENSITIES = (2700.0, 700.0)  # kg/m^3: solid aluminium; light shells with little inside
 LARGEST_LINK = 10.0  # m
 FRAME_MASS = 0.02  # kg: a lighter link without geometry is a frame that somebody gave a mass, not a body
-FULL = 0.9  # share of its hull from which a mesh counts as convex
 SIZES = {"box": ("size",), "sphere": ("radius",), "cylinder": ("radius", "length"), "capsule": ("radius", "length")}
 _NOUGHT = re.compile(r"0*\.?0*")
 _SAME_DIRECTION = 1e-9
@@ -43,14 +42,23 @@ class LinkShape:
     mesh: tuple[str, tuple[float, ...]] | None = None
 
     @property
-    def hollow(self) -> bool:
-        """Whether it is the hull of a mesh that fills clearly less; of little worth where its surface is not closed."""
-        return self.mesh is not None and _filled(*self.mesh) < FULL
-
-    @property
     def itself(self) -> Any:
         """Coal's shape of the link's mesh, not of its hull; for telling whether it touches, not how far away it is."""
         return self.shape if self.mesh is None else _mesh(*self.mesh)
+
+    def holds(self, point: Array) -> bool:
+        """Whether a point (3,) of the shape's own frame, m, lies inside the link's mesh: by its winding number, the sum
+        of the triangles' solid angles (van Oosterom and Strackee 1983), which also tells where a surface is not closed.
+        """
+        if self.mesh is None:
+            return False
+        vertices, triangles = _surface(*self.mesh)
+        corners = vertices[triangles] - point
+        a, b, c = np.swapaxes(corners, 0, 1)
+        la, lb, lc = np.linalg.norm(corners, axis=2).T
+        dots = la * lb * lc + np.sum(a * b, 1) * lc + np.sum(b * c, 1) * la + np.sum(c * a, 1) * lb
+        angles = 2 * np.arctan2(np.sum(a * np.cross(b, c), 1), dots)
+        return bool(abs(angles.sum()) > 2 * np.pi)
 
     @property
     def pieces(self) -> tuple[Any, ...]:
@@ -157,16 +165,15 @@ def _hull(file: str, scale: tuple[float, ...]) -> Any:
 
 @lru_cache(maxsize=256)
 def _pieces(file: str, scale: tuple[float, ...]) -> tuple[Any, ...]:
-    mesh = _mesh(file, scale)
-    triangles = [mesh.tri_indices(k) for k in range(mesh.num_tris)]
-    corners: Triangles = np.array([[triangle[k] for k in range(3)] for triangle in triangles])
-    return tuple(convex_pieces(np.asarray(mesh.vertices(), dtype=float), corners))
+    return tuple(convex_pieces(*_surface(file, scale)))
 
 
 @lru_cache(maxsize=256)
-def _filled(file: str, scale: tuple[float, ...]) -> float:
-    """Share of its hull that a mesh fills."""
-    return abs(float(_mesh(file, scale).computeVolume())) / float(_hull(file, scale).computeVolume())
+def _surface(file: str, scale: tuple[float, ...]) -> tuple[Array, Triangles]:
+    """Vertices (n, 3), m, and triangles (k, 3) of a mesh."""
+    mesh = _mesh(file, scale)
+    triangles = [mesh.tri_indices(k) for k in range(mesh.num_tris)]
+    return np.asarray(mesh.vertices(), dtype=float), np.array([[one[k] for k in range(3)] for one in triangles])
 
 
 def _mesh(file: str, scale: tuple[float, ...]) -> Any:
