@@ -23,7 +23,8 @@ import numpy as np
 from fastest_solve import TURNS, cube
 from salver.geometry import Array
 from salver.planning.fastest import FastestOptions, fastest
-from salver.planning.fastest.optimum import DEGREE, straight_start
+from salver.planning.fastest.optimum import DEGREE
+from salver.planning.seeds.starts import ends, straight
 from salver.planning.trajopt.curves import FreeCurve
 from salver.planning.trajopt.exchange import programme_of
 from salver.planning.trajopt.objectives import Point
@@ -36,7 +37,8 @@ class Rows:
     """All rows at x = (coefficients but the start posture, T^2 / T_0^2), with the goal's residual below them."""
 
     def __init__(self, problem: TransportProblem, options: FastestOptions) -> None:
-        start = straight_start(problem, RestSpline(DEGREE, options.spans))
+        first = ends(problem, np.random.default_rng(options.seed))[0]
+        start = straight(first).motion(problem, RestSpline(DEGREE, options.spans))
         nodes = start.spline.nodes(options.nodes_per_span)
         self.problem, self.size, self.n = problem, start.spline.size, problem.n
         self.first, self.duration = start.coefficients, start.duration

@@ -22,12 +22,12 @@ from salver.planning.trajopt.constraints.constraints import FINEST, ContactConst
 from salver.planning.trajopt.curves import FreeCurve, Grid, united
 from salver.planning.trajopt.ends import Anywhere, AtPosture
 from salver.planning.trajopt.exchange import programme_of
-from salver.planning.trajopt.objectives import Distance, LeastMargin, Point
+from salver.planning.trajopt.objectives import LeastMargin, Point
 from salver.planning.trajopt.problem import TransportProblem, transport_problem
 from salver.planning.trajopt.spline import RestSpline, SplineMotion, min_jerk_blend
 from salver.planning.trajopt.sqp import SqpOptions, minimise
 from salver.scenario import load
-from transport import bottle, cube, line
+from transport import Distance, bottle, cube, line
 
 UNCERTAIN = {"mass": "20%", "com": [0.003, 0.002, 0.004], "inertia": "10%", "friction": "10%"}
 

@@ -13,7 +13,7 @@ from salver.cli import app
 from salver.errors import ScenarioError, UnreachableError
 from salver.planning.fastest import FastestOptions, transport_problem
 from salver.planning.fastest.found import object_motion
-from salver.planning.fastest.optimum import DEGREE, straight_start
+from salver.planning.fastest.optimum import DEGREE
 from salver.planning.fastest.safest import optima, quickest_within
 from salver.planning.fastest.sensitive import SensitivityCost, plan_least_sensitive
 from salver.planning.make import make_plan
@@ -24,6 +24,7 @@ from salver.planning.trajopt.objectives import Point
 from salver.planning.trajopt.spline import RestSpline
 from salver.planning.trajopt.watch import Watch
 from salver.trajectory import JointMotion, SampledReference
+from transport import straight_start
 
 FEW = FastestOptions(spans=8)
 BOTTLE = scenario.load("panda-tall-bottle").with_changes(motion__duration=1.2, motion__speeds="full")

@@ -13,7 +13,6 @@ from salver.dynamics.motion_gradients import Unknowns
 from salver.geometry import Array
 from salver.linear_filter import LinearFilter
 from salver.models.uncertain.worst_contents import SURE
-from salver.planning.fastest.optimum import straight_start
 from salver.planning.trajopt.constraints.constraints import ContactConstraint
 from salver.planning.trajopt.curves import FreeCurve, Grid
 from salver.planning.trajopt.evaluation import MotionEvaluation
@@ -21,6 +20,7 @@ from salver.planning.trajopt.problem import TransportProblem, transport_problem
 from salver.planning.trajopt.spline import RestSpline
 from salver.scenario import load
 from salver.sensitivity.arm.compliance import LoadResponses
+from transport import straight_start
 
 BOX = {
     "objects__1__shape": {"type": "box", "size": [0.06, 0.07, 0.09]},

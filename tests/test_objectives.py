@@ -7,10 +7,10 @@ import pytest
 
 from salver.planning.fastest.planned import _held_by
 from salver.planning.trajopt.curves import FreeCurve, Grid
-from salver.planning.trajopt.objectives import Distance, Duration, LeastMargin, Point
+from salver.planning.trajopt.objectives import Duration, LeastMargin, Point
 from salver.planning.trajopt.problem import transport_problem
 from salver.planning.trajopt.spline import RestSpline
-from transport import cube, line
+from transport import Distance, cube, line
 
 SPLINE = RestSpline(5, 6)
 

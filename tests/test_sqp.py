@@ -14,10 +14,11 @@ from salver.planning.trajopt import sqp
 from salver.planning.trajopt.constraints.constraints import UNSEEN, Block, Constraint
 from salver.planning.trajopt.curves import ORDERS, Grid
 from salver.planning.trajopt.evaluation import Indices, MotionEvaluation
-from salver.planning.trajopt.objectives import Distance, Duration, Objective, Point, QuadraticModel, Scalar
+from salver.planning.trajopt.objectives import Duration, Objective, Point, QuadraticModel, Scalar
 from salver.planning.trajopt.programme import Iterate, Linearised, Programme, Subproblem
 from salver.planning.trajopt.sqp import Attempt, SqpOptions, minimise
 from salver.planning.trajopt.trust import Trust
+from transport import Distance
 
 Value = Callable[[Array, float], Array]
 PLAIN = {"margins": (0.0, 0.0), "scales": False}

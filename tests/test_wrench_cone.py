@@ -11,7 +11,6 @@ from salver.geometry import exp
 from salver.models.contact.contact import ContactSet, support_contacts
 from salver.models.contact.wrench_cone import (
     cone_facets,
-    coulomb_friction_needed,
     facets,
     friction_needed,
     margin,
@@ -169,7 +168,6 @@ def test_level_acceleration_by_hand() -> None:
     a = np.array([0.0, 1.0, 4.905, 6.0])
     wrench = 0.256 * np.column_stack([a, 0 * a, 0 * a + G, 0 * a, 0 * a, 0 * a])
     assert_allclose(friction_needed(contacts, wrench), a / G, atol=1e-12)
-    assert_allclose(coulomb_friction_needed(contacts, wrench), a / G, atol=1e-6)
     assert_allclose(tip_over_margin(contacts, wrench), 0.02 - 0.02 * a / G, atol=1e-12)
     m = margin(facets(contacts), wrench)
     assert m[0] > m[1] > 0 > m[3]
@@ -181,7 +179,6 @@ def test_no_friction_helps_past_tipping_or_pulling() -> None:
     tipping = np.array([1.001 * G, 0, G, 0, 0, 0])
     pulling = np.array([0, 0, -1.0, 0, 0, 0])
     assert np.all(np.isinf(friction_needed(contacts, np.stack([tipping, pulling]))))
-    assert np.all(np.isinf(coulomb_friction_needed(contacts, np.stack([tipping, pulling]))))
     assert tip_over_margin(contacts, tipping)[0] < 0
     assert tip_over_margin(contacts, pulling)[0] == -np.inf
 
@@ -199,17 +196,6 @@ def test_friction_needed_is_where_the_wrench_enters_the_cone() -> None:
         for factor, inside in ((1.001, True), (0.999, False)):
             rows = facets(support_contacts(points, mu * factor, 6, 0.1))
             assert (margin(rows, f[None])[0] >= 0) == inside
-
-
-def test_pyramids_bracket_the_round_cone() -> None:
-    rng = np.random.default_rng(4)
-    for n in (3, 4, 6):
-        contacts = polygon_contacts(n, 16)
-        wrench = (contacts.grasp_map @ rng.exponential(size=(contacts.grasp_map.shape[1], 2))).T
-        ratio = coulomb_friction_needed(contacts, wrench) / friction_needed(contacts, wrench)
-        assert np.all(ratio <= 1 + 1e-6)
-        assert np.all(ratio >= np.cos(np.pi / 16) - 1e-6)
-        assert ratio.min() < 1 - 1e-4  # they do differ
 
 
 def gauge_by_cone_programme(contacts: ContactSet, wrench: np.ndarray) -> float:
@@ -240,14 +226,15 @@ def gauge_by_cone_programme(contacts: ContactSet, wrench: np.ndarray) -> float:
     return 1 / solution.x[0]
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("n", [3, 4, 8])
-def test_round_cone_agrees_with_a_cone_programme(n: int) -> None:
-    rng = np.random.default_rng(7 + n)
-    contacts = polygon_contacts(n, 6)
-    wrench = (contacts.grasp_map @ rng.exponential(size=(contacts.grasp_map.shape[1], 4))).T
-    expected = [gauge_by_cone_programme(contacts, row) for row in wrench]
-    assert_allclose(coulomb_friction_needed(contacts, wrench), expected, rtol=1e-6)
+def test_pyramids_bracket_the_round_cone() -> None:
+    rng = np.random.default_rng(4)
+    for n in (3, 4, 6):
+        contacts = polygon_contacts(n, 16)
+        wrench = (contacts.grasp_map @ rng.exponential(size=(contacts.grasp_map.shape[1], 2))).T
+        ratio = [gauge_by_cone_programme(contacts, row) for row in wrench] / friction_needed(contacts, wrench)
+        assert np.all(ratio <= 1 + 1e-6)
+        assert np.all(ratio >= np.cos(np.pi / 16) - 1e-6)
+        assert ratio.min() < 1 - 1e-4  # they do differ
 
 
 def test_pure_torsion_of_a_round_cone() -> None:
@@ -255,7 +242,6 @@ def test_pure_torsion_of_a_round_cone() -> None:
     contacts = support_contacts(CUBE, 0.5)
     r, normal = 0.02 * np.sqrt(2), 3.0
     wrench = np.array([[0, 0, normal, 0, 0, 0.3 * normal * r]])
-    assert_allclose(coulomb_friction_needed(contacts, wrench), 0.3, rtol=1e-6)
     assert_allclose(friction_needed(contacts, wrench), 0.3 * np.sqrt(2), rtol=1e-10)
 
 
@@ -311,7 +297,6 @@ def test_what_presses_at_a_corner_needs_no_friction() -> None:
         wrench = np.array([[0.0, 0.0, 5.0, 5.0 * y, -5.0 * x, 0.0]])
         assert tip_over_margin(contacts, wrench) == pytest.approx([0.0], abs=1e-15)
         assert friction_needed(contacts, wrench)[0] == 0.0
-        assert coulomb_friction_needed(contacts, wrench)[0] == 0.0
         assert np.isinf(friction_needed(contacts, wrench * [1, 1, 1, 1 + 1e-6, 1 + 1e-6, 1])[0])
 
 

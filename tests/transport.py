@@ -1,12 +1,17 @@
-"""Tasks for the fastest motion: the paper's cube, a tall bottle, and a line to begin with."""
+"""Tasks for the fastest motion: the paper's cube, a tall bottle, a line to begin with, and an objective of a user."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 
 from salver.geometry import Array
+from salver.planning.fastest import FastestOptions, Objective, Point, QuadraticModel
+from salver.planning.seeds.starts import ends, straight
+from salver.planning.trajopt.curves import Curve
 from salver.planning.trajopt.problem import TransportProblem
-from salver.planning.trajopt.spline import RestSpline, min_jerk_blend
+from salver.planning.trajopt.spline import RestSpline, SplineMotion, min_jerk_blend
 from salver.scenario import Scenario, load, parse
 
 
@@ -73,3 +78,42 @@ def cup_and_jar() -> Scenario:
         "uncertainty": {"set": "ellipsoid"},
     }
     return parse(task, "cup-and-jar")
+
+
+def straight_start(problem: TransportProblem, spline: RestSpline) -> SplineMotion:
+    """The straight line in joint space between the most promising postures."""
+    return straight(ends(problem, np.random.default_rng(FastestOptions().seed))[0]).motion(problem, spline)
+
+
+@dataclass(frozen=True, eq=False)
+class Distance(Objective):
+    """Mean square over time of the distance to a wanted motion, half of it; T is given.
+
+    wanted: (4, P, n) q and its time derivatives at the points of the grid. weights: (4,) of the squares of their
+    differences.
+    """
+
+    wanted: Array
+    weights: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
+
+    def value(self, curve: Curve, at: Point) -> float:
+        away = self._away(curve, at)
+        return 0.5 * float(self.weights @ np.square(away).sum(axis=2) @ curve.grid.weights)
+
+    def model(self, curve: Curve, at: Point) -> QuadraticModel:
+        away, (_, count, n) = self._away(curve, at), self.wanted.shape
+        size = at.coefficients.size
+        slope, curvature = np.zeros(size), np.zeros((size, size))
+        point = np.arange(count)
+        for order, weight in enumerate(self.weights):
+            for joint in range(n) if weight else ():
+                parts = np.zeros((count, 4, n))
+                parts[:, order, joint] = 1.0
+                rows = curve.columns(at.coefficients, at.duration, parts, point)
+                weighted = weight * rows * curve.grid.weights[:, None]
+                slope += weighted.T @ away[order, :, joint]
+                curvature += weighted.T @ rows
+        return QuadraticModel(slope, 0.0, curvature)
+
+    def _away(self, curve: Curve, at: Point) -> Array:
+        return np.asarray(curve.motion(at.coefficients, at.duration) - self.wanted)

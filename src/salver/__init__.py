@@ -342,7 +342,7 @@ def campaign(
         directory: a run directory, such as `plan.save("runs/cube")` returns.
         n: runs of each plan.
         seed: of the samples.
-        method: how the uncertain set is sampled: "uniform", "corners" (extremes first), "lhs" or "sobol".
+        method: how the uncertain set is sampled: "uniform" or "corners" (extremes first).
         stems: names of the plans to run; default: the plan and what it is compared with.
         engine: "physics" or "closed-loop".
         jobs: processes; default: one for each core.

@@ -1,8 +1,8 @@
 """Samples of the uncertain parameters for the perturbed runs of a campaign.
 
 Every method fills the *set* of the scenario, a box (eq 8 of the paper) or an ellipsoid (eq 9), and keeps
-only combinations that a physical object can have. Run k is reproducible from (seed, k) alone with `uniform`,
-`corners` and `sobol`, however many runs there are; a Latin hypercube is one design of all n runs together.
+only combinations that a physical object can have. Run k is reproducible from (seed, k) alone, however many runs
+there are: more runs can be added later.
 """
 
 from __future__ import annotations
@@ -20,11 +20,8 @@ from salver.models.uncertain.parameters import Parameter, UncertainSet, inertial
 if TYPE_CHECKING:
     from salver.models.bodies import Body
 
-Method = Literal["uniform", "corners", "lhs", "sobol"]
+Method = Literal["uniform", "corners"]
 METHODS: tuple[str, ...] = get_args(Method)
-
-# Methods by which run k does not depend on how many runs there are: more runs can be added later.
-EXTENSIBLE = ("uniform", "corners", "sobol")
 
 _WITHIN = 0.95  # of the way to the surface that a centre of mass of any contents is drawn
 _TRIES = 1000  # draws for one run before the set is called impossible
@@ -39,8 +36,7 @@ def draw(
 
     uniform: independent, uniform over the volume of the set. corners: the extreme points first (all low, all
     high, then the others in a seeded order; of an ellipsoid, its points of least and largest value in each
-    parameter, then its diagonals), uniform once they are used up. lhs: a Latin hypercube (of a box; of an
-    ellipsoid its image under a volume-preserving map). sobol: a scrambled Sobol sequence, mapped likewise.
+    parameter, then its diagonals), uniform once they are used up.
 
     With `bodies`, combinations that no object can have are left out: mass, friction or inertia not positive,
     principal moments against the triangle inequality, a centre of mass outside the shape, and, where the
@@ -58,9 +54,7 @@ def draw(
     if any(_inertia_of(p, filled) for p in uncertain.parameters):
         return _filled(uncertain, n, seed, method, bodies or (), filled)
     possible = _possible(uncertain, bodies)
-    return {"uniform": _uniform, "corners": _corners, "lhs": _latin, "sobol": _sobol}[method](
-        uncertain, n, seed, possible
-    )
+    return {"uniform": _uniform, "corners": _corners}[method](uncertain, n, seed, possible)
 
 
 def _inertia_of(parameter: Parameter, filled: Sequence[Body]) -> bool:
@@ -153,34 +147,6 @@ def sign_vectors(n_p: int, seed: int) -> Iterator[Array]:
 
 def _signs(code: int, n_p: int) -> Array:
     return np.array([1.0 if code >> j & 1 else -1.0 for j in range(n_p)])
-
-
-def _latin(uncertain: UncertainSet, n: int, seed: int, possible: Possible) -> Array:
-    from scipy.stats import qmc
-
-    if n == 0:
-        return np.zeros((0, uncertain.size))
-    cube = qmc.LatinHypercube(cube_dimension(uncertain), rng=np.random.default_rng(seed)).random(n)
-    values = from_unit_cube(uncertain, cube)
-    for k in np.flatnonzero(~possible(values)):  # a stratum that cannot be: that run is drawn freely instead
-        values[k] = _uniform(uncertain, 1, seed, possible, first=int(k))[0]
-    return values
-
-
-def _sobol(uncertain: UncertainSet, n: int, seed: int, possible: Possible) -> Array:
-    from scipy.stats import qmc
-
-    power = max(0, int(np.ceil(np.log2(max(n, 1)))))
-    last = min(30, max(power, int(np.ceil(np.log2(max(n, 1) * _TRIES)))))
-    for m in range(power, last + 1):
-        sequence = qmc.Sobol(cube_dimension(uncertain), scramble=True, rng=np.random.default_rng(seed))
-        values = from_unit_cube(uncertain, sequence.random_base2(m))
-        kept = values[possible(values)]
-        if len(kept) >= n:
-            return kept[:n]
-        if m >= power + 6 and len(kept) == 0:
-            break
-    raise _nothing_possible(uncertain, 2**m)
 
 
 def cube_dimension(uncertain: UncertainSet) -> int:

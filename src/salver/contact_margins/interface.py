@@ -9,13 +9,13 @@ import numpy as np
 
 from salver.contact_margins.model import friction_rows
 from salver.contact_margins.values import RowValues
-from salver.geometry import Array, Indices, Mask
-from salver.models.contact.wrench_cone import coulomb_friction_needed, friction_needed, tip_over_margin
+from salver.geometry import Array, Indices
+from salver.models.contact.wrench_cone import friction_needed, tip_over_margin
 from salver.models.contact_rows import ContactRows
 from salver.models.interfaces import Interface, needed_at_tray, to_tray
 
 _TOLERANCE = 1e-9  # of a margin, as a share of the weight
-_FINE = 32  # edges of the pyramids that settle what the model's leave open
+_FINE = 32  # edges of the pyramids of the nominal verdict: at most 0.5 % short of the round cone
 
 
 @dataclass(frozen=True)
@@ -178,33 +178,22 @@ class InterfaceMargins:
             tips, slides = self.tipping_worst < -_TOLERANCE, self.sliding_worst < -_TOLERANCE
             lifts = tips & np.isneginf(self.tip_over_worst)
         else:
-            tips, slides = np.asarray(self.tip_over < 0), self._slides()
+            tips, slides = np.asarray(self.tip_over < 0), self._finely_needed > self.friction * (1 + _TOLERANCE)
             lifts = np.isneginf(self.tip_over)
         for k in np.flatnonzero(tips | slides)[:1]:
             code = "lifts" if lifts[k] else "tips" if tips[k] else "slides"
             return float(self.t[k]), self.index, code, self
         return None
 
-    def _slides(self) -> Mask:
-        """(T,) whether the round cone is left: by pyramids inside and around it where these agree.
-
-        Between them first by finer pyramids, then by the cone itself, up to the first instant that slides.
-        """
-        contacts, mu = self.interface.contacts, self.friction * (1 + _TOLERANCE)
+    @cached_property
+    def _finely_needed(self) -> Array:
+        """`friction_needed` (T,) by finer pyramids, where the model's say that more is needed than there is."""
         needed = self.friction_needed.copy()
-        slides = np.asarray(needed * np.cos(np.pi / contacts.edges) > mu)
-        unclear = np.flatnonzero(~slides & (needed > mu))
-        if len(unclear) == 0:
-            return slides
-        fine = replace(contacts, edges=_FINE)
-        needed[unclear] = friction_needed(fine, self.wrench_B[unclear])
-        slides[unclear] = needed[unclear] * np.cos(np.pi / _FINE) > mu
-        first = int(np.argmax(slides)) if slides.any() else len(slides)
-        for k in unclear[(unclear < first) & (needed[unclear] > mu) & ~slides[unclear]]:
-            if coulomb_friction_needed(contacts, self.wrench_B[k])[0] > mu:
-                slides[k] = True
-                break
-        return slides
+        unclear = np.flatnonzero(needed > self.friction)
+        if len(unclear):
+            contacts = replace(self.interface.contacts, edges=max(_FINE, self.interface.contacts.edges))
+            needed[unclear] = friction_needed(contacts, self.wrench_B[unclear])
+        return needed
 
     def reason(self, code: str, time: float, worst: bool) -> str:
         """Why it fails, with figures."""
@@ -219,9 +208,8 @@ class InterfaceMargins:
             needed = self.friction_needed_worst
             much = f"friction {needed:.3f}" if np.isfinite(needed) else "more friction than any"
             return f"the motion needs {much} where at least {self.least_friction:.3f} is sure"
-        pyramids = self.friction_needed[after:]
-        peak = after + int(np.argmax(np.where(np.isfinite(pyramids), pyramids, 0.0)))
-        needed = float(coulomb_friction_needed(self.interface.contacts, self.wrench_B[peak])[0])
+        finely = self._finely_needed[after:]
+        needed = float(finely[np.isfinite(finely)].max())
         return f"it needs friction up to {needed:.3f} and has {self.friction:.3f}"
 
 

@@ -203,7 +203,7 @@ class TimeScaled:
             status = self.margins(factor).verdict(self.worst)
             if not status.ok:
                 break
-        else:  # the verdict knows round cones, margins the pyramids inscribed in them
+        else:  # the verdict has finer pyramids
             factor, status = float(beside[0]), replace(status, code="slides", ok=False)
         posture = float(status.details["time"]) * (factor or SLOWEST)
         return factor, replace(status, details={**status.details, "posture_time": posture})

@@ -76,8 +76,8 @@ class Margins(Shown, RowValues):
     def verdict(self, worst: bool = False) -> Status:
         """Holds, slides, tips or lifts: the first interface that fails, and when, in one sentence.
 
-        Nominal: with round Coulomb cones. Worst case: with inscribed pyramids over the whole uncertain set, so
-        "holds" is sure, "slides" and "tips" say that it cannot be excluded.
+        Both with inscribed friction pyramids: nominal, with 32 edges or more; worst case, with those of `margins`
+        over the whole uncertain set, so "holds" is sure, "slides" and "tips" say that it cannot be excluded.
         """
         failures = [f for m in self.interfaces if (f := m.failure(worst)) is not None]
         payload = self.model.payload

@@ -18,7 +18,7 @@ def campaign(
     seed: Annotated[int, typer.Option(help="Seed of the samples: the same seed gives the same runs.")] = 0,
     method: Annotated[
         str,
-        typer.Option(help="How the uncertain set is sampled: uniform, corners (the extremes first), lhs or sobol."),
+        typer.Option(help="How the uncertain set is sampled: uniform or corners (the extremes first)."),
     ] = "uniform",
     stem: Annotated[
         list[str] | None, typer.Option(help="Plan to run; repeat for several. Default: plan and baseline.")

@@ -10,7 +10,7 @@ from salver.planning.fastest.search import fastest
 from salver.planning.trajopt.constraints.constraints import Block, Constraint, evaluate, padded, worst_of
 from salver.planning.trajopt.ends import Anywhere, AtPose, AtPosture, End
 from salver.planning.trajopt.evaluation import MotionEvaluation
-from salver.planning.trajopt.objectives import Distance, Duration, LeastMargin, Objective, Point, QuadraticModel
+from salver.planning.trajopt.objectives import Duration, LeastMargin, Objective, Point, QuadraticModel
 from salver.planning.trajopt.problem import TransportProblem, transport_problem
 
 __all__ = [
@@ -20,7 +20,6 @@ __all__ = [
     "AtPosture",
     "Block",
     "Constraint",
-    "Distance",
     "Duration",
     "End",
     "FastestMotion",

@@ -7,11 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from salver.errors import UnreachableError
 from salver.geometry import Array
 from salver.planning.fastest.found import FastestMotion, FastestOptions
-from salver.planning.seeds.blocked import why_unreached
-from salver.planning.seeds.starts import Start, ends, straight
+from salver.planning.seeds.starts import Start
 from salver.planning.trajopt.curves import FreeCurve
 from salver.planning.trajopt.exchange import SHORTEST, optimise
 from salver.planning.trajopt.objectives import Objective
@@ -53,17 +51,6 @@ def nearby(
     if begin is not None:
         start, damping = replace(begin.motion(found.problem, found.spline), duration=duration), REFINED
     return optimum(found.problem, options, start, watch or Watch(options.time_limit), damping, objective)
-
-
-def straight_start(problem: TransportProblem, spline: RestSpline) -> SplineMotion:
-    """The initial guess: the most promising straight line in joint space, at a comfortable duration.
-
-    Raises UnreachableError when no posture reaches an end.
-    """
-    pairs = ends(problem, np.random.default_rng(FastestOptions().seed))
-    if not pairs:
-        raise UnreachableError(why_unreached(problem).sentence)
-    return straight(pairs[0]).motion(problem, spline)
 
 
 def optimum(

@@ -1,4 +1,4 @@
-"""Objectives: the duration; at a given duration, the contact margin or the distance to a wanted motion.
+"""Objectives: the duration; at a given duration, the contact margin.
 
 An objective sees a motion through its coefficients (size, m) and one number, the scalar, that goes with them: the
 duration where it is free, the margin where that is sought, or nothing. One of your own is a subclass of `Objective`.
@@ -119,37 +119,3 @@ class LeastMargin(Objective):
 
     def counts(self, block: Block) -> bool:
         return isinstance(block.of, ContactConstraint | LoadConstraint)
-
-
-@dataclass(frozen=True, eq=False)
-class Distance(Objective):
-    """Mean square over time of the distance to a wanted motion, half of it; T is given.
-
-    wanted: (4, P, n) q and its time derivatives at the points of the grid. weights: (4,) of the squares of their
-    differences.
-    """
-
-    wanted: Array
-    weights: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
-
-    def value(self, curve: Curve, at: Point) -> float:
-        away = self._away(curve, at)
-        return 0.5 * float(self.weights @ np.square(away).sum(axis=2) @ curve.grid.weights)
-
-    def model(self, curve: Curve, at: Point) -> QuadraticModel:
-        away, (_, count, n) = self._away(curve, at), self.wanted.shape
-        size = at.coefficients.size
-        slope, curvature = np.zeros(size), np.zeros((size, size))
-        point = np.arange(count)
-        for order, weight in enumerate(self.weights):
-            for joint in range(n) if weight else ():
-                parts = np.zeros((count, 4, n))
-                parts[:, order, joint] = 1.0
-                rows = curve.columns(at.coefficients, at.duration, parts, point)
-                weighted = weight * rows * curve.grid.weights[:, None]
-                slope += weighted.T @ away[order, :, joint]
-                curvature += weighted.T @ rows
-        return QuadraticModel(slope, 0.0, curvature)
-
-    def _away(self, curve: Curve, at: Point) -> Array:
-        return np.asarray(curve.motion(at.coefficients, at.duration) - self.wanted)
