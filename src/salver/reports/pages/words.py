@@ -99,7 +99,7 @@ def asked(run: ReportedRun) -> str:
     far, across = float(np.linalg.norm(goal - start)), goal - start
     turned = np.rad2deg(np.linalg.norm(log(s.motion.start.rotation.T @ s.motion.goal.rotation)))
     what = " and ".join(_thing(run, i) for i in range(len(s.objects)))
-    carrier = f"A {_arm_name(s.arm.model)} arm" if s.arm else "A tray"
+    carrier = f"The arm {Path(s.arm.model).stem}" if s.arm else "A tray"
     parts = [f"{abs(across[i]):.2f} m along {axis}" for i, axis in enumerate("xyz") if abs(across[i]) > 5e-3]
     text = (
         f"{carrier} carries {what}, loose on a {s.tray.size[0] * 100:.0f} × {s.tray.size[1] * 100:.0f} cm tray, "
@@ -152,9 +152,3 @@ def true_parameters(run: ReportedRun, summary: Mapping[str, Any]) -> str:
 def length(metres: float) -> str:
     """A small length in the unit that suits it."""
     return f"{1e3 * metres:.3g} mm" if abs(metres) >= 1e-4 else f"{1e6 * metres:.2g} µm"
-
-
-def _arm_name(model: str) -> str:
-    """The arm's name in a sentence: Panda, UR10; for a URDF its file's name."""
-    name = Path(model).stem
-    return name if name != model else name.upper() if len(name) <= 4 else name.capitalize()
