@@ -394,6 +394,7 @@ def test_commands_that_cannot_be(tmp_path):
         (["panda-cube", "--live", str(script_file)], "Give the arm's --address"),
         (["panda-cube", "--live", str(script_file), "--move-to-start"], "--live goes with none of"),
         (["panda-cube", "--live", "-", "--address", "arm"], "give --yes"),
+        (["ur10-bottle", "--live", str(script_file), "--address", "arm"], "--robot franka drives a panda or an fr3."),
         (["tall-box-40", "--live", str(script_file), "--dry-run"], "arm"),
     ):
         result = run(app, ["execute", *args, "-o", str(tmp_path / "out")])

@@ -1,5 +1,7 @@
 """Limits of known arms against a second source, of a URDF, and as shares."""
 
+from dataclasses import fields
+
 import numpy as np
 import pytest
 
@@ -14,7 +16,27 @@ def make(name="panda", tray=None, **keys):
     return load_arm(scenario.Arm(model=name, **keys), tray or scenario.Tray())
 
 
-# Each number again, from another place than the one that `salver.models.arm.known_arms` names.
+FREE = np.inf  # what a maker does not publish
+
+
+def published(**fields):
+    """The limits of an arm; those of which nothing is said are not published."""
+    return {"jerk": FREE, "torque_rate": FREE} | fields
+
+
+def of_universal_robots(velocity_deg, torque):
+    turns = np.deg2rad([360, 360, 180, 360, 360, 360])
+    return published(q_min=-turns, q_max=turns, velocity=np.deg2rad(velocity_deg), acceleration=5, torque=torque)
+
+
+def of_ufactory(q_min, q_max, torque):
+    return published(q_min=q_min, q_max=q_max, velocity=np.pi, acceleration=20, torque=torque)
+
+
+TURN = 2 * np.pi
+
+# Each number again, from another place than the one that `salver.models.arm.known_arms` names; one number is that of
+# all joints.
 MAKERS = {
     # The crate franka_rust 0.1.15, src/franka/franka_emika.rs; positions, speeds and torques also in panda.urdf of
     # example-robot-data. Torque rate: libfranka 0.9, include/franka/rate_limiting.h.
@@ -25,118 +47,55 @@ MAKERS = {
         "acceleration": [15, 7.5, 10, 12.5, 15, 20, 20],
         "jerk": [7500, 3750, 5000, 6250, 7500, 10000, 10000],
         "torque": [87, 87, 87, 87, 12, 12, 12],
-        "torque_rate": [1000] * 7,
-    },
-    # Universal_Robots_ROS2_Description, config/ur10/joint_limits.yaml, in degrees there.
-    "ur10": {
-        "q_min": np.deg2rad([-360, -360, -180, -360, -360, -360]),
-        "q_max": np.deg2rad([360, 360, 180, 360, 360, 360]),
-        "velocity": np.deg2rad([120, 120, 180, 180, 180, 180]),
-        "acceleration": [5.0] * 6,
-        "jerk": [np.inf] * 6,
-        "torque": [330, 330, 150, 56, 56, 56],
-        "torque_rate": [np.inf] * 6,
-    },
-    # Universal_Robots_ROS2_Description, config/ur3/joint_limits.yaml and config/ur5/joint_limits.yaml.
-    "ur3": {
-        "q_min": np.deg2rad([-360, -360, -180, -360, -360, -360]),
-        "q_max": np.deg2rad([360, 360, 180, 360, 360, 360]),
-        "velocity": np.deg2rad([180, 180, 180, 360, 360, 360]),
-        "acceleration": [5.0] * 6,
-        "jerk": [np.inf] * 6,
-        "torque": [56, 56, 28, 12, 12, 12],
-        "torque_rate": [np.inf] * 6,
-    },
-    "ur5": {
-        "q_min": np.deg2rad([-360, -360, -180, -360, -360, -360]),
-        "q_max": np.deg2rad([360, 360, 180, 360, 360, 360]),
-        "velocity": np.deg2rad([180] * 6),
-        "acceleration": [5.0] * 6,
-        "jerk": [np.inf] * 6,
-        "torque": [150, 150, 150, 28, 28, 28],
-        "torque_rate": [np.inf] * 6,
-    },
-    # mujoco_menagerie: universal_robots_ur5e/ur5e.xml and universal_robots_ur10e/ur10e.xml (positions and torques; its
-    # wrists of the UR10e have 56 N m, the maker's own description 54). Speeds: the maker's pages of technical data.
-    "ur5e": {
-        "q_min": np.deg2rad([-360, -360, -180, -360, -360, -360]),
-        "q_max": np.deg2rad([360, 360, 180, 360, 360, 360]),
-        "velocity": np.deg2rad([180] * 6),
-        "acceleration": [5.0] * 6,
-        "jerk": [np.inf] * 6,
-        "torque": [150, 150, 150, 28, 28, 28],
-        "torque_rate": [np.inf] * 6,
-    },
-    "ur10e": {
-        "q_min": np.deg2rad([-360, -360, -180, -360, -360, -360]),
-        "q_max": np.deg2rad([360, 360, 180, 360, 360, 360]),
-        "velocity": np.deg2rad([120, 120, 180, 180, 180, 180]),
-        "acceleration": [5.0] * 6,
-        "jerk": [np.inf] * 6,
-        "torque": [330, 330, 150, 54, 54, 54],
-        "torque_rate": [np.inf] * 6,
-    },
-    # The last joint turns for ever.
-    "ur3e": {
-        "q_min": np.deg2rad([-360, -360, -180, -360, -360, -360]),
-        "q_max": np.deg2rad([360, 360, 180, 360, 360, 360]),
-        "velocity": np.deg2rad([180, 180, 180, 360, 360, 360]),
-        "acceleration": [5.0] * 6,
-        "jerk": [np.inf] * 6,
-        "torque": [54, 54, 28, 9, 9, 9],
-        "torque_rate": [np.inf] * 6,
+        "torque_rate": 1000,
     },
     # The crate franka_rust 0.1.14, src/franka/franka_fr3.rs; mujoco_menagerie, franka_fr3/fr3.xml.
     "fr3": {
         "q_min": [-2.7437, -1.7837, -2.9007, -3.0421, -2.8065, 0.5445, -3.0159],
         "q_max": [2.7437, 1.7837, 2.9007, -0.1518, 2.8065, 4.5169, 3.0159],
         "velocity": [2.62, 2.62, 2.62, 2.62, 5.26, 4.18, 5.26],
-        "acceleration": [10] * 7,
-        "jerk": [5000] * 7,
+        "acceleration": 10,
+        "jerk": 5000,
         "torque": [87, 87, 87, 87, 12, 12, 12],
-        "torque_rate": [1000] * 7,
+        "torque_rate": 1000,
     },
-    # Positions: xarm_ros2, xarm_description/urdf/xarm6 and lite6, in rad there, to five digits.
-    "xarm6": {
-        "q_min": [-2 * np.pi, -2.059488, -3.92699, -2 * np.pi, -1.69297, -2 * np.pi],
-        "q_max": [2 * np.pi, 2.0944, 0.19198, 2 * np.pi, np.pi, 2 * np.pi],
-        "velocity": [np.pi] * 6,
-        "acceleration": [20.0] * 6,
-        "jerk": [np.inf] * 6,
-        "torque": [50, 50, 32, 32, 32, 20],
-        "torque_rate": [np.inf] * 6,
-    },
-    "lite6": {
-        "q_min": [-2 * np.pi, -2.61799, -0.061087, -2 * np.pi, -2.1642, -2 * np.pi],
-        "q_max": [2 * np.pi, 2.61799, 5.235988, 2 * np.pi, 2.1642, 2 * np.pi],
-        "velocity": [np.pi] * 6,
-        "acceleration": [20.0] * 6,
-        "jerk": [np.inf] * 6,
-        "torque": [50, 50, 32, 32, 32, 20],
-        "torque_rate": [np.inf] * 6,
-    },
+    # Universal_Robots_ROS2_Description, config/NAME/joint_limits.yaml, in degrees there.
+    "ur3": of_universal_robots([180, 180, 180, 360, 360, 360], [56, 56, 28, 12, 12, 12]),
+    "ur5": of_universal_robots(180, [150, 150, 150, 28, 28, 28]),
+    "ur10": of_universal_robots([120, 120, 180, 180, 180, 180], [330, 330, 150, 56, 56, 56]),
+    # mujoco_menagerie: universal_robots_ur5e/ur5e.xml and universal_robots_ur10e/ur10e.xml (positions and torques; its
+    # wrists of the UR10e have 56 N m, the maker's own description 54). Speeds: the maker's pages of technical data. The
+    # last joint of the UR3e turns for ever.
+    "ur3e": of_universal_robots([180, 180, 180, 360, 360, 360], [54, 54, 28, 9, 9, 9]),
+    "ur5e": of_universal_robots(180, [150, 150, 150, 28, 28, 28]),
+    "ur10e": of_universal_robots([120, 120, 180, 180, 180, 180], [330, 330, 150, 54, 54, 54]),
     # ros2_kortex: speeds from kinova_gen3_7dof_robotiq_2f_85_moveit_config/config/joint_limits.yaml; accelerations from
     # gen3_move_it_config/config/7dof/hard_joint_limits.yaml, which has 95 % of them. Joints 1, 3, 5, 7 turn for ever.
-    "gen3": {
-        "q_min": [-2 * np.pi, -2.24, -2 * np.pi, -2.57, -2 * np.pi, -2.09, -2 * np.pi],
-        "q_max": [2 * np.pi, 2.24, 2 * np.pi, 2.57, 2 * np.pi, 2.09, 2 * np.pi],
-        "velocity": [1.3963] * 4 + [1.2218] * 3,
-        "acceleration": np.array([4.94] * 4 + [9.5] * 3) / 0.95,
-        "jerk": [np.inf] * 7,
-        "torque": [39] * 4 + [9] * 3,
-        "torque_rate": [np.inf] * 7,
-    },
-    # Positions: xarm_ros2, xarm_description/config/xarm7/joint_limits.yaml, in degrees there. Speeds: UFACTORY, xArm
-    # product page, 180 degrees/s. Torques: xarm_ros2, xarm_description/urdf/xarm7/xarm7.urdf.xacro.
-    "xarm7": {
-        "q_min": np.deg2rad([-360, -118, -360, -11, -360, -97, -360]),
-        "q_max": np.deg2rad([360, 120, 360, 225, 360, 180, 360]),
-        "velocity": [np.pi] * 7,
-        "acceleration": [20.0] * 7,
-        "jerk": [np.inf] * 7,
-        "torque": [50, 50, 30, 30, 30, 20, 20],
-        "torque_rate": [np.inf] * 7,
-    },
+    "gen3": published(
+        q_min=[-TURN, -2.24, -TURN, -2.57, -TURN, -2.09, -TURN],
+        q_max=[TURN, 2.24, TURN, 2.57, TURN, 2.09, TURN],
+        velocity=[1.3963] * 4 + [1.2218] * 3,
+        acceleration=np.array([4.94] * 4 + [9.5] * 3) / 0.95,
+        torque=[39] * 4 + [9] * 3,
+    ),
+    # Positions: xarm_ros2, xarm_description/urdf/xarm6 and lite6, in rad there, to five digits; of the xArm 7
+    # xarm_description/config/xarm7/joint_limits.yaml, in degrees there. Speeds: UFACTORY, product pages, 180 degrees/s.
+    # Torques: xarm_ros2, xarm_description/urdf/NAME/NAME.urdf.xacro.
+    "xarm6": of_ufactory(
+        [-TURN, -2.059488, -3.92699, -TURN, -1.69297, -TURN],
+        [TURN, 2.0944, 0.19198, TURN, np.pi, TURN],
+        [50, 50, 32, 32, 32, 20],
+    ),
+    "lite6": of_ufactory(
+        [-TURN, -2.61799, -0.061087, -TURN, -2.1642, -TURN],
+        [TURN, 2.61799, 5.235988, TURN, 2.1642, TURN],
+        [50, 50, 32, 32, 32, 20],
+    ),
+    "xarm7": of_ufactory(
+        np.deg2rad([-360, -118, -360, -11, -360, -97, -360]),
+        np.deg2rad([360, 120, 360, 225, 360, 180, 360]),
+        [50, 50, 30, 30, 30, 20, 20],
+    ),
 }
 
 
@@ -144,7 +103,9 @@ MAKERS = {
 def test_limits_of_known_arms_are_the_makers(name):
     limits = make(name).limits
     for field, expected in MAKERS[name].items():
-        assert getattr(limits, field) == pytest.approx(np.array(expected, dtype=float), rel=1e-5, abs=2e-5), field
+        found = getattr(limits, field)
+        assert found == pytest.approx(np.broadcast_to(expected, found.shape), rel=1e-5, abs=2e-5), field
+    assert set(MAKERS[name]) == {field.name for field in fields(JointLimits)}
     assert KNOWN_ARMS[name].source
 
 

@@ -52,3 +52,7 @@ def test_more_margin_and_less_time_are_better(curve):
 def test_how_far_a_motion_is_above_its_bound_is_said_in_per_cent():
     motion = SimpleNamespace(duration=0.88, binding=())
     assert "at most 10.0 % above the shortest" in _held_by(motion, 0.8, "no arm takes less than")
+    without = _held_by(motion, 0.0, "the joints' limits alone take")  # of an arm for which nobody gave limits
+    assert without == ""
+    bound = SimpleNamespace(duration=0.88, binding=("contact of cube",))
+    assert _held_by(bound, 0.0, "") == "What hinders a shorter one: contact of cube."

@@ -359,6 +359,10 @@ def test_what_the_robot_cannot_do_is_told_by_name(plan: Plan, arm: ArmModel) -> 
     assert 'without a live measurement of the object it must be "joints"' in failed(changed, arm)["feedback"]
     other = replace(plan, scenario=plan.scenario.with_changes(arm__model="ur10"))
     assert {c.name for c in check_franka(other, arm) if not c.ok} == {"arm"}
+    elsewhere = plan.scenario.with_changes(arm__flange="panda_link7")  # set_load speaks of panda_link8
+    refused = [c for c in check_franka(replace(plan, scenario=elsewhere), arm) if not c.ok]
+    assert [c.name for c in refused] == ["arm"]
+    assert refused[0].sentence.startswith("arm.flange is panda_link7; ")
 
 
 def test_a_check_that_compares_with_no_number_is_no_pass(plan: Plan, arm: ArmModel) -> None:

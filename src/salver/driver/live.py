@@ -23,7 +23,7 @@ from salver.driver.execution import Drive, ExecutionLog, Watchdog, named
 from salver.driver.gate import Gate
 from salver.driver.logs import arrays_of, check_place, keep, summary_of
 from salver.driver.preflight import Check, check_plan, check_posture, demand
-from salver.driver.robots.franka import FR3, FrankaRobot, check_franka, within_fr3
+from salver.driver.robots.franka import FR3, FrankaRobot, check_arm, check_franka, within_fr3
 from salver.driver.robots.robots import Robot
 from salver.driver.robots.simulated import SimulatedRobot
 from salver.driver.sensing import Sensed
@@ -273,6 +273,7 @@ def _franka(scenario: Scenario, address: str, realtime: bool) -> _Standing:
     tray = scenario.tray
     if scenario.arm is None:
         raise SalverError(f"{scenario.name} has no arm; give the scenario a table [arm] to execute it.")
+    demand([check_arm(scenario)])
     arm = load_arm(scenario.arm, tray)
     scenario = scenario.with_changes(arm__limits=slower(arm.limits, FR3))
     robot = FrankaRobot(address, arm, tray.mass, np.array(tray.inertia), realtime)

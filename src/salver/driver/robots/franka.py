@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from salver.driver.sensing import Sensed
     from salver.models.arm.arm import ArmModel
     from salver.planning.plan import Plan
+    from salver.scenario import Scenario
     from salver.trajectory import JointMotion
 
 ARMS = ("panda", "fr3")  # whose models this driver knows
@@ -197,16 +198,29 @@ def check_franka(plan: Plan, arm: ArmModel) -> list[Check]:
     """Requirements of the Franka Research 3 beyond the Panda's, and limits of its interface."""
     assert plan.joint is not None
     physics = plan.scenario.physics
-    right_arm = plan.scenario.arm is not None and plan.scenario.arm.model in ARMS
+    right = check_arm(plan.scenario)
     checks = [
-        Check("arm", right_arm, f"The plan is for the arm {arm.name}; --robot franka drives a panda or an fr3."),
+        right,
         Check(
             "period",
             physics.command_period == PERIOD,
             f"physics.command_period is {physics.command_period:g} s; the arm wants a torque every {PERIOD:g} s.",
         ),
     ]
-    return checks + (_within(FR3, arm, looked_at(plan.joint)) if right_arm else [])
+    return checks + (_within(FR3, arm, looked_at(plan.joint)) if right.ok else [])
+
+
+def check_arm(scenario: Scenario) -> Check:
+    """Whether a scenario's arm is one of `ARMS`, with the tray on the flange in whose frame the arm is told of it."""
+    described = scenario.arm
+    if described is None or described.model not in ARMS:
+        of = "no arm" if described is None else f"the arm {described.model}"
+        return Check("arm", False, f"The plan is for {of}; --robot franka drives a {' or an '.join(ARMS)}.")
+    own = KNOWN_ARMS[described.model].flange
+    if described.flange not in (None, own):
+        said = f"arm.flange is {described.flange}; the arm is told of its tray in the frame of its own flange, {own}."
+        return Check("arm", False, said)
+    return Check("arm", True, f"A {described.model} with the tray on its flange {own}.")
 
 
 def within_fr3(arm: ArmModel, motion: JointMotion) -> str:

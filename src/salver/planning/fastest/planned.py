@@ -152,7 +152,7 @@ def _planned(scenario: Scenario, found: FastestMotion, robust: bool) -> Plan:
     bound, status = max(by_joints, by_friction), found.status
     if status.ok:
         what = "friction alone takes" if by_friction > by_joints else "the joints' limits alone take"
-        status = replace(status, sentence=f"{status.sentence} {_held_by(found, bound, what)}")
+        status = replace(status, sentence=f"{status.sentence} {_held_by(found, bound, what)}".strip())
     record = {**solver_record(found, robust), "bound": bound}
     return judged(joint_plan(scenario, found.problem, found.joint_motion(), status, record), problem)
 
@@ -175,6 +175,8 @@ def judged(plan: Plan, problem: TransportProblem) -> Plan:
 def _held_by(found: FastestMotion, bound: float, what: str) -> str:
     """The constraint that hinders a shorter time, and a lower bound of the time, by `what`."""
     held = f"What hinders a shorter one: {listed(each_kind(found.binding))}. " if found.binding else ""
+    if bound == 0.0:  # nobody gave a limit that bounds it
+        return held.strip()
     above = 100 * (found.duration / bound - 1)
     return (
         f"{held}Between its two end postures {what} {bound:.4f} s: it is at most {above:.1f} % "
