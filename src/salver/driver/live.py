@@ -11,7 +11,6 @@ import time
 from collections.abc import Callable, Iterable
 from contextlib import nullcontext
 from dataclasses import dataclass, field, fields
-from functools import reduce
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +32,7 @@ from salver.errors import SalverError, Status
 from salver.files import provenance
 from salver.geometry import Array, quat_wxyz_from_matrix
 from salver.live import Live, LiveCourse, Worker
-from salver.live.committed.motion import SAME, between, joined
+from salver.live.committed.motion import SAME
 from salver.live.script import Prompter, script
 from salver.live.standing import live_scenario
 from salver.models.arm.arm import ArmModel, load_arm, with_load
@@ -111,8 +110,7 @@ class LiveDrive(Drive):
         super().__post_init__()
         room = int(LONGEST / self.period) + 1
         self.told_at, self.told = np.empty(room), np.empty((3, room, self.arm.n))
-        self.paths: list[tuple[float, JointMotion, float]] = []  # from which live time on, what, begun when
-        self.offset: float | None = None  # of the live clock
+        self.begun, self.offset = 0.0, np.nan  # live time of the first period after 0, s; and of the live clock
         self.as_planned = True
         self.count, self.periods, self.rested, self.patience = 0, 0, 0.0, TOO_LONG
 
@@ -135,15 +133,12 @@ class LiveDrive(Drive):
         return last
 
     def noted(self) -> None:
-        """Note which motion is followed when it changes."""
+        """Note whether the arm still does what was committed."""
         live = self.live
-        path, since = live.path
-        if self.offset is None:
-            self.offset = live.now - self.t
+        if np.isnan(self.offset):
+            self.begun, self.offset = live.now, live.now - self.t
         beside = self.stop is not None and not (isinstance(self.stop, LiveStop) and self.stop.exact)
         self.as_planned &= not beside and abs(live.now - self.t - self.offset) < SAME
-        if not self.paths or self.paths[-1][1] is not path:
-            self.paths.append((live.now, path, since))
 
     @property
     def commanded(self) -> JointMotion:
@@ -152,13 +147,9 @@ class LiveDrive(Drive):
             at = self.told_at[: self.count]
             later = np.append(True, np.diff(at) > SAME)
             return JointMotion(at[later] - at[0], *self.told[:, : self.count][:, later])
-        until = [*(now for now, *_ in self.paths[1:]), self.live.now]
-        parts = [
-            between(path, now - since, end - since)
-            for (now, path, since), end in zip(self.paths, until, strict=True)
-            if end - now > SAME
-        ]
-        return reduce(joined, parts)
+        found = self.live.commanded(self.begun)
+        assert found is not None
+        return found
 
     def over(self, sensed: Sensed) -> bool:
         if self.stop is not None:
@@ -263,7 +254,7 @@ class _Standing:
 
 
 def _simulated(scenario: Scenario, address: str, realtime: bool) -> _Standing:
-    live = Live(scenario, lead=None if realtime else LEAD)
+    live = Live(scenario, lead=None if realtime else LEAD, record=LONGEST)
     plan = _resting(scenario, live)
     robot = SimulatedRobot(plan, live.problem.arm, LONGEST, realtime)
     return _Standing(live, plan, robot, robot.start_time, not realtime, [])
@@ -277,7 +268,7 @@ def _franka(scenario: Scenario, address: str, realtime: bool) -> _Standing:
     arm = load_arm(scenario.arm, tray)
     scenario = scenario.with_changes(arm__limits=slower(arm.limits, FR3))
     robot = FrankaRobot(address, arm, tray.mass, np.array(tray.inertia), realtime)
-    live = Live(scenario, robot.look().q, permit=lambda motion: within_fr3(arm, motion))
+    live = Live(scenario, robot.look().q, permit=lambda motion: within_fr3(arm, motion), record=LONGEST)
     plan = _resting(scenario, live)
     return _Standing(live, plan, robot, -scenario.physics.settle_before, False, check_franka(plan, arm))
 
@@ -310,6 +301,7 @@ def _kept(
         "realtime": not known.waits,
         "wishes": drive.prompter.notes,
         "requests": {name: getattr(drive.prompter, name) for name in ("accepted", "refused", "dropped")},
+        "outcomes": [str(request) for request in drive.live.state.requests],
         "unjudged": unjudged,
         "provenance": provenance(plan.scenario),
     }

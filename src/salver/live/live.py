@@ -22,11 +22,13 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from salver.errors import Status
+from salver.errors import SalverError, Status
+from salver.files import provenance
 from salver.geometry import Array
 from salver.live.committed.commit import verified
 from salver.live.committed.motion import Committed, resting
@@ -34,6 +36,7 @@ from salver.live.committed.profile import STANDARD as SPEED
 from salver.live.committed.seal import sealed
 from salver.live.reader import Reader
 from salver.live.ready import STOPS_EVERY, Ready
+from salver.live.record import Record
 from salver.live.replanning.lead import Lead
 from salver.live.replanning.lookout import Lookout, Sighting
 from salver.live.replanning.obstacles import Moving, predicted
@@ -53,6 +56,7 @@ from salver.live.replanning.wishes import (
     Wish,
     chunk_wish,
     factor_of,
+    id_of,
     is_flag,
     is_source,
     numbers,
@@ -62,11 +66,13 @@ from salver.live.replanning.wishes import (
     shown,
     twist_wish,
 )
+from salver.live.requests import Requests
 from salver.live.running import Running
 from salver.live.standing import live_scenario, standing
 from salver.live.state import State
 from salver.live.stopped import Hold, Stopped
 from salver.models.arm.arm import with_load
+from salver.motion_files import MotionSeries, write
 from salver.planning.fastest import TransportProblem, transport_problem
 from salver.scenario import Scenario, load
 from salver.trajectory import JointMotion
@@ -90,6 +96,7 @@ class Live:
         robust: bool = True,
         lead: float | None = None,
         permit: Callable[[JointMotion], str] | None = None,
+        record: float = 120.0,
     ) -> None:
         """Start at rest.
 
@@ -99,6 +106,7 @@ class Live:
             robust: verify for the whole uncertain set; False: for the nominal parameters.
             lead: s from the beginning of planning to the hand-over; learnt from planning times if None.
             permit: called with a verified motion; returns why it must not be executed, or an empty text.
+            record: s of the commanded motion that are kept, up to now, for `save`.
 
         Raises:
             ScenarioError: the load is not safe at rest there, or the scenario has no arm.
@@ -114,6 +122,8 @@ class Live:
         # Written by the loop alone.
         self._running = Running.first(rest, problem)
         self._reader = Reader(with_load(problem.arm, problem.items).pin_model, self._running.pieces)
+        self._record = Record(record)
+        self._record.take(0.0, self._running.path, self._running.since)
         self._now = 0.0  # live time of the last command
         self._last: float | None = None  # the clock then
         self._clock = ""
@@ -130,6 +140,7 @@ class Live:
         self._refusals = 0
         self._halt: Running | None = None
         self._wish: Wish | None = None
+        self._requests = Requests()
         self._queue: deque[Goal] = deque()
         self._heard: deque[tuple[float, Array]] = deque(maxlen=200)
         self._done: Wish | None = None
@@ -178,6 +189,10 @@ class Live:
                         if wanted and seen and offer.keeps_clear:
                             reader.take(offer.pieces)
                             self._running = offer
+                            self._record.take(now, offer.path, offer.since)
+                            self._requests.becomes(id_of(offer.wish), "followed")
+                        elif not in_time:
+                            self._requests.becomes(id_of(offer.wish), "late")
                         if offer is self._halt:
                             self._halt = None
                         elif seen or not wanted:  # else it is being looked at
@@ -254,14 +269,14 @@ class Live:
             return self._refuse(goal.sentence, "The goal")
         if queued and len(self._queue) >= MOST_QUEUED:
             return self._refuse(f"{MOST_QUEUED} goals are queued already, which is the most", "The goal")
-        goal = replace(goal, source=source)
+        goal = replace(goal, source=source, id=self._requests.new(f"to {goal.what}"))
         self._refused = ""
         if queued:
             self._queue.append(goal)
         else:
-            self._queue.clear()
+            self._drop(f"request {goal.id} came instead")
             self._wish = goal
-        return ACCEPTED
+        return accepted(goal.id)
 
     def stop(self, reason: str = "", *, source: Source = OPERATOR) -> Status:
         """Come to rest as soon as the load allows, and refuse every other request until `resume`.
@@ -276,7 +291,7 @@ class Live:
         else:
             pending = stopped.halt is not self._done
             self._stopped = stopped.again(str(reason), source, stopped.halt if pending else halt)
-        self._queue.clear()
+        self._drop(f"the {source} stopped the arm")
         self._halt = self._ready.soonest(self.committed, self._now)
         return ACCEPTED
 
@@ -296,7 +311,6 @@ class Live:
         if self._astray or self._unknown:
             return self._refuse(self._astray or self._lost, "To resume")
         self._refused = ""
-        self._queue.clear()
         self._wish = stopped.halt  # to rest, until something else is requested
         self._stopped = None
         return ACCEPTED
@@ -363,7 +377,9 @@ class Live:
         wish = twist_wish(list(self._heard), v, omega, self._now, self._factor)
         if isinstance(wish, Status):
             return self._refuse(wish.sentence, "The twist")
-        wish = replace(wish, source=source)
+        before = self._wish
+        goes_on = isinstance(before, Follow) and before.twist and before.source == source and self._now <= before.until
+        wish = replace(wish, source=source, id=id_of(before) if goes_on else self._requests.new("twists"))
         self._heard.append((self._now, wish.wanted.twist))  # type: ignore[attr-defined]
         return self._follow(wish)
 
@@ -390,13 +406,13 @@ class Live:
         wish = chunk_wish(self._problem, times, poses, joints, self._now, self._factor)
         if isinstance(wish, Status):
             return self._refuse(wish.sentence, "The chunk")
-        wish = replace(wish, source=source)
-        accepted = self._follow(wish)
+        wish = replace(wish, source=source, id=self._requests.new("a chunk"))
+        answer = self._follow(wish)
         if isinstance(wish.ends, Goal):
-            self._queue.append(replace(wish.ends, source=source))
+            self._queue.append(replace(wish.ends, source=source, id=wish.id))
         elif wish.ends is not None:
-            return replace(accepted, sentence=f"Accepted, but for its end: {wish.ends.sentence.rstrip('.')}.")
-        return accepted
+            return replace(answer, sentence=f"Accepted, but for its end: {wish.ends.sentence.rstrip('.')}.")
+        return answer
 
     @property
     def _lost(self) -> str:
@@ -410,10 +426,27 @@ class Live:
 
     def _follow(self, wish: Follow) -> Status:
         held, self._refused = self._held, ""
-        self._queue.clear()
+        if id_of(self._wish) != wish.id:
+            self._drop(f"request {wish.id} came instead")
         # On release it is put off by the whole hold, of which only the rest is to come.
         self._wish = wish if held is None else wish.later(held.at - self._now)
-        return ACCEPTED
+        return accepted(wish.id)
+
+    def _drop(self, why: str) -> None:
+        """Nothing that was requested is carried out any more."""
+        self._arrived()
+        for wish in (self._wish, *self._queue):
+            if isinstance(wish, Follow) and not isinstance(wish.ends, Goal):
+                self._requests.ended(wish.id, why)
+            else:
+                self._requests.becomes(id_of(wish), "dropped", why)
+        self._queue.clear()
+
+    def _arrived(self) -> None:
+        """Note it when the arm rests where it was to go."""
+        wish = self._wish
+        if isinstance(wish, Goal) and wish is self._done and self._now >= self.committed.ends:
+            self._requests.becomes(wish.id, "reached")
 
     def obstacles(self, seen: Sequence[Moving]) -> Status:
         """Report all moving obstacles as they are seen now.
@@ -485,18 +518,48 @@ class Live:
         rest = verified(self._beside, resting(posture), self._now, None)
         if rest.committed is None:
             return self._refuse(f"the load is not safe at rest there: {rest.sentence}", "A restart")
+        self._drop("the arm was started again elsewhere")
         self._wish, self._done, self._refused, self._attempts = None, None, "", 0
         self._unknown, self._astray = False, ""
         if isinstance(self._asked, Halt):  # the stop or the hold that is latched
             self._done = self._asked
-        self._queue.clear()
         self._heard.clear()
         self._offer = self._offered = None
         self._running = Running.first(rest.committed, self._problem)
+        self._record = Record(self._record.longest)
+        self._record.take(self._now, self._running.path, self._running.since)
         self._look(self._running)
         self._reader.take(self._running.pieces)
         self._reader.read(self._now)
         return ACCEPTED
+
+    def save(self, path: str | Path, *, since: float = 0.0, rate: float = 1000.0) -> list[Path]:
+        """Write what was commanded, up to now, as a motion file, which `salver audit` and `salver report` open.
+
+        Args:
+            path: ends in .csv, .json or .yaml, or in nothing (a ROS 2 bag); another file there is kept.
+            since: live time, s, at which it begins; no more than `record` s are kept.
+            rate: samples a second; an audit of a fast motion needs 1000.
+
+        Returns:
+            The files. After `restart` the motion begins there.
+
+        Raises:
+            SalverError: nothing was commanded since then, another ending, or a rate that is not from 1 to 10000.
+        """
+        if not 1.0 <= rate <= 1e4:
+            raise SalverError(f"rate is {rate:g}; it must be from 1 to 10000 samples a second.")
+        motion, arm = self.commanded(since), self._problem.arm
+        if motion is None:
+            raise SalverError(f"since is {since:g}; nothing was commanded after it, and up to now ({self._now:g} s).")
+        ns: Any = np.round(1e9 * np.append(np.arange(0.0, motion.duration - 0.5 / rate, 1 / rate), motion.duration))
+        q, dq, ddq = motion.sample(1e-9 * ns)
+        about = {"provenance": provenance(self._problem.scenario), "method": "live"}
+        return write(MotionSeries(ns.astype(np.int64), arm.joint_names, q, dq, ddq, about=about), path)
+
+    def commanded(self, since: float = 0.0) -> JointMotion | None:
+        """The commanded motion from a live time, s, to now; as much of it as is kept, None for nothing."""
+        return self._record.motion(since, self._now)
 
     # --- whoever plans
 
@@ -511,10 +574,12 @@ class Live:
         if self._planning.acquire(blocking=False):
             try:
                 self._look(self._running)
+                self._record.fold()
                 self._step(budget, answer or self._planner.answer)
             except Exception as error:  # the committed motion does not depend on it
                 self._refused = f"The planner failed ({type(error).__name__}: {error}); what was committed goes on."
                 self._done = self._asked
+                self._requests.becomes(id_of(self._done), "dropped", f"the planner failed ({type(error).__name__})")
             finally:
                 self._planning.release()
         return self.state
@@ -572,6 +637,7 @@ class Live:
     def state(self) -> State:
         """The State: resting, following or stopping, in words and figures."""
         committed, now = self.committed, self._now
+        self._arrived()
         rests_in = max(0.0, committed.ends - now)
         margin, limit = committed.margins.from_(now)
         doing = (
@@ -587,7 +653,7 @@ class Live:
         speed = " ".join(filter(None, ("" if self._held is None else str(self._held), slow)))
         return State(
             doing, rests_in, limit, margin, self._refused, self._clock, self.lead, passing, stopped, self._refusals,
-            speed,
+            speed, self._requests.each,
         )  # fmt: skip
 
     @property
@@ -660,6 +726,7 @@ class Live:
             return Retime(self._factor) if another else None
         if self._now >= self.committed.ends:
             with contextlib.suppress(IndexError):  # none is queued, or not any more
+                self._arrived()
                 self._wish = self._queue.popleft()
                 return self._wish
         return None
@@ -679,6 +746,8 @@ class Live:
         sighting, threats = self._sighting, running.outlook.near
         if isinstance(wish, Follow) and self._now > wish.until + CALMING:
             self._done = wish  # what is committed ends at rest
+            if not isinstance(wish.ends, Goal):
+                self._requests.ended(wish.id, "no safe motion towards it was found in time")
             return
         if isinstance(wish, Halt) and begins >= base.ends:
             self._done = wish
@@ -729,6 +798,7 @@ class Live:
             if last:
                 self._done, self._attempts = wish, 0
                 what = f"The goal {wish.what}" if isinstance(wish, Goal) else "The stop"
+                self._requests.becomes(id_of(wish), "dropped", status.sentence.rstrip("."))
                 self._refuse(status.sentence, what)
 
     def _fits(self, base: Committed) -> float:
@@ -748,6 +818,11 @@ class Live:
         self._refusals += 1
         self._refused = f"{what} is refused: {reason.rstrip('.')}."
         return refused(self._refused)
+
+
+def accepted(number: int) -> Status:
+    """The Status of a request that has a number."""
+    return Status("accepted", "Accepted.", True, {"request": number})
 
 
 def _kind(wish: Wish | None) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from salver.display import Shown
+from salver.live.requests import Request
 
 LIMITING = 0.03  # of what a row limits: nearer than this it is said to limit the motion
 
@@ -17,7 +18,8 @@ class State(Shown):
     for. Both are empty when nothing was. lead: s from now to the next hand-over. passing: what is to be expected of
     obstacles that move, when nothing was found that keeps clear of them. stopped: by whom and why, while a stop is
     latched; empty when none is. refusals: requests that were refused since the beginning. speed: that goals are gone
-    to slower, or the arm is held; empty at full speed.
+    to slower, or the arm is held; empty at full speed. requests: what became of each of late, the oldest
+    first.
     """
 
     doing: str
@@ -31,6 +33,7 @@ class State(Shown):
     stopped: str = ""
     refusals: int = 0
     speed: str = ""
+    requests: tuple[Request, ...] = ()
 
     def facts(self) -> dict[str, str]:
         told = {"live": self.doing, "at rest in": f"{self.rests_in:.2f} s", "nearest limit": self.nearest}

@@ -35,6 +35,7 @@ class Goal:
     end: End
     what: str
     source: Source = OPERATOR
+    id: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,6 +58,12 @@ class Follow:
     then: Wanted
     ends: Goal | Status | None = None
     source: Source = OPERATOR
+    id: int = 0
+
+    @property
+    def twist(self) -> bool:
+        """Whether it is one, of a stream of which each replaces the one before."""
+        return isinstance(self.wanted, TwistWanted)
 
     def later(self, by: float) -> Follow:
         """The same chunk, so many s later; a twist counts from when it was said."""
@@ -82,6 +89,12 @@ class Retime:
 
 
 Wish = Goal | Halt | Follow | Evade | Retime
+
+
+def id_of(wish: Wish | None) -> int:
+    """The number of the request that it is for; 0 where it is for none."""
+    return wish.id if isinstance(wish, Goal | Follow) else 0
+
 
 MOST_SPEED, MOST_TURN, FARTHEST = 5.0, 20.0, 100.0  # m/s, rad/s, m; what is beyond is in another unit
 SILENCE = 0.1  # s after a twist at which it counts no more

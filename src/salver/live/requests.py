@@ -1,0 +1,63 @@
+"""What became of each request."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+KEPT = 200  # requests of late of which it is said what became of them; no more than half of that can be open
+Outcome = Literal["accepted", "late", "followed", "reached", "dropped"]
+
+
+@dataclass(frozen=True)
+class Request:
+    """An accepted request.
+
+    Attributes:
+        id: its number, as the Status has it that accepted it.
+        what: it asks for, in words.
+        outcome: "accepted": nothing came of it yet. "late": a motion towards it came too late, another is planned.
+            "followed": a verified motion towards it was taken by the robot's loop; of twists and chunks no more can be
+            said. "reached": the arm rests at the goal. "dropped": it is not, or no longer, carried out.
+        why: it was dropped; empty otherwise.
+    """
+
+    id: int
+    what: str
+    outcome: Outcome = "accepted"
+    why: str = ""
+
+    def __str__(self) -> str:
+        return f"Request {self.id} ({self.what}): {self.outcome}{f', {self.why}' if self.why else ''}."
+
+
+class Requests:
+    """The requests of late by their numbers, 1 and on."""
+
+    def __init__(self) -> None:
+        self._each: dict[int, Request] = {}
+        self._last = 0
+
+    def new(self, what: str) -> int:
+        """The number of another request."""
+        self._last += 1
+        self._each[self._last] = Request(self._last, what)
+        self._each.pop(self._last - KEPT, None)
+        return self._last
+
+    def becomes(self, number: int, outcome: Outcome, why: str = "") -> None:
+        """What is over stays as it is; 0 is no request."""
+        request = self._each.get(number)
+        if request is not None and request.outcome not in ("reached", "dropped"):
+            self._each[number] = replace(request, outcome=outcome, why=why)
+
+    def ended(self, number: int, why: str) -> None:
+        """Of twists and chunks: they are dropped unless they were followed."""
+        request = self._each.get(number)
+        if request is not None and request.outcome != "followed":
+            self.becomes(number, "dropped", why)
+
+    @property
+    def each(self) -> tuple[Request, ...]:
+        """In the order in which they came."""
+        return tuple(self._each.values())
