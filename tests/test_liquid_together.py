@@ -111,7 +111,7 @@ def test_looked_at_coarsely_what_is_near_its_edge_is_as_it_is(
     assert bounded.any() == near.any()  # where nothing is near, all is told as it is
 
 
-@pytest.mark.parametrize("columns", [filters.MANY, filters.MANY + 1, 29, 30])  # of 30 nodes
+@pytest.mark.parametrize("columns", [filters.MOST_BANDED_DRIVES, filters.MOST_BANDED_DRIVES + 1, 29, 30])
 @pytest.mark.parametrize("moving", [True, False])
 def test_few_and_many_drives_are_answered_alike(columns: int, moving: bool) -> None:
     rng, t = np.random.default_rng(1), np.sort(np.random.default_rng(2).uniform(0, 1, 30))

@@ -186,12 +186,12 @@ def test_watch_plans_again_on_save_and_waits_for_mistakes_to_be_mended(tmp_path,
 @pytest.mark.parametrize("name", ["plan.json", "plan.npz", "baseline.json"])
 def test_files_of_others_are_not_replaced(tmp_path, plans, name):
     (tmp_path / name).write_text("somebody's")
-    with pytest.raises(SalverError, match=f"{name} is there already and belongs to no plan of salver"):
+    with pytest.raises(SalverError, match=f"{name} exists already and is not from a plan of salver"):
         plans["plan"].save(tmp_path)
     assert contents(tmp_path) == {name: b"somebody's"}
     done = command("plan", "panda-cube", "--no-arm", "-o", tmp_path)
     assert done.exit_code == 2
-    assert "belongs to no plan of salver" in done.stderr
+    assert "is not from a plan of salver" in done.stderr
 
 
 def test_a_scenario_with_comments_is_not_rewritten(tmp_path, plans):

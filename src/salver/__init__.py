@@ -150,7 +150,7 @@ def fastest(scenario: Scenario | str | Path, *, robust: bool = True, **options: 
 
 
 def _options(name: str, options: Mapping[str, Any]) -> FastestOptions:
-    """Those of a search. Raises ScenarioError for one that there is not."""
+    """The FastestOptions with these fields. Raises ScenarioError for an unknown field; `name` is the function's."""
     from dataclasses import fields
 
     from salver.errors import ScenarioError
@@ -171,7 +171,7 @@ def retime(
     Args:
         path: postures (K, n) in rad; a file of postures or of a motion (CSV, JSON, YAML, ROS bag); or a plan or its
             run directory.
-        scenario: what is carried; default: that of the plan.
+        scenario: the scenario with the load; default: the plan's own.
         robust: plan for the whole uncertain set; False: for the nominal parameters.
 
     Returns:
@@ -218,12 +218,12 @@ def audit(
     Args:
         motion: a CSV, JSON or YAML file or a ROS bag (docs/howto/audit.md); or columns by the same names, in a mapping
             of arrays or a pandas DataFrame.
-        scenario: what is carried.
-        topic: of a bag with several.
-        units: of a table or of columns, where they are not rad, m and s: "deg,mm,ms", or some of these.
-        highest: Hz; nothing shakes the tray faster.
+        scenario: the scenario with the load.
+        topic: the topic to read, for a bag with several.
+        units: units of a table or of columns other than rad, m and s: "deg,mm,ms", or some of these.
+        highest: Hz, the highest frequency at which the tray is assumed to move or vibrate.
         noise: standard deviation of the samples, m or rad; estimated if None.
-        gap: s without samples that is bridged.
+        gap: s, the longest gap between samples that is interpolated.
 
     Returns:
         The Audit, with the verdict for the nominal load and for the worst case of the ranges.
@@ -245,7 +245,7 @@ def load_plan(directory: str | Path, stem: str = "plan") -> Plan:
     """Read a plan of a run directory.
 
     Args:
-        directory: what `salver plan` or `Plan.save` wrote.
+        directory: a run directory, as `salver plan` and `Plan.save` write it.
         stem: name of the plan: "plan", "baseline", "nominal" or "leg1".
 
     Raises:
@@ -269,16 +269,16 @@ def simulate(
 
     Args:
         plan: a Plan; or, with a scenario, a motion as `audit` takes it, along which the tray moves exactly.
-        scenario: what is carried along a motion that is no Plan.
+        scenario: the scenario with the load, for a motion that is not a Plan.
         parameters: true values by name, in SI units, such as {"mass": 0.3, "com_z": 0.005}; the others are nominal.
-        seed: of the sensor noise.
+        seed: seed of the sensor noise.
         stop_at: s, when a stop is requested; the plan must have stops.
 
     Returns:
         The SimulationRecord; `outcome` is "holds", "slides", "tips", "lifts", "lost", "spills" or "limit".
 
     Raises:
-        ScenarioError: an unknown parameter, or a value that cannot be.
+        ScenarioError: an unknown parameter, or a value that no object can have.
     """
     from salver.errors import ScenarioError
     from salver.planning.plan import Plan
@@ -308,14 +308,14 @@ def simulate_legs(
     Args:
         plan: what `plan_legs` returned.
         parameters: true values by name, in SI units, such as {"glass1.mass": 0.3}; the others are nominal.
-        seed: of the sensor noise.
-        stop_at: s, in the time of all motions together, when a stop is requested that ends the run.
+        seed: seed of the sensor noise.
+        stop_at: s, motion time from the start of the first leg, when a stop is requested, which ends the run.
 
     Returns:
         The RoundRecord; its `legs` are the records of the legs that were run.
 
     Raises:
-        ScenarioError: an unknown parameter, or a value that cannot be.
+        ScenarioError: an unknown parameter, or a value that no object can have.
     """
     from salver.simulation.round import simulate_round
 
@@ -341,108 +341,6 @@ def campaign(
     Args:
         directory: a run directory, such as `plan.save("runs/cube")` returns.
         n: runs of each plan.
-        seed: of the samples.
+        seed: seed of the samples.
         method: how the uncertain set is sampled: "uniform" or "corners" (extremes first).
-        stems: names of the plans to run; default: the plan and what it is compared with.
-        engine: "physics" or "closed-loop".
-        jobs: processes; default: one for each core.
-        stops: stop each run at a random instant by the plan's own stops (`salver plan --stops`).
-
-    Returns:
-        The Campaign.
-
-    Raises:
-        SalverError: one sentence for each mistake.
-    """
-    if not isinstance(directory, str | Path) or not Path(directory).exists():
-        raise _no_plan("campaign", directory)
-    from salver.campaigns import run_campaign
-
-    return run_campaign(directory, n, seed, method, stems, engine, jobs, stops=stops)
-
-
-def margins(motion: Plan | MotionSamples, scenario: Scenario | str | Path | None = None) -> Margins:
-    """Compute every contact margin along a motion (`salver.contact_margins`).
-
-    Args:
-        motion: a Plan, or MotionSamples of the first object's frame B.
-        scenario: what is carried along MotionSamples.
-
-    Returns:
-        The Margins, nominal and in the worst case of the uncertain set.
-
-    Raises:
-        ScenarioError: a motion without a scenario, or a mistake in it.
-    """
-    from salver.errors import ScenarioError
-    from salver.planning.plan import Plan
-
-    if isinstance(motion, Plan):
-        return motion.margins
-    from salver.contact_margins import margins as of
-    from salver.trajectory import MotionSamples
-
-    if isinstance(motion, str | Path):
-        raise _no_plan("margins", motion)
-    if not isinstance(motion, MotionSamples) or scenario is None:
-        raise ScenarioError(
-            f"margins wants a Plan, or MotionSamples and a scenario; it was given a {type(motion).__name__}"
-            f"{' alone' if scenario is None else ''}."
-        )
-    return of(_scenario(scenario), motion)
-
-
-def report(
-    of: Plan | Audit | str | Path, run: SimulationRecord | None = None, *, path: str | Path | None = None
-) -> Page:
-    """Make the page with its 3-D replay; a notebook shows it.
-
-    Args:
-        of: a run directory, a Plan or an Audit.
-        run: a run of the Plan.
-        path: where the page is written; default: DIR/report.html for a run directory, nowhere for a Plan or an Audit.
-
-    Returns:
-        The Page.
-
-    Raises:
-        SalverError: one sentence for each mistake.
-    """
-    from salver.auditing import Audit
-    from salver.errors import ScenarioError
-    from salver.planning.plan import Plan
-    from salver.reports.pages.inline import page_of
-
-    if not isinstance(of, Plan | Audit | str | Path):
-        raise ScenarioError(f"report wants a Plan, an Audit or a run directory; it was given a {type(of).__name__}.")
-    if isinstance(of, str | Path) and not Path(of).exists():
-        raise _no_plan("report", of)
-    return page_of(of, run, path)
-
-
-def _no_plan(name: str, given: object) -> Exception:
-    """The sentence for a function that needs a plan and got something else."""
-    from salver.errors import ScenarioError
-    from salver.planning.plan import Plan
-
-    named = isinstance(given, str | Path)
-    what = f'"{given}"' if named else f"a {type(given).__name__}"
-    made = f"sv.load_plan({what})" if Path(str(given)).is_dir() else f"sv.plan({what if named else '...'})"
-    if name == "campaign":
-        saved = f"{'plan' if isinstance(given, Plan) else made}.save(DIRECTORY)"
-        return ScenarioError(f"campaign wants a run directory, such as {saved} gives; it was given {what}.")
-    hint = f": sv.{name}({made})" if named else ", as sv.plan makes it"
-    return ScenarioError(f"{name} wants a plan{hint}; it was given {what}.")
-
-
-def __getattr__(name: str) -> Any:
-    if name == "Live":  # a class, with all that it needs
-        from salver.live import Live
-
-        return Live
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-
-
-def __dir__() -> list[str]:
-    """The public names."""
-    return sorted(["__version__", *__all__])
+        stems: names of the plans to run; default: the first two of "plan", "baseline" and "nominal" that exist.

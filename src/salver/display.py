@@ -7,7 +7,7 @@ from dataclasses import fields
 from html import escape
 from typing import Any
 
-SHORT = 40  # characters that a value of an outline may take
+SHORT = 40  # longest value of an outline, characters
 
 
 class Shown:

@@ -3,7 +3,7 @@
 A *mistake of the user* (a wrong key, a file of another plan, a robot that is not installed) is an
 exception below `SalverError`; its message is one sentence that names the key or file, the value and
 what would be accepted. An *outcome of numerics* (infeasible, out of iterations) is a `Status`, carried
-by the result: it is not exceptional, and whoever reads the result must be able to ask for it.
+by the result, because it is not exceptional and callers need to read it.
 """
 
 from __future__ import annotations
@@ -18,19 +18,19 @@ class SalverError(Exception):
 
 
 class ScenarioError(SalverError):
-    """A scenario asks for something that cannot be, or is written wrongly."""
+    """A scenario is written wrongly or asks for something impossible."""
 
 
 class FileFormatError(SalverError):
-    """A file is truncated, foreign, or of a version that this salver cannot read."""
+    """A file is truncated, was not written by salver, or has a version that this salver cannot read."""
 
 
 class MissingDependencyError(SalverError):
-    """An optional package, a renderer or a robot interface is needed and not there."""
+    """An optional package, a renderer or a robot interface is needed but not installed."""
 
 
 class UnsafeError(SalverError):
-    """A motion that fails a verdict would be written as a program that does not say so."""
+    """A motion that failed verification would be exported to a format that cannot carry the warning."""
 
 
 class UnreachableError(SalverError):
@@ -38,7 +38,7 @@ class UnreachableError(SalverError):
 
 
 def reason(error: BaseException) -> str:
-    """The message of an exception in small letters, without the system's number and file."""
+    """The message of an exception in lower case, without the system's error number and file name."""
     return str(getattr(error, "strerror", None) or "").lower() or str(error)
 
 

@@ -32,10 +32,10 @@ _RECORDED = ("numpy", "scipy", "piqp", "pin", "mujoco")
 
 
 def write_atomic(path: str | Path, data: bytes | str, *, keep: bool = False) -> Path:
-    """Write a whole file or nothing: whoever reads `path` sees the old content or all of the new.
+    """Write a file atomically: a reader of `path` sees the old content or all of the new. Returns `path`.
 
-    keep: what stands there with another content is kept beside it, numbered (`set_aside`).
-    Makes the directories that are missing. Raises SalverError when the place cannot be written to.
+    keep: an existing file with other content is kept beside it, numbered (`set_aside`).
+    Makes missing directories. Raises SalverError when `path` cannot be written.
     """
     path = Path(path)
     content = data.encode("utf-8") if isinstance(data, str) else data
@@ -57,7 +57,7 @@ def write_atomic(path: str | Path, data: bytes | str, *, keep: bool = False) -> 
 
 @contextlib.contextmanager
 def writing(path: Path) -> Iterator[None]:
-    """Turn errors of the disk into a SalverError that names `path`."""
+    """Turn an OSError into a SalverError that names `path`."""
     try:
         yield
     except OSError as error:
@@ -89,9 +89,9 @@ def _numbered(path: Path, number: int) -> Path:
 
 
 def output_file(path: str | Path, endings: tuple[str, ...]) -> Path:
-    """Check the output path of a user: it has one of the endings or none, and is no file of a run directory.
+    """Check the output path of a user: it has one of the endings or none, and is not a file of a run directory.
 
-    Raises SalverError: a page over a scenario, a table over a plan, would destroy what cannot be made again.
+    Raises SalverError, so that a page or a table never replaces a scenario or a plan.
     """
     path = Path(path)
     if path.suffix and path.suffix.lower() not in endings:
@@ -104,7 +104,7 @@ def output_file(path: str | Path, endings: tuple[str, ...]) -> Path:
 
 
 def save_result(path: str | Path, arrays: Mapping[str, npt.ArrayLike], summary: Mapping[str, Any]) -> Path:
-    """Write PATH.npz and PATH.json. Those of an earlier, different run are kept beside them, numbered."""
+    """Write PATH.npz and PATH.json; existing files of a different run are kept beside them, numbered."""
     place, content = Path(path).with_suffix(".npz"), npz_bytes(arrays)
     text = to_json(sealed({**summary, "arrays_digest": hashlib.sha256(content).hexdigest()}))
     if place.is_file() and place.read_bytes() != content:
@@ -115,7 +115,10 @@ def save_result(path: str | Path, arrays: Mapping[str, npt.ArrayLike], summary: 
 
 
 def read_result(path: str | Path, required: tuple[str, ...] = ()) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """Arrays and summary of `save_result`. Raises FileFormatError when they are damaged, edited or not of one run."""
+    """Read the arrays and the summary that `save_result` wrote.
+
+    Raises FileFormatError when the files are damaged, edited, or from different runs.
+    """
     place = Path(path).with_suffix(".npz")
     arrays, summary = load_npz(place, required), read_sealed(place.with_suffix(".json"))
     if summary.pop("arrays_digest", None) != hashlib.sha256(place.read_bytes()).hexdigest():
@@ -124,7 +127,7 @@ def read_result(path: str | Path, required: tuple[str, ...] = ()) -> tuple[dict[
 
 
 def npz_bytes(arrays: Mapping[str, npt.ArrayLike]) -> bytes:
-    """The bytes of a file of named arrays; the same arrays give the same bytes."""
+    """The bytes of an .npz file of named arrays; equal arrays give equal bytes."""
     made = {name: np.asarray(value) for name, value in arrays.items()}
     for name, array in made.items():
         if array.dtype.hasobject:
@@ -137,7 +140,7 @@ def npz_bytes(arrays: Mapping[str, npt.ArrayLike]) -> bytes:
 def load_npz(path: str | Path, required: tuple[str, ...] = ()) -> dict[str, np.ndarray]:
     """All arrays of a file of `npz_bytes`, read in full and checked against their checksums.
 
-    Raises FileFormatError when the file is missing, truncated or foreign, or lacks one of `required`.
+    Raises FileFormatError when the file is missing, truncated or not from salver, or lacks one of `required`.
     """
     path = Path(path)
     try:
@@ -161,18 +164,18 @@ def load_npz(path: str | Path, required: tuple[str, ...] = ()) -> dict[str, np.n
 def to_json(obj: Any) -> str:
     """JSON text of numbers, strings, NumPy scalars and arrays, mappings, sequences, paths.
 
-    What is not finite becomes null, because JSON has no word for it. Anything else raises TypeError.
+    Numbers that are not finite become null, because JSON cannot represent them. Other types raise TypeError.
     """
     return json.dumps(_plain(obj), indent=2, allow_nan=False, ensure_ascii=False) + "\n"
 
 
 def write_json(path: str | Path, obj: Any) -> Path:
-    """`to_json` into a file, atomically."""
+    """Write `to_json(obj)` to a file, atomically."""
     return write_atomic(path, to_json(obj))
 
 
 def read_json(path: str | Path) -> Any:
-    """Raises FileFormatError when the file is missing, truncated or not JSON."""
+    """Read a JSON file. Raises FileFormatError when it is missing, truncated or not JSON."""
     path = Path(path)
     try:
         return json.loads(path.read_text(encoding="utf-8"))
@@ -184,7 +187,7 @@ def read_json(path: str | Path) -> Any:
         raise FileFormatError(
             f"{path} is truncated or is not JSON: {error.msg} at line {error.lineno}, column {error.colno}."
         ) from None
-    except (ValueError, RecursionError) as error:  # numbers of thousands of digits, brackets in brackets
+    except (ValueError, RecursionError) as error:  # numbers of thousands of digits, deep nesting
         raise FileFormatError(f"{path} is not JSON that salver wrote ({type(error).__name__}).") from None
 
 
@@ -197,13 +200,13 @@ def read_object(path: str | Path) -> dict[str, Any]:
 
 
 def sealed(obj: Mapping[str, Any]) -> dict[str, Any]:
-    """A JSON object with its digest, so that a result edited by hand is noticed."""
+    """A JSON object with its digest added, so that an edit by hand is detected."""
     plain: dict[str, Any] = _plain(obj)
     return {**plain, "digest": _digest(plain)}
 
 
 def read_sealed(path: str | Path) -> dict[str, Any]:
-    """Read a JSON object that `sealed` made, and check its digest. Raises FileFormatError when it was edited since."""
+    """Read a JSON object that `sealed` made. Raises FileFormatError when its digest shows that it was edited."""
     found = read_object(path)
     if found.pop("digest", None) != _digest(found):
         raise FileFormatError(f"{path} was edited or damaged since salver wrote it; make it again.")
@@ -215,7 +218,7 @@ def _digest(obj: Any) -> str:
 
 
 class Asked(Protocol):
-    """A scenario as far as a result names it."""
+    """The part of a scenario that a result records."""
 
     @property
     def name(self) -> str: ...
@@ -226,7 +229,7 @@ class Asked(Protocol):
 
 
 def provenance(scenario: Asked) -> dict[str, Any]:
-    """Provenance of a result: scenario, its content hash and seed, versions. The same run gives the same record."""
+    """Provenance of a result: scenario, its content hash and seed, versions. Equal runs give equal records."""
     own, python, system, *packages = versions().items()
     return {
         "salver": own[1],

@@ -1,6 +1,6 @@
-"""SO(3) and SE(3): their maps, on stacks of vectors.
+"""Maps of SO(3) and SE(3), vectorised.
 
-Every function takes leading axes, so a whole trajectory is one call. Rotations act on column vectors;
+Every function takes leading axes, so one call handles a whole trajectory. Rotations act on column vectors;
 perturbations are on the right, R <- R Exp(theta). Formulas: Sola, Deray, Atchuthan, "A micro Lie theory
 for state estimation in robotics", 2018; small angles by series, so that all maps are smooth at zero.
 """
@@ -18,7 +18,7 @@ GRAVITY_S: Array = np.array([0.0, 0.0, -9.81])
 GRAVITY_S.setflags(write=False)
 
 _SMALL = 1e-4  # rad; below this the series is exact to rounding
-_HAT = np.zeros((3, 9))  # of a vector to its skew matrix, row by row
+_HAT = np.zeros((3, 9))  # takes a vector to the rows of its skew matrix
 _HAT[[2, 1, 2, 0, 1, 0], [1, 2, 3, 5, 6, 7]] = -1.0, 1.0, 1.0, -1.0, -1.0, 1.0
 
 
@@ -29,7 +29,7 @@ def hat(x: npt.ArrayLike) -> Array:
 
 
 def cross(a: Array, b: Array) -> Array:
-    """Cross product a x b of vectors (..., 3), in a fifth of NumPy's time."""
+    """Cross product a x b of vectors (..., 3); five times faster than np.cross."""
     out = np.empty(np.broadcast_shapes(a.shape, b.shape))
     for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
         out[..., i] = a[..., j] * b[..., k] - a[..., k] * b[..., j]
@@ -37,7 +37,7 @@ def cross(a: Array, b: Array) -> Array:
 
 
 def vee(matrix: npt.ArrayLike) -> Array:
-    """Inverse of `hat`, of the skew part: (..., 3, 3) to (..., 3)."""
+    """Vectors (..., 3) of the skew parts of matrices (..., 3, 3): the inverse of `hat`."""
     m = np.asarray(matrix, dtype=float)
     return 0.5 * np.stack(
         [m[..., 2, 1] - m[..., 1, 2], m[..., 0, 2] - m[..., 2, 0], m[..., 1, 0] - m[..., 0, 1]], axis=-1
@@ -78,7 +78,7 @@ def right_jacobian_inverse(theta: npt.ArrayLike) -> Array:
     theta = np.asarray(theta, dtype=float)
     angle = np.linalg.norm(theta, axis=-1)
     a, b, _ = _series(angle)
-    small = angle < 1e-2  # the closed form loses digits earlier than the others
+    small = angle < 1e-2  # this closed form loses digits at larger angles than those of `_series`
     x2 = angle**2
     factor = np.where(small, 1 / 12 + x2 / 720 + x2**2 / 30240, (1 - a / (2 * b)) / np.where(small, 1.0, x2))
     skew = hat(theta)
@@ -88,12 +88,12 @@ def right_jacobian_inverse(theta: npt.ArrayLike) -> Array:
 def quat_wxyz_from_matrix(rotation: npt.ArrayLike) -> Array:
     """Unit quaternions (..., 4), w >= 0, of rotation matrices (..., 3, 3).
 
-    Shepperd's method by the largest of the four components, so no division by a small number.
+    Shepperd's method: dividing by the largest of the four components avoids a small divisor.
     """
     m = np.asarray(rotation, dtype=float)
     trace = np.trace(m, axis1=-2, axis2=-1)
     diagonal = np.diagonal(m, axis1=-2, axis2=-1)
-    # 4 q q^T written out of the matrix: its column with the largest diagonal entry is the quaternion.
+    # 4 q q^T from the entries of the matrix: its column with the largest diagonal entry is along q.
     outer = np.empty((*m.shape[:-2], 4, 4))
     outer[..., 0, 0] = 1 + trace
     outer[..., 0, 1:] = outer[..., 1:, 0] = 2 * vee(m)
@@ -147,23 +147,22 @@ def compose(p_AB: Array, R_AB: Array, p_BC: Array, R_BC: Array) -> tuple[Array, 
 
 
 def continuous(quat_wxyz: Array) -> Array:
-    """Rotations (N, 4) with the sign that is nearer to the one before."""
+    """Quaternions (N, 4), each with the sign that brings it nearer to the one before."""
     turned = np.einsum("ij,ij->i", quat_wxyz[1:], quat_wxyz[:-1]) < 0
     return quat_wxyz * np.concatenate([[1.0], np.cumprod(np.where(turned, -1.0, 1.0))])[:, None]
 
 
 def lean(rotation: Array) -> Array:
-    """rad by which the z axes of rotations (..., 3, 3) lean from the vertical."""
+    """Tilt angles (...) in rad of the z axes of rotations (..., 3, 3) from the vertical."""
     return np.asarray(np.arccos(np.clip(rotation[..., 2, 2], -1.0, 1.0)))
 
 
 def spread(count: int, wanted: int) -> Indices:
-    """At most so many indices of a row of `count`, evenly spread, both ends included."""
+    """At most `wanted` evenly spread indices of 0 ... count - 1, both ends included."""
     return np.unique(np.round(np.linspace(0, count - 1, min(count, wanted))).astype(np.intp))
 
 
 def interpolated(t: Array, values: Array, at: Array) -> Array:
-    """(K, ...) values (T, ...) at t (T,), at other instants (K,): by straight lines, held before the first and after
-    the last."""
+    """Values (K, ...) at instants `at` (K,), linear between values (T, ...) at t (T,), constant beyond both ends."""
     columns = values.reshape(len(t), -1).T
     return np.stack([np.interp(at, t, column) for column in columns], axis=1).reshape(len(at), *values.shape[1:])

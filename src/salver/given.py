@@ -1,7 +1,7 @@
-"""Motions from files: retimed, or run in the engine.
+"""Motions from files: retime them, or run them in the physics engine.
 
-`read_waypoints` gives the path for `salver.planning.fastest.retiming.plan_retimed`. `at_pace` does what
-`Audit.speeds_worst` says, and judges what comes of it as it will be written. `simulate_given` moves the tray.
+`read_waypoints` reads the path for `salver.planning.fastest.retiming.plan_retimed`. `at_pace` stretches a motion in
+time until its audit holds. `simulate_given` moves the tray along a motion in the physics engine.
 """
 
 from __future__ import annotations
@@ -31,16 +31,22 @@ from salver.simulation.record import SimulationRecord
 from salver.trajectory import SampledReference
 
 MOST_WAYPOINTS = 1_000_000
-FASTEST, SLOWEST = 0.05, 20.0  # of the time
-_STEP = 1.02  # between paces that are tried, from the one at which the margin is 0
+FASTEST, SLOWEST = 0.05, 20.0  # time factors that are accepted
+_STEP = 1.02  # ratio of successive time factors that are tried
 _TRIES = 40
-_APART = 1e-6  # s
+_APART = 1e-6  # s between the two samples at a waypoint
 
 
 def read_waypoints(path: Path, scenario: Scenario, topic: str | None = None, units: str | None = None) -> Array:
-    """(K, n) joint waypoints: of any motion file (`salver.motion_files`), of a table of postures without times, or the
-    joint path of a run directory. units: of a table, as in "deg,mm". Raises FileFormatError; ScenarioError for a
-    scenario without an arm.
+    """Joint waypoints (K, n) in rad (m for prismatic joints), from a file or a run directory.
+
+    Args:
+        path: a motion file (`salver.motion_files`), a table of postures without times, or a run directory.
+        units: units of a table, such as "deg,mm".
+
+    Raises:
+        FileFormatError: the file cannot be read.
+        ScenarioError: the scenario has no arm.
     """
     if (path / SCENARIO).is_file() and units is None:
         return waypoints_of(load_plan(path), str(path))
@@ -56,7 +62,7 @@ def read_waypoints(path: Path, scenario: Scenario, topic: str | None = None, uni
 
 
 def waypoints_of(plan: Plan, source: str = "A directory of it") -> Array:
-    """(2001, n) the joint path of a plan; `source` names it in the message. Raises FileFormatError."""
+    """Joint path (2001, n) of a plan. Raises FileFormatError, naming `source`, for a plan without an arm."""
     if plan.joint is None:
         raise FileFormatError(f"{source} holds a plan without a joint motion; it must be one made with an arm.")
     return plan.joint.sample(np.linspace(0.0, plan.joint.duration, 2001))[0]
@@ -64,8 +70,11 @@ def waypoints_of(plan: Plan, source: str = "A directory of it") -> Array:
 
 @dataclass(frozen=True)
 class Paced:
-    """factor: of the time. samples: the motion then. audit: of these samples. too_fast: joints beyond their limit of
-    speed, in words, or None. unchecked: what was not judged, in words."""
+    """A motion stretched in time, with its audit.
+
+    factor: new duration over old. samples: the stretched motion. audit: its audit. too_fast: the joint that exceeds its
+    velocity limit, in words, or None. unchecked: the limits that were not checked, in words.
+    """
 
     factor: float
     samples: Samples
@@ -80,8 +89,10 @@ class Paced:
 
     @property
     def verdict(self) -> str:
-        """What its file says of it, in one line; what called itself unsafe stays so, for an audit knows no torques and
-        no obstacles."""
+        """The verdict that its file carries, in one line.
+
+        A motion that was marked unsafe stays so, because an audit checks neither torques nor obstacles.
+        """
         if self.ok:
             speeds = self.audit.speeds_worst
             only = "" if speeds.every else f"{SPEED}: {speeds.verdict} "
@@ -94,15 +105,17 @@ class Paced:
 def at_pace(
     samples: Samples, scenario: Scenario, factor: float | None = None, options: AuditOptions = DEFAULT
 ) -> Paced:
-    """The motion in `factor` times its time; if None, in the least time (to 2 %) in which it is found to hold, or at
-    the pace nearest to that where it is found at none.
+    """The motion stretched in time by `factor`.
 
-    Raises SalverError for a factor beyond `FASTEST` to `SLOWEST`, and for a path that
-    holds at no pace.
+    factor: new duration over old; if None, the least one (to 2 %) at which the audit holds. If the audit holds at none
+    of those tried, the result is that of the first.
+
+    Raises SalverError for a factor outside `FASTEST` to `SLOWEST`, and for a path on which the load cannot hold at any
+    speed.
     """
     if factor is not None:
         if not FASTEST <= factor <= SLOWEST:
-            raise SalverError(f"A pace of {factor:g} was asked for; it must be {FASTEST:g} to {SLOWEST:g}.")
+            raise SalverError(f"The time factor is {factor:g}; it must be {FASTEST:g} to {SLOWEST:g}.")
         return _paced(samples, scenario, factor, options)
     pace = audit_samples(samples, scenario, options).speeds_worst.pace
     if not pace.ok:
@@ -126,7 +139,7 @@ def _paced(samples: Samples, scenario: Scenario, factor: float, options: AuditOp
 
 
 def _slowest_joint(samples: Samples, scenario: Scenario) -> tuple[float, str]:
-    """(largest share of the speed that plans allow a joint, its name); (0, "") where there are no joints."""
+    """Largest joint speed as a share of the velocity limit for plans, and the joint's name; (0, "") without joints."""
     if not isinstance(samples, JointSamples) or scenario.arm is None:
         return 0.0, ""
     arm = load_arm(scenario.arm, scenario.tray)
@@ -146,13 +159,13 @@ def simulate_given(
     parameters: Mapping[str, float] | None = None,
     options: AuditOptions = DEFAULT,
 ) -> SimulationRecord:
-    """Move the tray exactly along a motion, as an audit understands it, in the physics engine; the arm is left out.
-    parameters: true values by name, where not nominal.
+    """Run a motion in the physics engine: the tray follows it exactly, without an arm.
 
-    Raises SalverError for a motion that begins at speed: the engine begins at rest.
+    parameters: true values by name, in SI units; the others are nominal. options: how the samples are interpreted, as
+    in an audit. Raises SalverError for a motion that does not begin at rest, because the engine does.
     """
     motion = audit_samples(samples, scenario, options).motion.samples
-    # Commands have both sides of every waypoint among their instants; a curve through these needs one.
+    # Commands have two samples at every waypoint, one for each side; the interpolation needs distinct instants.
     kept = np.diff(motion.t, prepend=-np.inf) > _APART
     motion = motion.only(kept)
     speed = float(np.linalg.norm(motion.v_S[0]))

@@ -1,8 +1,8 @@
-"""Initial value problems at chosen accuracy: one explicit method of eighth order, equal steps, dense output.
+"""Initial value problems: an explicit eighth-order Runge-Kutta method with equal steps and dense output.
 
 Dormand and Prince's method with its interpolant (Hairer, Norsett, Wanner, Solving Ordinary Differential
-Equations I, 1993, section II.5), with SciPy's coefficients. SciPy's own driver chooses steps from one state's
-error; here a whole stack of states marches together, with the reference sampled for all stages in one call.
+Equations I, 1993, section II.5), with SciPy's coefficients. SciPy's own driver chooses the steps by the error of one
+state; here many states are integrated together, and the reference is sampled for all stages in one call.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from scipy.integrate import DOP853
 
 from salver.geometry import Array
 
-Rate = Callable[[int, Array], Array]  # (index of an instant, state) to the rate of the state
-_NODES = np.concatenate([DOP853.C, DOP853.C_EXTRA, [1.0]])  # of a step: its stages, those of the interpolant, its end
+Rate = Callable[[int, Array], Array]  # (index of an instant, state) to the derivative of the state
+_NODES = np.concatenate([DOP853.C, DOP853.C_EXTRA, [1.0]])  # stages of a step, stages of the interpolant, end
 
 
 def integrate(
@@ -29,10 +29,10 @@ def integrate(
 ) -> Array:
     """States (T, ...) at increasing instants t (T,) >= start, from `state` (...) at `start`.
 
-    rates_at: called once, with all instants (K,) at which rates will be needed; it answers with the function
-    of (k, state) that evaluates the rate at the k-th of them, having sampled there what depends on time alone.
-    corners: instants at which the rate is not smooth; steps end there.
-    Where a state has escaped to infinity, what follows is not a number.
+    rates_at: called once with all instants (K,) of the stages, so that it can sample what depends on time alone;
+        returns the function of (k, state) that evaluates the derivative of the state at instant k.
+    corners: instants at which the derivative is not smooth; steps end there.
+    A state that diverges is NaN from then on.
     """
     inside = sorted({c for c in corners if start < c < t[-1]})
     pieces = [
@@ -40,7 +40,7 @@ def integrate(
     ]
     grid = np.concatenate([[start], *pieces])
     steps = np.diff(grid)
-    # No stage may lie after its step's end by rounding: what is sampled there may belong to the next piece.
+    # Rounding must not put a stage after the end of its step: a sample there may belong to the next piece.
     instants = np.minimum(grid[:-1, None] + steps[:, None] * _NODES, grid[1:, None])
     rate = rates_at(instants.ravel())
 
@@ -53,7 +53,7 @@ def integrate(
         for i in range(1, DOP853.n_stages):
             slopes.append(rate(first + i, state + h * _combine(DOP853.A[i], slopes)))
         end = state + h * _combine(DOP853.B, slopes)
-        if not np.isfinite(end).any():  # all have escaped: no number will come any more
+        if not np.isfinite(end).any():  # all states have diverged
             out[t > grid[k]] = np.nan
             break
         slope = rate(first + len(_NODES) - 1, end)
@@ -76,13 +76,13 @@ def _combine(weights: Array, slopes: Sequence[Array]) -> Array:
 
 
 def _interpolant(change: Array, slopes: Sequence[Array], h: float) -> list[Array]:
-    """Parts of the polynomial of seventh order through a step, from all its slopes."""
+    """Terms of the seventh-order interpolant of a step, from its slopes."""
     first, last = h * slopes[0], h * slopes[DOP853.n_stages]
     return [change, first - change, 2 * change - (last + first), *(h * _combine(row, slopes) for row in DOP853.D)]
 
 
 def _evaluate(parts: Sequence[Array], share: float) -> Array:
-    """Change of the state after a share of the step."""
+    """Change of the state after a share (0 to 1) of the step."""
     value = np.zeros_like(parts[0])
     for i, part in enumerate(reversed(parts)):
         value = (value + part) * (share if i % 2 == 0 else 1 - share)

@@ -1,12 +1,12 @@
-"""States that carry history: what a motion drives through a linear filter, and rows then read.
+"""Linear second-order filters, discretised exactly for polynomial inputs.
 
     x'' + kd x' + kp x = d(t)
 
-is the error dynamics of the object's loop and of the arm's joints, driven by what a parameter error changes; and, with
-a stiffness kp that changes over time, what swings inside a load on a tray that lifts or tilts. Each step of a grid is
-exact for a drive that is a polynomial there: linear between nodes, the cubic through the four nearest nodes (both of
-any spacing), or, where it can be had at any instant, given at Gauss points of each interval (sixth order). All steps
-together are one banded triangular system."""
+These are the error dynamics of the object's loop and of the arm's joints, driven by a parameter error; and, with a
+stiffness kp that changes over time, a sloshing mode or a pendulum in a load on a tray that lifts or tilts. Each step of
+a grid is exact if the drive d is a polynomial there: linear between nodes, cubic through the four nearest nodes (nodes
+of any spacing), or sampled at Gauss points of each interval (sixth order). All steps together are one banded triangular
+system."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ from salver.geometry import Array
 
 _GAUSS_POINTS = 0.5 + 0.5 * np.polynomial.legendre.leggauss(3)[0]
 _GAUSS_WEIGHTS = 0.5 * np.polynomial.legendre.leggauss(3)[1]
-_LARGEST_STEP = 0.35  # of the fastest rate times h: the quadrature's relative error is then below 1e-8
+_LARGEST_STEP = 0.35  # largest product of fastest pole and step, with a relative quadrature error below 1e-8
 _FINE_POINTS, _FINE_WEIGHTS = (0.5 * x for x in np.polynomial.legendre.leggauss(6))
-MANY = 24  # drives, beyond which several filters side by side are stepped from node to node together
-_MOST_PIECES = 64  # of an interval, each as long as the filter's fastest time constant
+MOST_BANDED_DRIVES = 24  # with more drives, stepping several filters together node by node is faster
+_MOST_PIECES = 64  # largest number of pieces of an interval, each as long as the fastest time constant
 
 
 @dataclass(frozen=True, eq=False)
 class LinearFilter:
-    """Steps of the filter between T nodes, for drives with Q samples; or of several (...) side by side.
+    """One filter, or several (...), on T nodes, for a drive with Q samples.
 
-    step: (..., T - 1, 2, 2) takes (x, x') from one node to the next. gain: (..., T - 1, 2, J) of the J samples of the
-    drive that matter between them, whose indices are `samples` (T - 1, J); None when the samples of each step are its
-    own. kp: one number, or (..., T) at the nodes; kd: one number, or (...).
+    step: (..., T - 1, 2, 2), takes (x, x') from one node to the next. gain: (..., T - 1, 2, J), takes the J samples of
+    the drive that matter in a step to the change of (x, x'). samples: (T - 1, J) indices of these samples; None if each
+    step has its own. kp: 1/s^2, one number or (..., T) at the nodes. kd: 1/s, one number or (...).
     """
 
     kp: float | Array
@@ -47,7 +47,7 @@ class LinearFilter:
     def on_nodes(cls, t: Array, kp: float, kd: float, order: int = 1, shares: Array | None = None) -> LinearFilter:
         """For a drive known at increasing nodes t (T,), linear (order 1) or cubic (order 3; T >= 4) between them.
 
-        shares: the same nodes in a unit in which they come again when motions become longer or shorter.
+        shares: the nodes as shares of the duration; a cache reuses what depends on these alone.
         """
         if len(t) <= order:
             raise ValueError(f"a filter of order {order} needs at least {order + 1} nodes, not {len(t)}")
@@ -56,11 +56,11 @@ class LinearFilter:
 
     @classmethod
     def stiffened(cls, t: Array, kp: Array, kd: Array, extra: Array) -> LinearFilter:
-        """Filters for drives known at nodes t (T,), cubic between them, with kp (...) + extra (..., T) instead of one
-        number; extra is cubic between the nodes too. Underdamped: kd (...) < 2 sqrt(kp).
+        """Filters with the time-varying stiffness kp (...) + extra (..., T), underdamped: kd (...) < 2 sqrt(kp).
 
-        extra x is one more drive, with x in each step the cubic through both its ends and their rates; that makes the
-        step implicit: (1 + F) X_(k+1) = (step - G) X_k + gain d.
+        The drive and `extra` are known at nodes t (T,) and cubic between them. The term extra x is treated as one more
+        drive, with x in each step the cubic Hermite polynomial of both its ends; that makes the step implicit:
+        (1 + F) X_(k+1) = (step - G) X_k + gain d.
         """
         h, fastest = np.diff(t), int(np.argmax(kp))
         u, weights = _fine(_pieces(float(kp.flat[fastest]), float(kd.flat[fastest]), h))
@@ -83,17 +83,17 @@ class LinearFilter:
 
     @classmethod
     def on_grid(cls, grid: QuadratureGrid, kp: float, kd: float) -> LinearFilter:
-        """For a drive known at `grid.times`, with the answer at `grid.t`."""
+        """For a drive known at `grid.times`, with x at `grid.t`."""
         return _on_grid(kp, kd, float(grid.t[1] - grid.t[0]), len(grid.t) - 1, grid.substeps)
 
     @property
     def nodes(self) -> int:
-        """T."""
+        """The number T of nodes."""
         return self.step.shape[-3] + 1
 
     def respond(self, drive: Array, start: Array | None = None) -> tuple[Array, Array]:
-        """x and x' at the nodes, each (..., T, c...), for a drive (..., Q, c...). start: (..., 2, c...) at the first, 0
-        unless given."""
+        """x and x' at the nodes, each (..., T, c...), for a drive (..., Q, c...). start: (x, x') (..., 2, c...) at the
+        first node; default 0."""
         *lead, steps, _, width = self.gain.shape
         shape = (*lead, steps + 1, *drive.shape[len(lead) + 1 :])
         if drive.size == 0:  # no parameter or no variable: LAPACK writes out of bounds for no columns
@@ -106,13 +106,13 @@ class LinearFilter:
             state[..., 1:, :, :] = self.gain @ flat.reshape(*lead, steps, width, -1)
         else:
             state[..., 1:, :, :] = self.gain @ flat[..., self.samples, :]
-        state = self._stepped(state) if lead and flat.shape[-1] > MANY else self._solved(state)
+        state = self._stepped(state) if lead and flat.shape[-1] > MOST_BANDED_DRIVES else self._solved(state)
         return state[..., 0, :].reshape(shape), state[..., 1, :].reshape(shape)
 
     @cached_property
     def answers(self) -> Array:
-        """(2, ..., T, 2 + T) x and x' at the nodes, to x and x' of 1 at the first and a drive of 1 at each: where there
-        are many drives, or few nodes matter, what they come to is put together of these."""
+        """Unit responses (2, ..., T, 2 + T): x and x' at the nodes for initial x, x' of 1 and for a drive of 1 at each
+        node. With many drives, or if few nodes matter, combining these is cheaper than `respond`."""
         assert self.samples is not None
         *lead, steps, _, _ = self.gain.shape
         state = np.zeros((*lead, steps + 1, 2, steps + 3))
@@ -122,12 +122,12 @@ class LinearFilter:
         return np.ascontiguousarray(np.moveaxis(self._stepped(state), -2, 0))
 
     def known(self, node: int) -> int:
-        """Number of the 2 + T `answers` that come before a node, and so count there."""
+        """Number of the 2 + T `answers`, from the first on, that can be nonzero at a node."""
         assert self.samples is not None
         return 3 + int(self.samples[max(node, 1) - 1].max())
 
     def acceleration(self, drive: Array, x: Array, rate: Array) -> Array:
-        """x'' (..., T, c...) at nodes at which the drive is known."""
+        """x'' (..., T, c...) at the nodes, for a drive known there."""
         over = x.ndim - (self.gain.ndim - 3) - 1
         kp, kd = np.asarray(self.kp), np.asarray(self.kd)
         kp = kp if kp.ndim == 0 else kp.reshape(*kp.shape, *(1,) * over)
@@ -135,7 +135,7 @@ class LinearFilter:
         return np.asarray(drive - kd * rate - kp * x)
 
     def only(self, which: tuple[npt.NDArray[np.intp] | slice, ...]) -> LinearFilter:
-        """Some of several."""
+        """Some of several filters."""
         kp, kd = np.asarray(self.kp), np.asarray(self.kd)
         return LinearFilter(kp[which], kd[which], self.step[which], self.gain[which], self.samples)
 
@@ -150,7 +150,7 @@ class LinearFilter:
         return np.asfortranarray(bands.reshape(4, -1))
 
     def _stepped(self, state: Array) -> Array:
-        """`_solved`, all filters and drives together, node by node: quicker with many drives."""
+        """`_solved`, node by node for all filters and drives together: faster with many drives."""
         found = np.ascontiguousarray(np.moveaxis(state, -3, 0))
         for before, step, now in zip(found, np.moveaxis(self.step, -3, 0), found[1:], strict=False):
             now += step @ before
@@ -168,7 +168,7 @@ def _inverse(matrix: Array) -> Array:
 
 
 def _swinging(sigma: Array, omega: Array, kp: Array, h: Array) -> Array:
-    """(..., T - 1, 2, 2) as `transition`, of underdamped filters with these (..., 1, 1) over steps h (T - 1, 1)."""
+    """`transition` (..., T - 1, 2, 2) of underdamped filters, parameters (..., 1, 1), over steps h (T - 1, 1)."""
     fading = np.exp(-sigma * h)
     cosine, sine = (fading * np.cos(omega * h))[..., 0], (fading * np.sin(omega * h) / omega)[..., 0]
     own, stiff = sigma[..., 0] * sine, kp[..., 0] * sine
@@ -176,34 +176,34 @@ def _swinging(sigma: Array, omega: Array, kp: Array, h: Array) -> Array:
 
 
 def _pieces(kp: float, kd: float, h: Array) -> int:
-    """Into how many each of steps h (T - 1,) is cut where an integral over it is taken."""
+    """Number of quadrature pieces of each of the steps h (T - 1,)."""
     return min(max(int(np.ceil(fastest_rate(kp, kd) * float(h.max()))), 1), _MOST_PIECES)
 
 
 @lru_cache(maxsize=_MOST_PIECES)
 def _fine(pieces: int) -> tuple[Array, Array]:
-    """Fractions (G,) of a step at which its integral is taken, and their weights (G,)."""
+    """Quadrature points (G,) of a step, as fractions of it, and their weights (G,)."""
     inside = ((np.arange(pieces)[:, None] + 0.5 + _FINE_POINTS) / pieces).ravel()
     return inside, np.tile(_FINE_WEIGHTS, pieces) / pieces
 
 
 @lru_cache(maxsize=_MOST_PIECES)
 def _left(pieces: int) -> Array:
-    """(G + 1,) shares of a step that are left at the points of `_fine`, and at its beginning."""
+    """Remaining fractions (G + 1,) of a step at the points of `_fine`, then at its beginning."""
     return np.append(1 - _fine(pieces)[0], 1.0)
 
 
 @lru_cache(maxsize=64)
 def _weighed(shares: bytes, order: int, pieces: int) -> tuple[npt.NDArray[np.intp], Array]:
-    """`_lagrange` where integrals are taken, with their weights: the same in any unit of time."""
+    """`_lagrange` at the quadrature points, times their weights; independent of the unit of time."""
     inside, weights = _fine(pieces)
     samples, basis = _lagrange(np.frombuffer(shares), order, inside)
     return samples, weights[:, None] * basis
 
 
 def _lagrange(t: Array, order: int, inside: Array) -> tuple[npt.NDArray[np.intp], Array]:
-    """Nodes (T - 1, J) that interpolate between two of t (T,), and Lagrange's polynomials of these at fractions
-    `inside` (G,) of the interval: (T - 1, G, J)."""
+    """Interpolation in each interval of t (T,): its nodes (T - 1, J), and their Lagrange polynomials (T - 1, G, J) at
+    fractions `inside` (G,) of the interval."""
     count, h = len(t), np.diff(t)
     samples = np.clip(np.arange(count - 1) - order // 2, 0, count - order - 1)[:, None] + np.arange(order + 1)
     known, at = t[samples], (t[:-1, None] + h[:, None] * inside)[:, :, None, None]
@@ -219,7 +219,7 @@ def fastest_rate(kp: float, kd: float) -> float:
 
 
 def transition(kp: float, kd: float, t: npt.ArrayLike) -> Array:
-    """(..., 2, 2): (x, x') at t = 0 to those t seconds later, without a drive."""
+    """State transition (..., 2, 2): takes (x, x') to (x, x') t seconds later, without a drive."""
     return _transition(kp, kd, *_ringing(kp, kd, np.asarray(t, dtype=float)))
 
 
@@ -237,7 +237,7 @@ def _transition(kp: float, kd: float, cosine: Array, sine: Array) -> Array:
 
 
 def pushed(kp: float, kd: float, t: Array) -> Array:
-    """(2, ...): x and x' t seconds after a unit push, from rest: the second column of `transition`."""
+    """Impulse response (2, ...): x and x' t seconds after a unit impulse; the second column of `transition`."""
     cosine, sine = _ringing(kp, kd, t)
     return np.array([sine, cosine - 0.5 * kd * sine])
 
@@ -258,7 +258,7 @@ def _ringing(kp: float, kd: float, t: Array) -> tuple[Array, Array]:
 
 
 def settled(kp: float, kd: float, seconds: float, drive: Array) -> Array:
-    """(2, ...) state after a constant drive (...) has been there for so long, from rest."""
+    """(x, x') (2, ...) from rest after a constant drive (...) has acted for `seconds`."""
     return np.multiply.outer(_settled(kp, kd, seconds), drive)
 
 
@@ -269,14 +269,14 @@ def _settled(kp: float, kd: float, seconds: float) -> Array:
 
 
 def at_instant(t: Array, x: Array, now: float) -> Array:
-    """x (...) at an instant, linear between nodes t (T,) of x (T, ...)."""
+    """x (...) at the instant `now`, linear between its values (T, ...) at nodes t (T,)."""
     k = int(np.clip(np.searchsorted(t, now) - 1, 0, len(t) - 2))
     u = (now - t[k]) / (t[k + 1] - t[k])
     return np.asarray((1 - u) * x[k] + u * x[k + 1])
 
 
 def swinging_at(t: Array, x: Array, rate: Array, now: float) -> tuple[Array, Array]:
-    """x and x' (...) at an instant, of x and x' (T, ...) at nodes t (T,): of the cubic that has them at both sides."""
+    """x and x' (...) at the instant `now`, cubic Hermite between x and x' (T, ...) at nodes t (T,)."""
     k = int(np.clip(np.searchsorted(t, now) - 1, 0, len(t) - 2))
     h = t[k + 1] - t[k]
     u = (now - t[k]) / h
@@ -289,10 +289,9 @@ def swinging_at(t: Array, x: Array, rate: Array, now: float) -> tuple[Array, Arr
 
 @dataclass(frozen=True)
 class QuadratureGrid:
-    """A uniform grid t (T,) and the instants between its points at which inputs are needed.
+    """A uniform grid t (T,) with quadrature points between its nodes: three Gauss points in each substep.
 
-    times: (Q,) with Q = 3 (T - 1) substeps; these of equal length, three Gauss points in each.
-    weights: (Q,) such that sum(weights * f(times)) integrates f from t[0] to t[-1].
+    substeps: number of equal parts of each interval. times: (Q,) quadrature points, s, with Q = 3 (T - 1) substeps.
     """
 
     t: Array
@@ -306,7 +305,7 @@ class QuadratureGrid:
 
     @property
     def fractions(self) -> Array:
-        """(3 substeps,) where in an interval the instants lie, in [0, 1]."""
+        """Quadrature points (3 substeps,) of an interval, in [0, 1]."""
         return ((np.arange(self.substeps)[:, None] + _GAUSS_POINTS) / self.substeps).ravel()
 
     @property
@@ -316,13 +315,13 @@ class QuadratureGrid:
 
     @property
     def interval_weights(self) -> Array:
-        """(3 substeps,) quadrature weights inside one interval, s."""
+        """Quadrature weights (3 substeps,) of an interval, s."""
         return np.tile(_GAUSS_WEIGHTS, self.substeps) * (self.t[1] - self.t[0]) / self.substeps
 
     def cumulative(self, values: Array) -> tuple[Array, Array]:
         """Running integrals of values (Q, ...) from t[0]: at the grid (T, ...) and at `times` (Q, ...).
 
-        Inside a substep the integral of the quadratic through its three Gauss points is used.
+        In a substep, values are taken as the quadratic through its three Gauss points.
         """
         h = (self.t[1] - self.t[0]) / self.substeps
         blocks = values.reshape(-1, 3, *values.shape[1:])
@@ -344,12 +343,12 @@ _PARTIAL = _partial_weights()
 
 @lru_cache(maxsize=16)
 def _on_nodes(t: bytes, kp: float, kd: float, order: int, shares: bytes) -> LinearFilter:
-    """`LinearFilter.on_nodes`: of motions that change while they run, the same nodes come again and again."""
+    """`LinearFilter.on_nodes`, cached, because live motions use the same nodes again and again."""
     nodes = np.frombuffer(t)
     h = nodes[1:] - nodes[:-1]
     pieces = _pieces(kp, kd, h)
     samples, basis = _weighed(shares, order, pieces)
-    # What is left of a step at each of the points at which its integral is taken, and all of it.
+    # Responses to an impulse at each quadrature point, and, last, over the whole step.
     cosine, sine = _ringing(kp, kd, h[:, None] * _left(pieces))
     after = np.stack([sine[:, :-1], (cosine - 0.5 * kd * sine)[:, :-1]], axis=1)
     gain = after * h[:, None, None] @ basis

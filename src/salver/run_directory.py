@@ -1,4 +1,4 @@
-"""The run directory: which files belong to a plan, and how one plan makes room for another without a loss."""
+"""The run directory: which files belong to a plan, and how replaced plans are kept."""
 
 from __future__ import annotations
 
@@ -14,29 +14,29 @@ from typing import Any
 from salver.errors import FileFormatError, SalverError, reason
 from salver.files import read_json, save_result
 
-EARLIER = "earlier"  # folder with the plans that were replaced, numbered, each with its results
+EARLIER = "earlier"  # folder of replaced plans, numbered, each with its results
 SCENARIO = "scenario.toml"
 CERTIFICATE = "certificate"  # key of a plan's record
-STEMS = ("plan", "baseline", "nominal")  # the motions that it may hold: a plan, and what it is compared with
-RECORDS = ("simulation", "execution")  # folders with one record a stem
+STEMS = ("plan", "baseline", "nominal")  # names of the motions: the plan, and those that it is compared with
+RECORDS = ("simulation", "execution")  # folders with one record for each motion
 _LEG = re.compile(r"leg([1-9][0-9]?)")
-_OF_ALL = ("report.html", "figures", "export", "film.mp4", "film.gif")
+_SHARED_RESULTS = ("report.html", "figures", "export", "film.mp4", "film.gif")
 
 
 def leg_number(stem: str) -> int | None:
-    """Number of the leg that a stem names, 1 for "leg1"; None for none."""
+    """Number of the leg that a stem names, 1 for "leg1"; None if it names no leg."""
     found = _LEG.fullmatch(stem)
     return None if found is None else int(found[1])
 
 
 def file_stem(directory: Path, stem: str) -> str:
-    """Stem of the files in which a plan is: all legs of a plan are in those of the plan."""
+    """Stem of the files that hold the motion `stem`: "plan" for a leg, because a plan's files hold all its legs."""
     own = (directory / f"{stem}.npz").is_file()
     return stem if own or leg_number(stem) is None else STEMS[0]
 
 
 def scenario_of(directory: Path) -> Path:
-    """The scenario that a run directory holds. Raises FileFormatError for what is no run directory."""
+    """Path of the scenario in a run directory. Raises FileFormatError if `directory` is not a run directory."""
     path = directory / SCENARIO
     if path.is_file():
         return path
@@ -47,7 +47,7 @@ def scenario_of(directory: Path) -> Path:
 
 
 def check_writable(directory: Path, advice: str) -> None:
-    """Make a directory unless it is there; raise SalverError where nothing can be written. advice: what to do then."""
+    """Make a directory if it is missing; raise SalverError, ending in `advice`, if it cannot be written to."""
     try:
         directory.mkdir(parents=True, exist_ok=True)
         probe = directory / f".{SCENARIO}.probe"
@@ -60,7 +60,7 @@ def check_writable(directory: Path, advice: str) -> None:
 def check_free(directory: Path) -> None:
     """Raise SalverError when a plan cannot be written there, or would replace files that salver did not write.
 
-    To be asked before a plan is computed: what is not known until it is saved is lost then.
+    Call it before a plan is computed, so that no plan is lost because it cannot be saved.
     """
     if directory.exists() and not directory.is_dir():
         raise SalverError(f"{directory} is a file; a plan needs a directory: name another with -o.")
@@ -70,16 +70,23 @@ def check_free(directory: Path) -> None:
         for path in (arrays, summary):
             if path.exists() and not (ours and arrays.is_file()):
                 raise SalverError(
-                    f"{path} is there already and belongs to no plan of salver; name another directory with -o."
+                    f"{path} exists already and is not from a plan of salver; name another directory with -o."
                 )
     check_writable(directory, "name another directory with -o")
 
 
 def make_room(directory: Path, stem: str, with_scenario: bool = False) -> Path | None:
-    """Move the plan `stem` and all results that rest on it to DIRECTORY/earlier/N; returns that folder.
+    """Move a plan and all its results to the folder DIRECTORY/earlier/N.
 
-    None when there is nothing to move. With "plan" goes what it was compared with. with_scenario: and everything else
-    that rests on scenario.toml, and that. Raises SalverError when a campaign of it is running.
+    Args:
+        stem: name of the plan; "plan" also moves "baseline" and "nominal".
+        with_scenario: also move scenario.toml and all other plans.
+
+    Returns:
+        The folder, or None if there was nothing to move.
+
+    Raises:
+        SalverError: one of its campaigns is running, or a file cannot be moved.
     """
     found = _belongings(directory, stem)
     if with_scenario:
@@ -102,10 +109,10 @@ def make_room(directory: Path, stem: str, with_scenario: bool = False) -> Path |
 
 
 def _belongings(directory: Path, stem: str) -> list[Path]:
-    """Results first, the plan itself last: what is stopped half way still tells that it is not done."""
+    """Files and folders of a plan and its results; the plan is last, so that an interrupted move can be repeated."""
     stems = STEMS if stem == "plan" else (stem,)
     pages = sorted(directory.glob("report-leg*.html"))
-    results = [directory / name for name in _OF_ALL] + pages + campaign_folders(directory)
+    results = [directory / name for name in _SHARED_RESULTS] + pages + campaign_folders(directory)
     for folder in RECORDS:
         if stem == "plan":
             results.append(directory / folder)
@@ -115,9 +122,9 @@ def _belongings(directory: Path, stem: str) -> list[Path]:
 
 
 def plan_digest(directory: Path, stem: str) -> str:
-    """Digest of the plan `stem` of a run directory, by which its results know it: that of its certificate
-    (`salver.planning.certificate`), apart from what only tells how it was planned. Raises SalverError when there is
-    no such plan, FileFormatError when its record holds no certificate."""
+    """Digest of a plan, which its results record: that of its certificate (`salver.planning.certificate`) without the
+    record of how it was planned. Raises SalverError when there is no such plan, FileFormatError when it has no
+    certificate."""
     stem = file_stem(directory, stem)
     path = directory / f"{stem}.json"
     if not _holds(directory, stem):
@@ -126,12 +133,12 @@ def plan_digest(directory: Path, stem: str) -> str:
     record = read_json(path)
     certified = record.get(CERTIFICATE) if isinstance(record, dict) else None
     if not isinstance(certified, dict):
-        raise FileFormatError(f"{path} has no certificate, which tells one plan from another; plan again.")
+        raise FileFormatError(f"{path} has no certificate, which results need to name their plan; plan again.")
     return digest_of({key: value for key, value in certified.items() if key != "record"})[:12]
 
 
 def digest_of(value: Any) -> str:
-    """SHA-256 of what JSON can hold, whatever the order of its keys."""
+    """SHA-256 of a value that JSON can hold, independent of the order of its keys."""
     return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()
 
 
@@ -141,7 +148,7 @@ def _holds(directory: Path, stem: str) -> bool:
 
 
 def known_stems(directory: Path) -> list[str]:
-    """Plans of a run directory: those of `STEMS` first, then others."""
+    """Names of the plans in a run directory: those in `STEMS` first, then others."""
     found = {path.stem for path in directory.glob("*.npz")}
     first = [stem for stem in STEMS if stem in found]
     return first + sorted(found - set(first))
@@ -150,10 +157,10 @@ def known_stems(directory: Path) -> list[str]:
 def save_record(
     directory: Path, folder: str, stem: str, arrays: Mapping[str, Any], summary: Mapping[str, Any], kind: str = ""
 ) -> Path:
-    """Write what became of the plan `stem`: DIRECTORY/FOLDER/STEM.npz and .json, which says which plan it was.
+    """Write the record of a run of the plan `stem` to DIRECTORY/FOLDER/STEM.npz and .json, with the plan's digest.
 
-    kind: added to the name of what is no run of the whole plan, and so is not shown as one.
-    Records of other runs that stand there are kept, as STEM-1, STEM-2 ...
+    kind: added to the file name if the run was not of the whole plan, so that it is not shown as one.
+    Existing records of other runs are kept as STEM-1, STEM-2, ...
     """
     of_plan, verdict = {}, ""
     if _holds(directory, stem):
@@ -163,14 +170,14 @@ def save_record(
 
 
 def plan_verdict(directory: Path, stem: str) -> str:
-    """The verdict on the plan `stem`, or on a leg, as its record has it; empty where it has none."""
+    """The recorded verdict on the plan or leg `stem`; empty if there is none."""
     record, number = read_json(directory / f"{file_stem(directory, stem)}.json"), leg_number(stem)
     legs = record.get("legs") if number is not None else None
     return str((legs[number - 1] if legs and number else record).get("verdict", ""))
 
 
 def check_digest(summary: Mapping[str, Any], path: Path, directory: Path, stem: str) -> None:
-    """Raise FileFormatError when the summary at `path` is not of the plan `stem` that the directory has now."""
+    """Raise FileFormatError when the summary at `path` is of another plan than the present plan `stem`."""
     if _holds(directory, stem) and summary.get("plan_digest") != plan_digest(directory, stem):
         raise FileFormatError(f"{path} is of another plan than {directory / stem}.npz; make it again.")
 
@@ -181,7 +188,7 @@ def campaign_folders(directory: Path) -> list[Path]:
 
 
 def _check_idle(folder: Path) -> None:
-    """The lock of `salver.campaigns.journal`."""
+    """Raise SalverError if a campaign holds the lock of `salver.campaigns.journal` in a folder."""
     lock = folder / "lock"
     if not lock.is_file():
         return

@@ -1,8 +1,7 @@
 """Samples of the uncertain parameters for the perturbed runs of a campaign.
 
-Every method fills the *set* of the scenario, a box (eq 8 of the paper) or an ellipsoid (eq 9), and keeps
-only combinations that a physical object can have. Run k is reproducible from (seed, k) alone, however many runs
-there are: more runs can be added later.
+Every method samples the uncertain set of the scenario, a box (eq 8 of the paper) or an ellipsoid (eq 9), and keeps
+only combinations that a physical object can have. Run k depends on (seed, k) alone, so that runs can be added later.
 """
 
 from __future__ import annotations
@@ -23,8 +22,8 @@ if TYPE_CHECKING:
 Method = Literal["uniform", "corners"]
 METHODS: tuple[str, ...] = get_args(Method)
 
-_WITHIN = 0.95  # of the way to the surface that a centre of mass of any contents is drawn
-_TRIES = 1000  # draws for one run before the set is called impossible
+_WITHIN = 0.95  # a random centre of mass is drawn at most this share of the way to the shape's surface
+_TRIES = 1000  # draws for one run before the set is considered impossible
 
 Possible = Callable[[Array], Mask]
 
@@ -32,17 +31,19 @@ Possible = Callable[[Array], Mask]
 def draw(
     uncertain: UncertainSet, n: int, seed: int = 0, method: Method = "uniform", bodies: Sequence[Body] | None = None
 ) -> Array:
-    """Values (n, n_p) of the parameters of n runs, in the unit of each, in the order of `uncertain.names`.
+    """Sample the parameters of n runs: values (n, n_p) in SI units, in the order of `uncertain.names`.
 
-    uniform: independent, uniform over the volume of the set. corners: the extreme points first (all low, all
-    high, then the others in a seeded order; of an ellipsoid, its points of least and largest value in each
-    parameter, then its diagonals), uniform once they are used up.
+    Args:
+        method: "uniform": independent, uniform over the volume of the set. "corners": first the extreme points (all
+            low, all high, then the others in a seeded order; for an ellipsoid its points of least and largest value in
+            each parameter, then its diagonals), then uniform.
+        bodies: if given, combinations that no object can have are left out: mass, friction or inertia not positive,
+            principal moments against the triangle inequality, a centre of mass outside the shape, and, if the
+            nominal object satisfies it, an inertia that no mass distribution within the shape has. With
+            `contents = "any"`, the inertia is that of random point masses inside the object, whatever the method.
 
-    With `bodies`, combinations that no object can have are left out: mass, friction or inertia not positive,
-    principal moments against the triangle inequality, a centre of mass outside the shape, and, where the
-    nominal object satisfies it, an inertia that no mass distribution within the shape has.
-    An object with `contents = "any"` gets the inertia of random point masses inside it, whatever the method.
-    Raises SalverError when (almost) no combination is possible.
+    Raises:
+        SalverError: (almost) no combination is possible.
     """
     if n < 0:
         raise SalverError(f"The number of runs is {n}; it must be 0 or more.")
@@ -64,7 +65,7 @@ def _inertia_of(parameter: Parameter, filled: Sequence[Body]) -> bool:
 def _filled(
     uncertain: UncertainSet, n: int, seed: int, method: Method, bodies: Sequence[Body], filled: Sequence[Body]
 ) -> Array:
-    """Runs with random contents: all else by the method, then the inertia of some mass distribution that fits to it."""
+    """Samples for bodies with random contents: inertias of random mass distributions, all else by the method."""
     others = [p for p in uncertain.parameters if not _inertia_of(p, filled)]
     known = [body for body in bodies if body not in filled]
     column = {p: j for j, p in enumerate(uncertain.parameters)}
@@ -77,7 +78,7 @@ def _filled(
             at = np.array([values[k, own[i]] if i in own else nominal[i] for i in range(4)])
             outwards = faces[:, :3] @ at[1:]
             beyond = outwards > -_WITHIN * faces[:, 3]
-            if beyond.any():  # a centre of mass on the shape's surface would leave all of the mass there
+            if beyond.any():  # only a mass concentrated on the surface has its centre of mass there
                 at[1:] *= _WITHIN * float(np.min(-faces[beyond, 3] / outwards[beyond]))
             inertia = at[0] * random_inertia(body, at[1:], np.random.default_rng([seed, k, 1]))
             for i, j in own.items():
@@ -112,7 +113,7 @@ def _corners(uncertain: UncertainSet, n: int, seed: int, possible: Possible) -> 
 
 
 def _extreme_points(uncertain: UncertainSet, seed: int) -> Iterator[Array]:
-    """Points of the unit box or ball whose images are the corners of the set, each once."""
+    """Points of the unit box or ball that map to the extreme points of the set, each once."""
     radius = 1.0 if uncertain.kind == "box" else 1 / np.sqrt(uncertain.size)
     if uncertain.kind == "ellipsoid" and uncertain.size > 1:
         # A s is largest in parameter j where s points along row j of A.
@@ -127,7 +128,7 @@ def _extreme_points(uncertain: UncertainSet, seed: int) -> Iterator[Array]:
 def sign_vectors(n_p: int, seed: int) -> Iterator[Array]:
     """All 2^n_p vectors of signs, each once: all low, all high, then the others in a seeded order.
 
-    Nothing is enumerated in advance, so many parameters cost no memory.
+    They are generated one by one, so that many parameters need little memory.
     """
     yield -np.ones(n_p)
     yield np.ones(n_p)
@@ -150,14 +151,14 @@ def _signs(code: int, n_p: int) -> Array:
 
 
 def cube_dimension(uncertain: UncertainSet) -> int:
-    """Number of uniform numbers that make one point: one more for a ball than for a box."""
+    """Number of uniform numbers that one point of the set needs: n_p for a box, n_p + 1 for an ellipsoid."""
     return uncertain.size + (uncertain.kind == "ellipsoid" and uncertain.size > 1)
 
 
 def from_unit_cube(uncertain: UncertainSet, cube: Array) -> Array:
-    """The point of the set (..., n_p) of a point of the unit cube (..., cube_dimension), volume-preserving.
+    """Map points of the unit cube (..., cube_dimension) to points of the set (..., n_p), preserving volume.
 
-    For a ball: a direction from normal numbers, a radius that is the n_p-th root of a uniform number.
+    For an ellipsoid: a direction from normal numbers, and a radius that is the n_p-th root of a uniform number.
     """
     n_p = uncertain.size
     if cube_dimension(uncertain) == n_p:
@@ -172,7 +173,7 @@ def from_unit_cube(uncertain: UncertainSet, cube: Array) -> Array:
 
 
 def _possible(uncertain: UncertainSet, bodies: Sequence[Body] | None) -> Possible:
-    """Whether objects with these parameters (n, n_p) can exist: (n,)."""
+    """A test whether objects with parameters (n, n_p) can exist, with the answers (n,)."""
     positive = [j for j, p in enumerate(uncertain.parameters) if p.kind in ("mass", "friction")]
     tests = [_inertial_test(uncertain, body) for body in bodies or ()]
 
@@ -186,7 +187,7 @@ def _possible(uncertain: UncertainSet, bodies: Sequence[Body] | None) -> Possibl
 
 
 def _inertial_test(uncertain: UncertainSet, body: Body) -> Possible:
-    """The test of one body's mass, centre of mass and inertia together."""
+    """A joint test of one body's mass, centre of mass and inertia."""
     own = [(j, p.entry) for j, p in enumerate(uncertain.parameters) if p.owner == body.name]
     columns = [(j, entry) for j, entry in own if entry is not None]
     nominal = inertial_vector(body.own)

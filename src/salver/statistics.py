@@ -1,4 +1,4 @@
-"""Statistics of counts: intervals of rates, two plans on the same samples, quantiles."""
+"""Statistics of campaigns: confidence intervals of rates, paired comparison of two plans, quantiles."""
 
 from __future__ import annotations
 
@@ -46,9 +46,9 @@ def clopper_pearson(count: int, total: int, level: float = 0.95) -> Rate:
 
 @dataclass(frozen=True)
 class Paired:
-    """Two plans on the same samples: how often both, one, or neither achieved it, and McNemar's exact p.
+    """Comparison of two plans on the same samples: runs in which both, one, or neither succeeded; McNemar's exact p.
 
-    p_value: probability of a split at least this uneven among the discordant runs if neither plan were better.
+    p_value: probability that discordant runs are split at least this unevenly if neither plan is better.
     """
 
     both: int
@@ -78,7 +78,7 @@ QUANTILES = {"min": 0.0, "q05": 0.05, "median": 0.5, "q95": 0.95, "max": 1.0}
 
 
 def quantiles(values: npt.ArrayLike, at: Mapping[str, float] = QUANTILES) -> dict[str, float]:
-    """Named quantiles (linear between order statistics) of finite values; NaN where there are none."""
+    """Named quantiles (linear between order statistics) of the finite values; NaN if there are none."""
     x = np.asarray(values, dtype=float)
     x = x[np.isfinite(x)]
     if x.size == 0:

@@ -1,5 +1,4 @@
-"""Results as tables of other libraries: pandas and xarray, which salver does not need itself (pip install
-'salver[tables]')."""
+"""Results as pandas and xarray tables (optional: pip install 'salver[tables]')."""
 
 from __future__ import annotations
 
@@ -18,7 +17,7 @@ if TYPE_CHECKING:
 
 TIME = "t"
 _COMPONENTS = {"xyz": tuple("xyz"), "wxyz": tuple("wxyz")}
-# Of quantities by their names in docs/conventions.md, after the time.
+# Dimensions after time, by the names of docs/conventions.md.
 DIMENSIONS: Mapping[str, tuple[str, ...]] = {
     **dict.fromkeys(("q", "dq", "ddq", "tau"), ("joint",)),
     **dict.fromkeys(("p_SE", "p_SB", "v_S", "a_S", "omega_B", "alpha_B"), ("xyz",)),
@@ -29,8 +28,10 @@ DIMENSIONS: Mapping[str, tuple[str, ...]] = {
 
 @dataclass(frozen=True)
 class Table:
-    """Arrays with named dimensions. variables: name to (dimensions, array). labels: dimension to the name of each
-    entry. about: what it is, in words and numbers."""
+    """Arrays with named dimensions.
+
+    variables: name to (dimensions, array). labels: dimension to the names of its entries. about: attributes.
+    """
 
     variables: Mapping[str, tuple[tuple[str, ...], Array]]
     labels: Mapping[str, Sequence[str]] = field(default_factory=dict)
@@ -38,7 +39,7 @@ class Table:
 
 
 class Tabular:
-    """A result with a table: `table` gives it."""
+    """A result that can be converted to a table of pandas or xarray."""
 
     __slots__ = ()
 
@@ -47,7 +48,7 @@ class Tabular:
         raise NotImplementedError
 
     def to_xarray(self) -> xarray.Dataset:
-        """An `xarray.Dataset`: every array with named dimensions and labels. Raises MissingDependencyError."""
+        """The result as an `xarray.Dataset` with named dimensions. Raises MissingDependencyError without xarray."""
         try:
             import xarray
         except ImportError:
@@ -62,8 +63,8 @@ class Tabular:
         )
 
     def to_pandas(self) -> pandas.DataFrame:
-        """A `pandas.DataFrame`: one row an instant, one column a component, as `p_SE_x`. Raises
-        MissingDependencyError."""
+        """The result as a `pandas.DataFrame`: a row for each instant, a column for each component, such as `p_SE_x`.
+        Raises MissingDependencyError without pandas."""
         frames = pandas_module()
         table = self.table()
         labels = _COMPONENTS | dict(table.labels)
@@ -83,7 +84,7 @@ class Tabular:
 def dimensioned(
     arrays: Mapping[str, Array], own: Mapping[str, tuple[str, ...]]
 ) -> dict[str, tuple[tuple[str, ...], Array]]:
-    """`Table.variables` of arrays (T, ...): dimensions by `own`, else `DIMENSIONS`. What is in neither is left out."""
+    """`Table.variables` of arrays (T, ...) whose dimensions are in `own` or `DIMENSIONS`; others are left out."""
     known = {**DIMENSIONS, **own}
     return {TIME: ((TIME,), arrays[TIME])} | {
         name: ((TIME, *known[name]), values) for name, values in arrays.items() if name in known
@@ -91,7 +92,7 @@ def dimensioned(
 
 
 def pandas_module() -> Any:
-    """The package pandas. Raises MissingDependencyError."""
+    """The module pandas. Raises MissingDependencyError if it is not installed."""
     try:
         import pandas
     except ImportError:

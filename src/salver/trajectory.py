@@ -1,8 +1,8 @@
 """Reference trajectories of the object in SE(3): paper, eqs (14), (15), (26) and footnote 1.
 
-Position: a polynomial per axis. Orientation: a polynomial body angular velocity, integrated on SO(3).
-Both in the Chebyshev basis of normalised time s = 2 t / T - 1, whose boundary map is well conditioned
-at any degree (the monomial basis loses a digit per degree).
+The position is a polynomial for each axis, the body angular velocity another, integrated on SO(3). Both are in the
+Chebyshev basis of normalised time s = 2 t / T - 1, whose boundary map is well conditioned at any degree (the monomial
+basis loses a digit with each degree).
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class MotionSamples:
         return quat_wxyz_from_matrix(self.R_SB)
 
     def only(self, index: Indices | Mask | slice) -> MotionSamples:
-        """Some of the instants."""
+        """The motion at some of the instants."""
         return MotionSamples(*(getattr(self, each.name)[index] for each in fields(self)))
 
     def of_frame(self, p_BX: npt.ArrayLike, R_BX: npt.ArrayLike | None = None) -> MotionSamples:
@@ -76,14 +76,14 @@ def chebyshev_basis(s: npt.ArrayLike, degree: int, derivative: int = 0) -> Array
 
 
 def chebyshev_bases(s: npt.ArrayLike, degree: int, derivatives: Iterable[int]) -> list[Array]:
-    """`chebyshev_basis` of several derivatives, from one table of values; not to be written to."""
+    """`chebyshev_basis` of several derivatives, computed together; treat the arrays as read-only, they are cached."""
     s = np.asarray(s, dtype=float)
     return [basis.reshape(*s.shape, basis.shape[-1]) for basis in _bases(s.tobytes(), degree, tuple(derivatives))]
 
 
 @lru_cache(maxsize=64)
 def _bases(points: bytes, degree: int, derivatives: tuple[int, ...]) -> list[Array]:
-    """`chebyshev_bases`: a planner asks for the same ones at every iteration."""
+    """`chebyshev_bases`, cached, because a planner needs the same ones in every iteration."""
     values = chebyshev.chebvander(np.frombuffer(points), degree)
     bases = [values @ _differentiation(degree, derivative) for derivative in derivatives]
     for basis in bases:
@@ -93,7 +93,7 @@ def _bases(points: bytes, degree: int, derivatives: tuple[int, ...]) -> list[Arr
 
 @lru_cache(maxsize=256)
 def _differentiation(degree: int, derivative: int) -> Array:
-    """(degree + 1, degree + 1): coefficients of the derivatives of T_0 ... T_degree, by columns."""
+    """Coefficients (degree + 1, degree + 1) of the derivatives of T_0 ... T_degree, one column each."""
     matrix = np.zeros((degree + 1, degree + 1))
     coefficients = chebyshev.chebder(np.eye(degree + 1), derivative)
     matrix[: len(coefficients)] = coefficients
@@ -101,9 +101,9 @@ def _differentiation(degree: int, derivative: int) -> Array:
 
 
 def boundary_map(degree: int, orders: tuple[int, ...] = (0, 1, 2)) -> Array:
-    """M of eq (26) for one axis: coefficients to the derivatives `orders` at s = -1, then at s = 1.
+    """M (2 len(orders), degree + 1) of eq (26) for one axis: takes coefficients to derivatives at s = -1, then s = 1.
 
-    With respect to normalised time; (2 len(orders), degree + 1).
+    orders: the derivatives, with respect to normalised time.
     """
     ends = np.array([-1.0, 1.0])
     rows = [chebyshev_basis(ends, degree, k) for k in orders]
@@ -129,9 +129,9 @@ def boundary_solution(degree: int, values: npt.ArrayLike, orders: tuple[int, ...
 
 @lru_cache(maxsize=64)
 def _boundary_inverse(degree: int, orders: tuple[int, ...]) -> tuple[Array, Array, Array, Array]:
-    """M of eq (26), the scale of its rows, the pseudoinverse of M so scaled, and its null space."""
+    """M of eq (26), the scale of its rows, the pseudoinverse of the scaled M, and its null space."""
     matrix = boundary_map(degree, orders)
-    # Rows of derivatives are up to degree^4 larger than those of values: scaled, all are met equally well.
+    # Rows of derivatives are up to degree^4 larger than those of values; scaled, all are met equally accurately.
     scale = 1 / np.linalg.norm(matrix, axis=1)[:, None]
     left, sizes, v = np.linalg.svd(scale * matrix)
     rank = len(sizes)
@@ -143,7 +143,7 @@ _GAUSS = 0.5 + np.array([-np.sqrt(15) / 10, 0.0, np.sqrt(15) / 10])
 
 
 def magnus_increment(omega_at_gauss: Array, h: npt.ArrayLike) -> Array:
-    """Rotation vectors (..., 3) of steps of length h of R' = R hat(omega), to O(h^7).
+    """Rotation vectors (..., 3) of steps of R' = R hat(omega) with length h, error O(h^7).
 
     omega_at_gauss: (..., 3 points, 3) at the three Gauss points of each step.
     """
@@ -157,7 +157,7 @@ def magnus_increment(omega_at_gauss: Array, h: npt.ArrayLike) -> Array:
 
 
 def accumulate(R_0: Array, increments: Array) -> Array:
-    """R_0, R_0 Exp(i_0), R_0 Exp(i_0) Exp(i_1), ...: (T + 1, 3, 3) of increments (T, 3)."""
+    """Rotations (T + 1, 3, 3) R_0, R_0 Exp(i_0), R_0 Exp(i_0) Exp(i_1), ... from increments (T, 3)."""
     steps = exp(increments)
     rotations = np.empty((len(increments) + 1, 3, 3))
     rotations[0] = current = R_0
@@ -167,7 +167,7 @@ def accumulate(R_0: Array, increments: Array) -> Array:
     return rotations
 
 
-ROTATION_STEPS = 128  # Magnus steps over a motion: error below 1e-13 rad for turns up to pi at degree 12
+ROTATION_STEPS = 128  # Magnus steps of a motion; error below 1e-13 rad for turns up to pi at degree 12
 
 
 @dataclass(frozen=True)
@@ -221,7 +221,7 @@ class PolynomialReference:
 
 
 def position_boundary(duration: float, p_start: npt.ArrayLike, p_goal: npt.ArrayLike) -> Array:
-    """d of eq (26) for a rest-to-rest position: (6, 3), rows as in `boundary_map`."""
+    """d (6, 3) of eq (26) for a motion from rest to rest, rows as in `boundary_map`."""
     zero = np.zeros(3)
     return np.stack([np.asarray(p_start, float), zero, zero, np.asarray(p_goal, float), zero, zero])
 
@@ -235,7 +235,7 @@ def min_norm_reference(
 
 
 def geodesic_angular_velocity(duration: float, R_start: Array, R_goal: Array) -> Array | None:
-    """Chebyshev coefficients (5, 3) of the min-jerk turn about one fixed axis; None when there is none.
+    """Chebyshev coefficients (5, 3) of the min-jerk turn about one fixed axis; None if the orientations are equal.
 
     The quartic 30 u^2 (1 - u)^2 of u = t / T is the derivative of the min-jerk quintic; about a fixed axis
     the angular velocity integrates in closed form, so the goal orientation is met exactly.
@@ -253,7 +253,7 @@ def min_jerk_line(duration: float, p_start: Array, p_goal: Array, R_start: Array
 
 
 def smooth_step(u: Array, order: int = 0) -> Array:
-    """The min-jerk step 10 u^3 - 15 u^4 + 6 u^5 from 0 to 1, held outside, or its first or second derivative."""
+    """The min-jerk step 10 u^3 - 15 u^4 + 6 u^5, constant outside [0, 1], or its first or second derivative."""
     u = np.clip(u, 0.0, 1.0)
     if order == 0:
         return np.asarray(u**3 * (10 - 15 * u + 6 * u**2))
@@ -262,7 +262,7 @@ def smooth_step(u: Array, order: int = 0) -> Array:
 
 @dataclass(frozen=True)
 class SampledReference:
-    """A motion through given samples, piecewise quintic: twice continuously differentiable, exact at the samples."""
+    """A piecewise quintic motion through given samples: twice continuously differentiable, exact at the samples."""
 
     samples: MotionSamples
 
@@ -311,23 +311,25 @@ def _turning(theta: Array, rate: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Quintics:
-    """A piecewise polynomial: breaks t (n + 1,), Bernstein coefficients (6, n, d) of each piece. A break belongs to the
-    piece after it. (SciPy's `BPoly` takes a quarter of a second to import.)"""
+    """A piecewise quintic polynomial: breaks t (n + 1,), Bernstein coefficients (6, n, d) of the pieces.
+
+    A break belongs to the piece after it. (SciPy's `BPoly` would take a quarter of a second to import.)
+    """
 
     t: Array
     coefficients: Array
 
     @classmethod
     def through(cls, t: Array, states: Array) -> Quintics:
-        """With the states (3, T, d) at the breaks: value, rate and acceleration."""
+        """The polynomial with states (3, T, d) at breaks t (T,): value, first and second derivative."""
         return cls(t, _quintic_bernstein(states[:, :-1], states[:, 1:], np.diff(t)))
 
     def at(self, t: Array, order: int = 0) -> Array:
-        """(T, d) value, or a derivative, at instants (T,) between the first and the last break."""
+        """The value, or a derivative, (T, d) at instants (T,) between the first and the last break."""
         return self.several(t, (order,))[0]
 
     def several(self, t: Array, orders: Sequence[int]) -> list[Array]:
-        """(T, d) each: value and derivatives, as `at`."""
+        """Several derivatives, each as from `at`."""
         piece = np.minimum(np.maximum(np.searchsorted(self.t, t, side="right") - 1, 0), len(self.t) - 2)
         before = self.t[piece]
         u = ((t - before) / (self.t[piece + 1] - before))[:, None]
@@ -342,7 +344,7 @@ class Quintics:
 
     @cached_property
     def _controls(self) -> list[Array]:
-        """(n, ., d) Bernstein coefficients of the value and its first three derivatives, piece by piece."""
+        """Bernstein coefficients (n, ., d) of the value and its first three derivatives."""
         found, h = [self.coefficients], np.diff(self.t)[:, None]
         for degree in range(len(self.coefficients) - 1, len(self.coefficients) - 4, -1):
             found.append(degree * (found[-1][1:] - found[-1][:-1]) / h)
@@ -355,15 +357,19 @@ def _binomial(count: int) -> Array:
 
 
 def ways(t: Array, states: Array) -> Array:
-    """(T - 1, n) at most so far each joint goes, back and forth, between instants t (T,) of one quintic each, with
-    states (3, T, n) q, dq, ddq there; see `JointMotion.travel`."""
+    """Upper bounds (T - 1, n) of the distance that each joint travels, back and forth, in each interval of t (T,).
+
+    The motion is one quintic in each interval, with states (3, T, n) q, dq, ddq at t; see `JointMotion.travel`.
+    """
     return np.asarray(np.abs(np.diff(Quintics.through(t, states).coefficients, axis=0)).sum(axis=0))
 
 
 def hulls(t: Array, states: Array) -> list[Array]:
-    """Bernstein coefficients, (6, T - 1, n) to (3, T - 1, n), of the joints' positions between instants t (T,) of one
-    quintic each, with states (3, T, n) q, dq, ddq there, and of their first three derivatives: each goes no further
-    than the largest and least of its coefficients (Farin, "Curves and Surfaces", section 5.2)."""
+    """Bernstein coefficients of joint positions and their first three derivatives, (6, T - 1, n) to (3, T - 1, n).
+
+    The motion is one quintic in each interval of t (T,), with states (3, T, n) q, dq, ddq at t. Its values lie between
+    the least and the largest coefficient (convex hull property; Farin, "Curves and Surfaces", section 5.2).
+    """
     h = np.diff(t)[:, None]
     found = [Quintics.through(t, states).coefficients]
     for degree in (5, 4, 3):
@@ -372,18 +378,17 @@ def hulls(t: Array, states: Array) -> list[Array]:
 
 
 def extremes(hull: Array) -> Array:
-    """(2, ...) least and largest value of quadratics or cubics with Bernstein coefficients (3, ...) or (4, ...): at an
-    end, or where their derivative is zero."""
+    """Least and largest values (2, ...) on [0, 1] of quadratics or cubics with Bernstein coefficients (3 or 4, ...)."""
     if len(hull) == 3:
         a, b, c = hull
         with np.errstate(divide="ignore", invalid="ignore"):
             u = np.clip(np.nan_to_num((a - b) / (a - 2.0 * b + c), nan=0.0), 0.0, 1.0)
         inside = (1 - u) * ((1 - u) * a + 2.0 * u * b) + u * u * c
         return np.array([np.minimum(np.minimum(a, c), inside), np.maximum(np.maximum(a, c), inside)])
-    a, b, c = np.diff(hull, axis=0)  # the derivative's
+    a, b, c = np.diff(hull, axis=0)  # coefficients of the derivative
     bend, turn = a - 2.0 * b + c, np.sqrt(np.maximum(b * b - a * c, 0.0))
     with np.errstate(divide="ignore", invalid="ignore"):
-        # Either root of bend u^2 + 2 (b - a) u + a, without cancellation.
+        # Both roots of bend u^2 + 2 (b - a) u + a, without cancellation.
         most = a - b + np.where(a > b, turn, -turn)
         roots = np.nan_to_num(np.stack([most / bend, a / most]), nan=0.0)
     u = np.clip(roots, 0.0, 1.0)
@@ -395,7 +400,7 @@ def extremes(hull: Array) -> Array:
 
 @lru_cache(maxsize=64)
 def _bernstein(count: int) -> Array:
-    """(4 count, 6) Bernstein's quintics and their first three derivatives at so many equal steps from 0 on."""
+    """Quintic Bernstein polynomials and their first three derivatives (4 count, 6) at 0, 1 / count, 2 / count, ..."""
     u, rows, difference = np.arange(count)[:, None] / count, [], np.eye(6)
     for degree in (5, 4, 3, 2):
         k = np.arange(degree + 1)
@@ -405,7 +410,7 @@ def _bernstein(count: int) -> Array:
 
 
 def _quintic_bernstein(first: Array, last: Array, h: Array) -> Array:
-    """(6, n, d) Bernstein coefficients of quintics with (value, rate, acceleration) (3, n, d) at both ends."""
+    """Bernstein coefficients (6, n, d) of quintics with value, first and second derivative (3, n, d) at both ends."""
     h = h[:, None]
     (p0, v0, a0), (p1, v1, a1) = first, last
     found = np.empty((6, *p0.shape))
@@ -417,7 +422,7 @@ def _quintic_bernstein(first: Array, last: Array, h: Array) -> Array:
 
 @dataclass(frozen=True, repr=False)
 class JointMotion(Outlined):
-    """A joint motion through samples t (T,), q, dq, ddq (T, n); piecewise quintic between them."""
+    """A joint motion through samples t (T,), q, dq, ddq (T, n), piecewise quintic: s, rad (m for prismatic joints)."""
 
     t: Array
     q: Array
@@ -433,7 +438,7 @@ class JointMotion(Outlined):
         return Quintics.through(self.t, np.stack([self.q, self.dq, self.ddq]))
 
     def sample(self, t: npt.ArrayLike) -> tuple[Array, Array, Array]:
-        """(q, dq, ddq), each (T, n); at rest before the start and after the end."""
+        """q, dq, ddq, each (T, n), at instants t; at rest before the start and after the end."""
         t = np.atleast_1d(np.asarray(t, dtype=float))
         moving = ((t >= self.t[0]) & (t <= self.t[-1]))[:, None]
         tc = np.clip(t, self.t[0], self.t[-1])
@@ -441,8 +446,10 @@ class JointMotion(Outlined):
         return q, dq * moving, ddq * moving
 
     def evenly(self, counts: Indices) -> tuple[Array, Array]:
-        """t (P,) and z (4, P, n), q and its three derivatives there: at as many equal steps of each piece as counts
-        say, (T - 1,), and at the end. Of the jerk, what comes after a knot."""
+        """Instants t (P,) and z (4, P, n), q and its first three derivatives there.
+
+        counts: (T - 1,) number of equal steps of each piece. The jerk at a knot is that just after it.
+        """
         h, starts = np.diff(self.t), np.concatenate([[0], np.cumsum(counts)])
         t, z = np.empty(starts[-1] + 1), np.empty((4, starts[-1] + 1, self.q.shape[1]))
         control = np.swapaxes(self._spline.coefficients, 0, 1)  # (pieces, 6, n)
@@ -457,23 +464,23 @@ class JointMotion(Outlined):
 
     @cached_property
     def jerk_before(self) -> Array:
-        """(T, n) third derivative just before each sample; after the first."""
+        """Jerk (T, n) just before each sample; for the first, just after it."""
         bend = 60.0 * np.diff(self._spline.coefficients, 3, axis=0) / np.diff(self.t)[:, None] ** 3
         return np.concatenate([bend[0, :1], bend[2]])
 
     def jerk(self, t: npt.ArrayLike) -> Array:
-        """Third derivative (T, n)."""
+        """Jerk (T, n) at instants t (T,)."""
         tc = np.clip(np.atleast_1d(np.asarray(t, dtype=float)), self.t[0], self.t[-1])
         return self._spline.at(tc, 3)
 
     def travel(self, t: Array) -> Array:
-        """(T, n) way that each joint has gone, back and forth, up to instants t: at most that, and nearly so.
+        """Tight upper bound (T, n) of the distance that each joint has travelled, back and forth, at instants t (T,).
 
-        Between instants a and b no joint moves by more than travel(b) - travel(a): the control points of a Bernstein
-        polynomial go at least as far as it does (variation diminishing; Farin, "Curves and Surfaces", section 6.3).
+        Between instants a and b no joint moves by more than travel(b) - travel(a), because the control polygon of a
+        Bernstein polynomial is at least as long (variation diminishing; Farin, "Curves and Surfaces", section 6.3).
         """
         grid = np.union1d(self.t, np.clip(t, self.t[0], self.t[-1]))
-        # At a knot the derivatives are those of the sample, whichever side the spline takes them from.
+        # q, dq and ddq are continuous at a knot, so that the piece from which they come does not matter.
         steps = ways(grid, np.stack(self._spline.several(grid, range(3))))
         gone = np.vstack([np.zeros(steps.shape[1]), np.cumsum(steps, axis=0)])
         return gone[np.searchsorted(grid, np.clip(t, self.t[0], self.t[-1]))]

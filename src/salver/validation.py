@@ -1,7 +1,7 @@
-"""From pydantic's errors to one sentence for each mistake: file, key, value, what would be accepted.
+"""Convert pydantic's errors to one sentence for each mistake: file, key, value, what would be accepted.
 
-What would be accepted is read off the model itself, so that it cannot go out of date: types and bounds are put
-into words, unless the type carries a description of its own.
+What would be accepted comes from the types and bounds of the model, so that it cannot go out of date, or from the
+description of a type that has one.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ _COUNTS = {1: "one", 2: "two", 3: "three", 4: "four", 5: "five", 6: "six"}
 
 
 def sentences(error: ValidationError, model: type[BaseModel], data: Any, where: str) -> list[str]:
-    """One sentence for each wrong key of `data`, which `model` refused."""
+    """One sentence for each wrong key of `data`, which `model` refused. where: name of the file."""
     said: dict[str, str] = {}
     for item in error.errors():
-        if item["type"] == "default_factory_not_called":  # another key, of which it is made, is wrong
+        if item["type"] == "default_factory_not_called":  # its default depends on another key, which is wrong
             continue
         keys, accepted = _locate(model, data, item["loc"])
         said.setdefault(_path(keys), _sentence(item, model, data, keys, accepted, where))
@@ -43,10 +43,10 @@ def _sentence(item: Any, model: type[BaseModel], data: Any, keys: tuple[Any, ...
 
 
 def _locate(model: Any, data: Any, loc: tuple[Any, ...]) -> tuple[tuple[Any, ...], Any]:
-    """The keys as the user wrote them, and the type that the last one must have.
+    """The path of keys as the user wrote them, and the type that the last one must have.
 
-    Stops at the first thing a user thinks of as one value (a number, a vector): pydantic's own location goes on
-    into the members of unions and tuples.
+    The path stops at what the user sees as one value (a number, a vector); pydantic's location also names members of
+    unions and tuples.
     """
     keys: list[Any] = []
     annotation: Any = model
@@ -70,7 +70,7 @@ def _locate(model: Any, data: Any, loc: tuple[Any, ...]) -> tuple[tuple[Any, ...
 
 
 def _structured(annotation: Any, value: Any) -> Any:
-    """The model that a table must follow, or the type of a list's tables; None for a plain value."""
+    """The model of a table, or of the tables in a list; None for a plain value."""
     if isinstance(annotation, FieldInfo):
         annotation = annotation.annotation
     origin, args = get_origin(annotation), get_args(annotation)
@@ -181,7 +181,7 @@ def _bare(annotation: Any) -> Any:
 
 
 def _tag(model: Any) -> str | None:
-    """The value of `type` that selects this member of a union of tables."""
+    """The value of `type` that selects this model in a union of tables."""
     field = getattr(model, "model_fields", {}).get("type")
     return get_args(field.annotation)[0] if field is not None and get_origin(field.annotation) is Literal else None
 
@@ -192,7 +192,7 @@ def _either(words: list[Any]) -> str:
 
 
 def _suggestion(model: type[BaseModel], data: Any, keys: tuple[Any, ...]) -> str:
-    """The nearest valid key for an unknown one, or all of them."""
+    """Part of a sentence with the valid key most similar to an unknown one, or with all valid keys."""
     _, annotation = _locate(model, data, keys[:-1])
     value = data
     for key in keys[:-1]:
