@@ -103,8 +103,8 @@ def leg(**more):
         ([leg(goal={"position": [0.5, 0, 0.45], "rpy_deg": [0, 40, 0]}), leg()], "legs[0]: motion.goal tilts the tray"),
         ([leg(take=[])], "legs[0].take = []: must be the name of an object, or a list of names"),
         ([leg(duration=1.0)], "unknown key legs[0].duration"),
-        ([leg(), leg()], "legs[1] leads to the pose in which it is already"),
-        ([leg(through=[leg()["goal"]])], "legs[0] leads to the pose in which it is already"),
+        ([leg(), leg()], "legs[1] has the same pose twice in a row"),
+        ([leg(through=[leg()["goal"]])], "legs[0] has the same pose twice in a row"),
     ],
 )
 def test_what_cannot_be_taken_or_put_is_one_sentence(legs, words):

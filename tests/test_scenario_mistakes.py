@@ -58,28 +58,27 @@ BAD = [
         [1.0, 1.0, 1.0],
         "tray: inertia = [1.0, 1.0, 1.0] kg m^2 is too large: 0.15 kg between the flange and the tray's surface, no "
         "wider "
-        "than the tray, have at most 0.00338.",
+        "than the tray, has at most 0.00338.",
     ),
     (
         "tray.inertia",
         [1e-4, 1e-4, 3e-4],
-        "tray: inertia = [0.0001, 0.0001, 0.0003] kg m^2 is that of no body: none may be negative, none larger than "
-        "the sum "
-        "of the other two.",
+        "tray: inertia = [0.0001, 0.0001, 0.0003] kg m^2 is impossible: no value may be negative or larger than the "
+        "sum of the other two.",
     ),
     (
         "objects.0.inertia",
         [100, 100, 100],
         "objects[0]: inertia of cube = 100 kg m^2 (nominal or half-range) is too large for 0.256 kg of this shape: "
         "at most "
-        "0.00123, four times that of all of it in the furthest corner.",
+        "0.00123, four times that of the whole mass in the furthest corner.",
     ),
     (
         "objects.0.uncertainty.inertia",
         [0, 0, 1],
         "objects[0]: inertia of cube = 1 kg m^2 (nominal or half-range) is too large for 0.256 kg of this shape: at "
         "most "
-        "0.00123, four times that of all of it in the furthest corner.",
+        "0.00123, four times that of the whole mass in the furthest corner.",
     ),
     ("arm.model", "a\x00.urdf", 'arm.model = "a\\u0000.urdf": must be a known arm, or the path of a URDF.'),
     ("summary", "x" * 20_000, f'summary = "{"x" * 76}...: must be text of at most 10000 letters.'),
@@ -232,12 +231,13 @@ BAD = [
     (
         "objects.0.uncertainty.mass",
         0.3,
-        "objects[0]: uncertainty.mass = 0.3 reaches down to zero from mass = 0.256; it must be less than that.",
+        "objects[0]: uncertainty.mass = 0.3 is not below mass = 0.256, so that mass could be zero; give less.",
     ),
     (
         "objects.0.uncertainty.friction",
         0.5,
-        "objects[0]: uncertainty.friction = 0.5 reaches down to zero from friction = 0.5; it must be less than that.",
+        "objects[0]: uncertainty.friction = 0.5 is not below friction = 0.5, so that friction could be zero; give "
+        "less.",
     ),
     (
         "objects.0.uncertainty.com",
@@ -265,8 +265,8 @@ BAD = [
     (
         "motion.start.rpy_deg",
         [30, 0, 0],
-        "motion.start tilts the tray by 30 deg, where cube slides already at rest; with its least friction of 0.5 at "
-        "most 26.57 deg hold.",
+        "motion.start tilts the tray by 30 deg, at which cube slides even at rest; its least friction of 0.5 holds "
+        "it up to 26.57 deg.",
     ),
     ("obstacles", [{"type": "box", "position": [0, 0, 0]}], "obstacles[0]: a box needs size."),
     (

@@ -37,7 +37,7 @@ def test_ready_made_scenarios_have_none(name: str) -> None:
             "The limit of torque of panda_joint3 is above the arm's own: 100 instead of 87 N m.",
         ),
         ({"tray__mass": 2.8}, "The tray and its load weigh 3.06 kg; the maker rates the panda for 3 kg."),
-        ({"objects__0__friction": 1.5}, "friction = 1.5 of cube: hardly anything has more than 1.2."),
+        ({"objects__0__friction": 1.5}, "friction = 1.5 of cube: few materials have more than 1.2."),
         (
             {"objects__0__mass": 0.001, "objects__0__inertia": None},
             "mass = 0.001 of cube is 1 g; masses are in kg.",
@@ -51,7 +51,7 @@ def test_ready_made_scenarios_have_none(name: str) -> None:
         ({"arm__base_yaw_deg": -0.785}, "arm.base_yaw_deg = -0.785 looks like radians; "),
         (
             {"objects__0__uncertainty": {}},
-            "Nothing is uncertain; what is said to be safe is safe for exactly these values.",
+            "No parameter is uncertain; a plan is safe for exactly these values only.",
         ),
     ],
 )
@@ -65,8 +65,8 @@ def test_what_is_assumed_is_said_and_exact_values_are_called_so() -> None:
     made = CUBE.with_changes(objects__0__uncertainty=None)
     (sentence,) = warnings_of(made)
     assert sentence == (
-        "Nothing is said of how exactly cube is known; assumed are friction 15 %, mass 10 %, centre of mass "
-        "3, 3, 2 mm, place 2 mm, either way ([objects.uncertainty] says otherwise)."
+        "cube has no [objects.uncertainty]; assumed half-ranges are friction 15 %, mass 10 %, centre of mass "
+        "3, 3, 2 mm, place 2 mm."
     )
     exact = make_plan(CUBE.with_changes(objects__0__uncertainty="none"), "baseline")
     assert exact.verification.sentence.startswith("Checked at 601 instants, for exactly these values: the contact ")

@@ -1,4 +1,4 @@
-"""The scenario: what is carried, how, from where to where, and what is not known about it.
+"""The scenario: the load, its motion, the arm, and the ranges of uncertain parameters.
 
 A scenario is a TOML file, or the name of a ready-made one. It is checked in full before anything is
 computed; each mistake is one sentence with the key, the value and what would be accepted.

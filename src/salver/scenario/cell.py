@@ -1,4 +1,4 @@
-"""The tray, the arm that holds it, what stands in the way, and how all of it is simulated."""
+"""Tables of a scenario for the tray, the arm, obstacles, and the physics engine."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ from salver.scenario.fields import (
     Turns,
     Whole,
 )
-from salver.scenario.task import grows
+from salver.scenario.task import unstable_when_held
 
 
 class Tray(Model):
     """The tray on the flange.
 
-    The middle of its top surface is `height` out along the flange's z and, on a bracket, `offset` along its x and y;
-    `rpy_deg` (roll, pitch, yaw) turns the tray in the flange's frame. inertia: about its centre of mass, along its own
-    axes.
+    height: m, of the centre of its top surface along the flange's z. offset: m, along the flange's x and y, for a tray
+    on a bracket. rpy_deg: roll, pitch, yaw of the tray in the flange's frame. inertia: kg m^2, principal moments about
+    its centre of mass, along its own axes.
     """
 
     size: tuple[Metres, Metres] = (0.2, 0.2)
@@ -45,25 +45,25 @@ class Tray(Model):
 
     @model_validator(mode="after")
     def _physical(self) -> Tray:
-        """The inertia of a body between the flange and the tray's surface, no wider than the tray."""
+        """Raise ValueError when no body between flange and tray surface, as wide as the tray, has such an inertia."""
         low, middle, high = sorted(self.inertia)
         if low < 0 or high > (low + middle) * (1 + 1e-6):
             raise ValueError(
-                f"inertia = {list(self.inertia)} kg m^2 is that of no body: none may be negative, none larger than the "
-                "sum of the other two"
+                f"inertia = {list(self.inertia)} kg m^2 is impossible: no value may be negative or larger than the sum "
+                "of the other two"
             )
         away = max(self.thickness, *(abs(x) for x in self.p_FE))
         most = self.mass * (0.25 * (self.size[0] ** 2 + self.size[1] ** 2) + away**2)
         if high > most * (1 + 1e-6):
             raise ValueError(
                 f"inertia = {list(self.inertia)} kg m^2 is too large: {self.mass:g} kg between the flange and the "
-                f"tray's surface, no wider than the tray, have at most {most:.3g}"
+                f"tray's surface, no wider than the tray, has at most {most:.3g}"
             )
         return self
 
     @property
     def p_FE(self) -> tuple[float, float, float]:
-        """m, the middle of the top surface in the flange's frame."""
+        """Origin of E in the flange's frame F, m."""
         return (*self.offset, self.height)
 
 
@@ -72,12 +72,15 @@ EachJoint = Annotated[
     Limit | Annotated[list[Limit], Field(max_length=MOST_JOINTS)],
     Field(description="a number at least 1e-06 and at most 1e+09, or a list of such numbers, one for each joint"),
 ]
-Angle = Annotated[Number, Field(ge=-100, le=100)]  # rad, or m for a joint that slides
+Angle = Annotated[Number, Field(ge=-100, le=100)]  # rad, or m for a prismatic joint
 
 
 class ArmLimits(Model):
-    """Limits of the joints, one number for all or one for each: rad/s, rad/s^2, rad/s^3, N m, N m/s (m, N for a joint
-    that slides). They go before what the maker, a URDF or a `joint_limits.yaml` says."""
+    """Limits of the joints, one number for all or one for each: rad/s, rad/s^2, rad/s^3, N m, N m/s.
+
+    Prismatic joints have m and N for rad and N m. These limits replace those of the maker, a URDF or a
+    `joint_limits.yaml`.
+    """
 
     velocity: EachJoint | None = None
     acceleration: EachJoint | None = None
@@ -89,8 +92,8 @@ class ArmLimits(Model):
 class Arm(Model):
     """The arm: a known name (see `salver.models.arm.arm`) or a URDF file with the frame that carries the tray.
 
-    package_dirs: where the packages are whose meshes the URDF names. collisions: what to do about links whose geometry
-    cannot be read: refuse, fit capsules to them, or leave them unchecked.
+    package_dirs: folders of the packages whose meshes the URDF names. collisions: how links whose geometry cannot be
+    read are treated: refused, replaced by capsules, or not checked.
     """
 
     model: File = Field(default="panda", description="a known arm, or the path of a URDF")
@@ -110,7 +113,7 @@ class Arm(Model):
 
     @property
     def given_limits(self) -> dict[str, float | list[float]]:
-        """Limits of the table arm.limits."""
+        """The limits that the table arm.limits sets."""
         return self.limits.model_dump(exclude_none=True)
 
     @property
@@ -120,7 +123,7 @@ class Arm(Model):
 
 
 class Obstacle(Model):
-    """A keep-out region in the world. A mesh counts as the convex hulls of its separate pieces."""
+    """A keep-out region in the world S. A mesh is replaced by the convex hulls of its separate pieces."""
 
     type: Literal["box", "sphere", "capsule", "cylinder", "mesh"]
     name: Name = "obstacle"
@@ -150,8 +153,8 @@ class Obstacle(Model):
 class Surroundings(Model):
     """The surroundings of the arm other than the obstacles: the floor.
 
-    floor: height in S, m, of the plane above which links, tray and load stay, but for those on which the arm stands.
-    "base": where the arm's base is; "none": nothing is below, as where an arm hangs or stands on a wall.
+    floor: height in S, m, of a plane below which no link, tray or load may go, except the links on which the arm
+        stands; "base": the height of the arm's base; "none": no floor, as for an arm on a ceiling or a wall.
     """
 
     floor: Place | Literal["base", "none"] = Field(
@@ -160,9 +163,9 @@ class Surroundings(Model):
 
 
 Settling = Annotated[Number, Field(ge=0, le=60)]  # s
-_RUBBING = Annotated[Number, Field(ge=0, le=1000)]
+_JointFriction = Annotated[Number, Field(ge=0, le=1000)]
 Friction = Annotated[
-    _RUBBING | Annotated[list[_RUBBING], Field(max_length=MOST_JOINTS)],
+    _JointFriction | Annotated[list[_JointFriction], Field(max_length=MOST_JOINTS)],
     Field(description="a number at least 0 and at most 1000, or a list of such numbers, one for each joint"),
 ]
 
@@ -170,10 +173,10 @@ Friction = Annotated[
 class RobotBehaviour(Model):
     """How the simulated robot follows its command.
 
-    control: "torque": by salver's own controller; "position": by the robot's own, into which nobody sees: each joint
-    follows its command like a second-order lag of this bandwidth (Hz, natural frequency) and damping (of critical;
-    either one number, or one for each joint), and `delay` s late. payload_error: kg by which the load that was told to
-    the robot is heavier than the nominal one, at its place.
+    control: "torque": salver's own controller. "position": the robot's internal controller, modelled as a second-order
+        lag of each joint with this bandwidth (Hz, natural frequency) and damping (share of critical), both one number
+        or one for each joint, and a delay (s).
+    payload_error: kg by which the payload mass configured in the robot exceeds the nominal load.
     """
 
     control: Literal["torque", "position"] = "torque"
@@ -183,14 +186,14 @@ class RobotBehaviour(Model):
     payload_error: Annotated[Number, Field(ge=-100, le=100)] = 0.0
 
     def check_held(self, period: float) -> None:
-        """Raise ValueError when the robot's loop grows because each torque is held for a period (s)."""
+        """Raise ValueError when the robot's loop is unstable because each torque is held for a period (s)."""
         if self.control == "torque":
             return
         rates = [x if isinstance(x, list) else [x] for x in (self.bandwidth, self.damping)]
         count = max(map(len, rates))
         for hertz, damping in zip(*(x * (count if len(x) == 1 else 1) for x in rates), strict=False):
             rate = 2 * np.pi * hertz
-            if grows(rate**2, 2 * damping * rate, period):
+            if unstable_when_held(rate**2, 2 * damping * rate, period):
                 raise ValueError(
                     f"physics.robot.bandwidth = {hertz:g} Hz with damping = {damping:g} is unstable when commands are "
                     f"held for physics.command_period = {period:g} s; give a smaller one"

@@ -20,7 +20,7 @@ HalfRange = Annotated[Number, Field(ge=0, le=100)]
 Scale = Annotated[Number, Field(ge=1e-6, le=1e6)]
 Text = Annotated[str, Field(max_length=10_000, description="text of at most 10000 letters")]
 Name = Annotated[str, Field(max_length=200, description="text of at most 200 letters")]
-# A path that the system takes: no longer than it allows, and without the letter that ends it.
+# A path that the operating system accepts: not too long, and without a null character.
 File = Annotated[str, Field(max_length=4096, pattern=r"^[^\x00]+$", description="the path of a file")]
 
 

@@ -15,11 +15,11 @@ from salver.wording import listed
 
 SCENARIO_DIR = Path(__file__).parent.parent / "scenarios"
 LONGEST_TEXT = 1_000_000  # bytes of a scenario file
-LONGEST_LINE = 60  # letters of a line of it that a sentence shows
+LONGEST_LINE = 60  # letters of a scenario's line that an error message shows
 
 
 def load(name_or_path: str | Path) -> Scenario:
-    """A ready-made scenario by name, or a TOML file by path, or that of a run directory. Raises ScenarioError."""
+    """Load a ready-made scenario by name, a TOML file, or the scenario of a run directory. Raises ScenarioError."""
     path = Path(name_or_path)
     if path.suffix != ".toml":
         ready_made = SCENARIO_DIR / f"{name_or_path}.toml"
@@ -39,8 +39,10 @@ def load(name_or_path: str | Path) -> Scenario:
 
 
 def read(text: str, where: str, folder: Path) -> Scenario:
-    """A scenario from the text of its file. where: its name in sentences; folder: in which files are that it names.
-    Raises ScenarioError."""
+    """Parse the text of a scenario file. Raises ScenarioError.
+
+    where: name of the file in error messages. folder: where relative paths in the scenario start.
+    """
     try:
         data = tomllib.loads(text)
     except (ValueError, RecursionError) as error:  # TOMLDecodeError, and numbers and nesting beyond Python's
@@ -50,7 +52,7 @@ def read(text: str, where: str, folder: Path) -> Scenario:
 
 
 def _unknown(name: str) -> str:
-    """The error for an unknown scenario, with similar names."""
+    """The error message for an unknown scenario, with similar names."""
     if Path(name).is_dir():
         return f"{name} is a directory without {SCENARIO}; give a .toml file, a run directory or a ready-made scenario."
     sentence = f'There is no ready-made scenario "{name}"'
@@ -62,14 +64,14 @@ def _unknown(name: str) -> str:
 
 
 def _explained(error: Exception, text: str) -> str:
-    """The error of a TOML file, with its line."""
+    """The error message of a TOML parser, with the line that it is about."""
     said = str(error).replace("Cannot overwrite a value", "The same key is given twice")
     line = re.search(r"at line (\d+)", said)
     return said if line is None else f"{said}: {text.split(chr(10))[int(line[1]) - 1].strip()[:LONGEST_LINE]}"
 
 
 def _find_files(data: dict[str, Any], folder: Path) -> None:
-    """Files that a scenario names are looked for beside it; from here on their paths are absolute."""
+    """Make the paths that a scenario names absolute; relative paths start at the scenario's folder."""
 
     def tables(value: Any) -> list[dict[str, Any]]:
         return [item for item in (value if isinstance(value, list) else [value]) if isinstance(item, dict)]

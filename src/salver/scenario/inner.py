@@ -1,4 +1,4 @@
-"""What the tables of inner dynamics have in common: [objects.liquid], [objects.pendulum]."""
+"""The interface of tables for moving contents: [objects.liquid], [objects.pendulum]."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 class InnerDynamics(Model):
-    """What moves inside an object. quantity, noun: as of `LoadDynamics`; noun is the name of its table too."""
+    """A liquid or a pendulum inside an object. quantity, noun: as in `LoadDynamics`; noun also names the table."""
 
     quantity: ClassVar[str]
     noun: ClassVar[str]
@@ -20,20 +20,21 @@ class InnerDynamics(Model):
     @property
     @abstractmethod
     def value(self) -> float:
-        """Of the quantity, m."""
+        """Nominal value of the quantity, m."""
 
     @property
     @abstractmethod
     def assumed(self) -> float:
-        """m, the half-range of the quantity where nothing is said of it."""
+        """Half-range of the quantity, m, that is assumed if the scenario gives none."""
 
     @abstractmethod
     def check(self, name: str, outside: tuple[float, ...], height: float, half_range: float) -> None:
-        """Raise ValueError when it cannot be in its object or is beyond what the model is valid for: one sentence.
+        """Raise ValueError, one sentence, when it does not fit into its object or its model is not valid for it.
 
-        outside: (radius,) or (x, y) of the object, m. half_range: of the quantity, m.
+        name: of the object. outside: (radius,) or (x, y) of the object, m. height: of the object, m. half_range: of the
+        quantity, m.
         """
 
     @abstractmethod
     def dynamics(self, height: float) -> LoadDynamics:
-        """It as mechanics see it, in an object of this height."""
+        """The dynamic model of it in an object of a height, m."""

@@ -1,4 +1,4 @@
-"""A task of several legs: where each one leads, and what is taken off the tray and put on it at its end."""
+"""A task of several legs: the goal of each, and the objects taken off the tray and put on it there."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ _NAMES = "the name of an object, or a list of names"
 
 
 class Leg(Model):
-    """A motion from rest to rest in `goal`, where objects are then taken off the tray and others put on it.
+    """A motion from rest to rest at `goal`, where objects are then taken off the tray and others put on it.
 
-    through: poses that are passed on the way, in this order, without a stop.
-    All poses of a task are those of one frame that is fixed to the tray: frame B of the first object of the first leg,
-    also when that object is no longer there.
+    through: via poses, passed in this order without a stop.
+    All poses of a task are poses of one frame fixed to the tray: frame B of the first object of the first leg, even
+    after that object has been taken off.
     """
 
     goal: Pose
@@ -48,10 +48,11 @@ class Leg(Model):
 
 
 def loads(objects: Sequence[CarriedObject], legs: Sequence[Leg]) -> list[list[CarriedObject]]:
-    """The load on each leg, and after the last; in the order of the objects.
+    """The load on each leg, and after the last leg; each in the order of `objects`.
 
-    An object is there from the beginning unless it is put on before it is ever taken off. Raises ValueError, one
-    sentence, when something is taken that is not there or carries something else, or put on nothing or twice.
+    An object is on the tray from the start unless its first handling is to be put on. Raises ValueError, one sentence,
+    when an object to be taken is not on the tray or carries another, or an object to be put on is on the tray already
+    or lacks its support.
     """
     named = {item.name: item for item in objects}
     if len(named) < len(objects):
@@ -83,14 +84,14 @@ def loads(objects: Sequence[CarriedObject], legs: Sequence[Leg]) -> list[list[Ca
         if not load:
             where = "the first leg begins" if i == 0 else f"legs[{i - 1}].take leaves the tray"
             raise ValueError(
-                f"{where} {'with an empty tray' if i == 0 else 'empty, and a leg follows'}: a plan needs something to "
-                "carry; an empty tray goes by any motion planner"
+                f"{where} {'with an empty tray' if i == 0 else 'empty, and a leg follows'}: salver plans only legs "
+                "with a load; plan the others with any motion planner"
             )
     return found
 
 
 def fixed_to_tray(pose: Pose, at: Body, body: Body) -> Pose:
-    """The pose of a body's frame when that of another body, or of one in its place, is at `pose`."""
+    """The pose of a body's frame B when the frame B of the body `at`, fixed to the same tray, is at `pose`."""
     from salver.geometry import quat_wxyz_from_matrix
 
     if body.p_EB.tolist() == at.p_EB.tolist() and body.R_EB.tolist() == at.R_EB.tolist():
@@ -106,7 +107,7 @@ def _listed(names: str | list[str] | None) -> list[str]:
 
 
 def _standing(objects: Sequence[CarriedObject], names: set[str], when: str) -> list[CarriedObject]:
-    """Those of these names, in order. Raises ValueError when one of them stands on what is not there."""
+    """The objects with these names, in order. Raises ValueError when the support of one is not on the tray."""
     for item in objects:
         for support in [item.on] if isinstance(item.on, str) else item.on:
             if item.name in names and support in {o.name for o in objects} - names:

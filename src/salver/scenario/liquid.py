@@ -13,12 +13,15 @@ from salver.scenario.inner import InnerDynamics
 if TYPE_CHECKING:
     from salver.dynamics.liquid.sloshing import Liquid
 
-Damped = Annotated[Number, Field(ge=0, le=1)]  # of critical
+Damped = Annotated[Number, Field(ge=0, le=1)]  # share of critical damping
 
 
 class LiquidIn(InnerDynamics):
-    """A liquid in an upright cylinder (`radius`) or box (`size`), inside measures; `fill` and `brim` are heights over
-    the bottom inside, and the brim is the top of the object. What is not said of the liquid is that of `kind`."""
+    """A liquid in an upright cylinder (`radius`) or box (`size`), inside measures in m.
+
+    fill, brim: heights over the inside bottom, m; the brim is the top of the object. kind: gives the density and
+    viscosity that are left out.
+    """
 
     quantity: ClassVar[str] = "fill"
     noun: ClassVar[str] = "liquid"
@@ -45,11 +48,11 @@ class LiquidIn(InnerDynamics):
             raise ValueError("liquid needs the inside of its container: radius of a cylinder, or size of a box")
         if self.settled_within > 0 and self.settled_wave is None:
             raise ValueError(
-                f"liquid.settled_within = {self.settled_within:g} s: say with settled_wave how high waves may then be, "
-                "in m, or leave it out"
+                f"liquid.settled_within = {self.settled_within:g} s needs settled_wave, the wave height in m that is "
+                "allowed from then on; give it, or leave settled_within out"
             )
         if self.damping is not None and self.damping[0] > self.damping[1]:
-            raise ValueError(f"liquid.damping = {list(self.damping)}; the least comes first, of critical damping")
+            raise ValueError(f"liquid.damping = {list(self.damping)}; give the smaller share of critical damping first")
         least, most = self.damping_range
         damping = f"liquid.damping = {list(self.damping or ())} of critical"
         if self.damping is None:
@@ -58,11 +61,11 @@ class LiquidIn(InnerDynamics):
             )
         if least > THICKEST:
             raise ValueError(
-                f"{damping}: to this model it is a solid; leave out [objects.liquid] and give its mass to the object, "
-                f"or a damping whose least is at most {THICKEST:g}"
+                f"{damping}: too viscous for the sloshing model; leave out [objects.liquid] and add its mass to the "
+                f"object, or give a damping whose first value is at most {THICKEST:g}"
             )
         if most > 2 * THICKEST:
-            raise ValueError(f"{damping}; waves are known to {2 * THICKEST:g}: give a damping that ends there")
+            raise ValueError(f"{damping}; the sloshing model is valid up to {2 * THICKEST:g}: give at most that")
         return self
 
     @property
@@ -80,7 +83,7 @@ class LiquidIn(InnerDynamics):
 
     @property
     def damping_range(self) -> tuple[float, float]:
-        """Least and most, of critical; that of the viscosity is known to within a factor."""
+        """Least and largest damping, share of critical; a viscosity determines it only to within a factor."""
         from salver.dynamics.liquid.liquid import MOST_OF_WATER, UNKNOWN_DAMPING, damping_of
 
         if self.damping is not None:
@@ -94,7 +97,7 @@ class LiquidIn(InnerDynamics):
 
     @property
     def assumed(self) -> float:
-        """m: 10 %, at most half of the way to the brim."""
+        """Half-range of the fill height, m: 10 %, at most half of the distance to the brim."""
         return min(0.1 * self.fill, 0.5 * (self.brim - self.fill))
 
     def check(self, name: str, outside: tuple[float, ...], height: float, half_range: float) -> None:
@@ -103,7 +106,7 @@ class LiquidIn(InnerDynamics):
         here = f"liquid of {name}"
         if len(outside) != len(self.inside):
             raise ValueError(
-                f"{here}: a cylinder holds liquid in a round inside (radius), a box in a rectangular one (size)"
+                f"{here}: the liquid in a cylinder needs an inside radius, the liquid in a box an inside size"
             )
         if any(inner >= outer for inner, outer in zip(self.inside, outside, strict=True)):
             raise ValueError(
@@ -113,9 +116,7 @@ class LiquidIn(InnerDynamics):
         if self.brim > height:
             raise ValueError(f"{here}: brim = {self.brim:g} m over the bottom; {name} is only {height:g} m high")
         if half_range >= self.fill:
-            raise ValueError(
-                f"uncertainty.fill of {name} = {half_range:g} m reaches down to nothing from fill = {self.fill:g} m"
-            )
+            raise ValueError(f"uncertainty.fill of {name} = {half_range:g} m must be less than fill = {self.fill:g} m")
         least, most = self.fill - half_range, self.fill + half_range
         if most + self.margin >= self.brim:
             raise ValueError(

@@ -1,4 +1,4 @@
-"""The scenario as a whole, and what holds only for its parts together."""
+"""The scenario as a whole, with the checks that concern several of its tables."""
 
 from __future__ import annotations
 
@@ -31,15 +31,15 @@ if TYPE_CHECKING:
     from salver.models.payload import Payload
     from salver.models.uncertain.parameters import UncertainSet
 
-MOST_COEFFICIENTS = 256  # of the friction cones of one object
+MOST_COEFFICIENTS = 256  # cone coefficients of one object
 MOST_VALUES = 5e7  # numbers in the largest array of a plan: 0.4 GB
 CHECKED = 10  # instants of the check for each node
-MOST_STEPS = 1e6  # of the engine in one run: minutes
-LONGEST = 5.0  # s that a motion is taken to last where its duration is left open
+MOST_STEPS = 1e6  # engine steps of one run: minutes
+LONGEST = 5.0  # s, duration that the checks assume if the scenario gives none
 
 
 class Scenario(Shown, Model):
-    """A task: everything that a plan depends on. Same scenario, same seed: same plan."""
+    """A task: everything that a plan depends on. Equal scenarios with equal seeds give equal plans."""
 
     name: Annotated[
         str,
@@ -67,7 +67,7 @@ class Scenario(Shown, Model):
     physics: Physics = Physics()
 
     def facts(self) -> dict[str, str]:
-        """What a notebook shows of it."""
+        """Facts that a notebook shows."""
         motion, uncertain = self.motion, self.uncertain
         ends = [motion.start, *(leg.goal for leg in self.legs)] if self.legs else [motion.start, motion.goal]
         distance = sum(math.dist(one.position, other.position) for one, other in pairwise(ends))
@@ -87,7 +87,7 @@ class Scenario(Shown, Model):
     @model_validator(mode="before")
     @classmethod
     def _ends_with_its_last_leg(cls, data: Any) -> Any:
-        """motion.goal, left out, is the goal of the last leg."""
+        """Set a missing motion.goal to the goal of the last leg."""
         try:
             motion, goal = data["motion"], data["legs"][-1]["goal"]
             return data if "goal" in motion else {**data, "motion": {**motion, "goal": goal}}
@@ -99,11 +99,11 @@ class Scenario(Shown, Model):
         if not self.legs:
             return self._consistent_leg()
         if self.motion.through:
-            raise ValueError("motion.through is given with legs; say on which leg it is: legs[0].through")
+            raise ValueError("motion.through is given with legs; give it for a leg: legs[0].through")
         if self.motion.goal != self.legs[-1].goal:
             raise ValueError("motion.goal is not the goal of the last leg; leave it out, or make it the same")
         if self.uncertainty.correlation:
-            raise ValueError("uncertainty.correlation is not known for a load that changes; leave it out, or the legs")
+            raise ValueError("uncertainty.correlation does not work with legs; leave one of the two out")
         for k, leg in enumerate(self.each_leg):
             try:
                 leg._consistent_leg()
@@ -113,7 +113,7 @@ class Scenario(Shown, Model):
         return self
 
     def _left_standing(self) -> None:
-        """Raise ValueError when what is on the tray after the last leg does not stand there."""
+        """Raise ValueError when the load that is on the tray after the last leg cannot stand there."""
         last = self.each_leg[-1]
         left = loads(self.objects, self.legs)[-1]
         if left and left != last.objects:
@@ -125,7 +125,7 @@ class Scenario(Shown, Model):
     def _consistent_leg(self) -> Scenario:
         self._bounded()
         self.payload.check()
-        self._kept_inside()
+        self._check_inner_limits()
         for key, pose in (("start", self.motion.start), ("goal", self.motion.goal)):
             tilt = np.rad2deg(lean(pose.rotation))
             for body in self.payload.bodies:
@@ -133,22 +133,21 @@ class Scenario(Shown, Model):
                 holds = np.rad2deg(np.arctan(least))
                 if tilt > holds + 1e-6:
                     raise ValueError(
-                        f"motion.{key} tilts the tray by {tilt:.4g} deg, where {body.name} slides already at rest; "
-                        f"with its least friction of {least:.4g} at most {holds:.4g} deg hold"
+                        f"motion.{key} tilts the tray by {tilt:.4g} deg, at which {body.name} slides even at rest; "
+                        f"its least friction of {least:.4g} holds it up to {holds:.4g} deg"
                     )
         return self
 
-    def _kept_inside(self) -> None:
-        """Raise ValueError when what moves inside goes too far already at rest, or meets what its model does not
-        know."""
+    def _check_inner_limits(self) -> None:
+        """Raise ValueError when a liquid or pendulum exceeds its limit even at rest, or its model does not apply."""
         for item in self.objects:
             if item.inner is None:
                 continue
             for key, given in (("position", item.uncertainty.position), ("tilt_deg", self.uncertainty.tilt_deg)):
                 if given is not None and any(given):
                     raise ValueError(
-                        f"uncertainty.{key} = {list(given)} with a {item.inner.noun} in {item.name}: how that moves "
-                        "with it is not known; leave one of the two out"
+                        f"uncertainty.{key} = {list(given)} does not work with the {item.inner.noun} in {item.name}, "
+                        "whose model does not know it; leave one of the two out"
                     )
             inner, still = item.inner.dynamics(item.shape.solid().height), np.zeros((1, 2))
             half = item.uncertainty.ranges(item.loose(), True)
@@ -159,12 +158,12 @@ class Scenario(Shown, Model):
                 if away > inner.room(most):
                     tilt = np.rad2deg(lean(pose.rotation))
                     raise ValueError(
-                        f"motion.{key} tilts the tray by {tilt:.4g} deg, where the {inner.noun} in {item.name} stands "
-                        f"{1e3 * away:.3g} mm off already at rest; it has room for {1e3 * inner.room(most):.3g} mm"
+                        f"motion.{key} tilts the tray by {tilt:.4g} deg, which moves the {inner.noun} in {item.name} "
+                        f"by {1e3 * away:.3g} mm even at rest; it has room for {1e3 * inner.room(most):.3g} mm"
                     )
 
     def _bounded(self) -> None:
-        """Raise ValueError when plans of this would take more memory or time than a machine has."""
+        """Raise ValueError when a plan or a run would take excessive memory or time."""
         for item, body in zip(self.objects, self.payload.bodies, strict=True):
             count = body.contacts.count * self.contact.edges
             if count > MOST_COEFFICIENTS:
@@ -191,19 +190,17 @@ class Scenario(Shown, Model):
 
     @cached_property
     def each_leg(self) -> tuple[Scenario, ...]:
-        """The legs of the task, in order, each a scenario of its own with what is then on the tray; itself, when it has
-        one leg alone."""
+        """The legs of the task in order, each a scenario with the load of that leg; itself if it has only one."""
         if not self.legs:
             return (self,)
         found: list[Scenario] = []
         poses = [self.motion.start, *(leg.goal for leg in self.legs)]
-        at: Body | None = None  # the body whose frame the poses are those of
+        at: Body | None = None  # the body whose frame B the poses of the task are for
         for k, load in enumerate(loads(self.objects, self.legs)[:-1]):
             begin, *through, end = (poses[k], *self.legs[k].through, poses[k + 1])
             if any(one.same_as(other) for one, other in pairwise((begin, *through, end))):
                 raise ValueError(
-                    f"legs[{k}] leads to the pose in which it is already; leave that pose out (what is taken and put "
-                    "at one place is one stop)"
+                    f"legs[{k}] has the same pose twice in a row; leave one out (a stop may both take and put objects)"
                 )
             leg = self._leg(f"{self.name[:57]}-leg{k + 1}", begin, through, end, load)
             if at is None:
@@ -217,7 +214,7 @@ class Scenario(Shown, Model):
                     )
                 begin, *through, end = (fixed_to_tray(pose, at, leg.payload.first) for pose in (begin, *through, end))
                 leg = self._leg(leg.name, begin, through, end, load)
-            if k and leg.arm is not None:  # where the leg before it ends
+            if k and leg.arm is not None:  # it starts in the posture in which the leg before ends
                 leg = leg.model_copy(update={"arm": leg.arm.model_copy(update={"start_posture": None})})
             found.append(leg)
         return tuple(found)
@@ -228,12 +225,12 @@ class Scenario(Shown, Model):
         return self.model_copy(update={"name": name, "motion": motion, "legs": [], "objects": load})
 
     def check_one_leg(self, what: str) -> None:
-        """Raise ScenarioError when there are several legs, each with a load of its own, or poses to pass; `what` is for
-        one leg from start to goal."""
+        """Raise ScenarioError when there are several legs or via poses, because `what` supports only one motion from
+        start to goal."""
         if self.motion.through:
             raise ScenarioError(
-                f"{self.name}: motion.through has poses to pass, which {what} does not know; give one of [[legs]] with "
-                "goal and through, as many as there are legs."
+                f"{self.name}: motion.through has via poses, which {what} does not support; write the task as "
+                "[[legs]], each with goal and through."
             )
         if self.legs:
             raise ScenarioError(
@@ -243,7 +240,7 @@ class Scenario(Shown, Model):
 
     @property
     def bodies(self) -> tuple[Body, ...]:
-        """Everything that is carried on any leg, each where it stands when it is first carried."""
+        """The bodies carried on any leg, each where it stands when it is first carried."""
         found: dict[str, Body] = {}
         for leg in self.each_leg:
             found = {body.name: body for body in leg.payload.bodies} | found
@@ -251,7 +248,7 @@ class Scenario(Shown, Model):
 
     @property
     def floor(self) -> float | None:
-        """Height of the floor in S, m; None where there is none, and without an arm."""
+        """Height of the floor in S, m; None without a floor or without an arm."""
         given = self.surroundings.floor
         if self.arm is None or given == "none":
             return None
@@ -259,18 +256,18 @@ class Scenario(Shown, Model):
 
     @property
     def around(self) -> tuple[ObstacleDescription, ...]:
-        """All that stands around an arm, its tray and its load: the obstacles and the floor."""
+        """Everything that arm, tray and load must not touch: the obstacles and the floor."""
         return (*self.obstacles, *(() if self.floor is None else (Floor(self.floor),)))
 
     @cached_property
     def uncertain(self) -> UncertainSet:
-        """Everything that is uncertain about any of the objects and the tray, on whatever leg."""
+        """The uncertain parameters of all objects and of the tray, on any leg."""
         return self.uncertainty.around(self.objects, [item.loose() for item in self.objects])
 
     @cached_property
     def payload(self) -> Payload:
-        """What is carried, as mechanics see it: bodies, who touches whom, what is uncertain. Raises ScenarioError for a
-        task of several legs: each has its own."""
+        """The load: bodies, their contacts, their uncertain parameters. Raises ScenarioError for a task of several
+        legs, because each leg has its own load."""
         from salver.models.bodies import bodies
         from salver.models.payload import Payload
 
@@ -281,7 +278,7 @@ class Scenario(Shown, Model):
         return Payload(standing, self.uncertainty.around(self.objects, loose), 0.5 * np.array(self.tray.size))
 
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
-        """Pydantic's, without what was made of the old values. It checks nothing: prefer `with_changes`."""
+        """Pydantic's method, with cached properties cleared. It does not validate: prefer `with_changes`."""
         copy = super().model_copy(update=update, deep=deep)
         for made in ("payload", "uncertain", "each_leg"):
             copy.__dict__.pop(made, None)
@@ -294,7 +291,7 @@ class Scenario(Shown, Model):
         return hashlib.sha256(text.encode()).hexdigest()[:12]
 
     def with_changes(self, **changes: Any) -> Scenario:
-        """A copy with keys replaced, named by dotted paths with `__`: `motion__duration=1.5`. Checked again."""
+        """A validated copy with keys replaced, named by paths with `__` for the dots: `motion__duration=1.5`."""
         data = self.model_dump(mode="json", exclude_none=True)
         for path, value in changes.items():
             *parents, last = path.split("__")
@@ -304,12 +301,12 @@ class Scenario(Shown, Model):
             if value is None:
                 target.pop(last, None)
             else:
-                target[last] = deepcopy(value)  # a later path may lead into it
+                target[last] = deepcopy(value)  # a later change may be inside it
         return parse(data, "the changed scenario")
 
 
 def parse(data: dict[str, Any], where: str) -> Scenario:
-    """Check a dictionary. Raises ScenarioError, one sentence for each mistake."""
+    """The scenario of a dictionary of keys. Raises ScenarioError, one sentence for each mistake."""
     try:
         return Scenario.model_validate(data)
     except ValidationError as error:

@@ -1,4 +1,4 @@
-"""The objects of a scenario, what is not known about them, and how they become bodies that mechanics can use."""
+"""Tables of a scenario for the objects and their uncertainty, and their conversion to rigid bodies."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ class Prism(Model):
         edges = np.roll(corners, -1, axis=0) - corners
         after = np.roll(edges, -1, axis=0)
         turns = np.arctan2(edges[:, 0] * after[:, 1] - edges[:, 1] * after[:, 0], np.sum(edges * after, axis=1))
-        # Once round, always to the left: convex, with no corner twice.
+        # Turning left at every corner, once around in total: convex, without repeated corners.
         if turns.min() <= 1e-9 or abs(turns.sum() - 2 * np.pi) > 1e-6:
             raise ValueError("polygon must go once round a convex outline, counter-clockwise, without repeated corners")
         if np.abs(corners).max() > 5:
@@ -90,7 +90,7 @@ class Mesh(Model):
 
 
 class Part(Model):
-    """A piece of a composite: its shape, where its centre is, its share of the mass (kg)."""
+    """A piece of a composite: its shape, the position of its centre (m), its mass (kg; only ratios matter)."""
 
     shape: Annotated[Box | Cylinder | Prism, Field(discriminator="type")]
     position: Point = (0.0, 0.0, 0.0)
@@ -128,7 +128,7 @@ class Relative(Model):
 
 
 _EITHER = 'a percentage below 100 % such as "10%", or {} in SI units, at least 0 and at most 100'
-_Percentage = Annotated[str, Field(pattern=r"^[0-9.eE+-]+ *%$")]  # as it is written; for the schema that editors use
+_Percentage = Annotated[str, Field(pattern=r"^[0-9.eE+-]+ *%$")]  # for the JSON schema that editors use
 Range = Annotated[
     Relative | HalfRange,
     BeforeValidator(_relative, json_schema_input_type=_Percentage | Relative | HalfRange),
@@ -151,10 +151,10 @@ class Uncertainty(Model):
     """Half-ranges of an object's uncertain parameters: eq (8).
 
     A percentage is relative to the nominal value; a number is absolute, in SI units. `inertia` takes three
-    (xx, yy, zz) or six (xx, xy, yy, xz, yz, zz) half-ranges; a percentage means the three on the diagonal. Of a
-    container mass, com and inertia are those without what moves inside; `fill` is the liquid's height, `length` the
-    pendulum's.
-    contents = "any" stands for every distribution of the mass inside the shape, with these mass and centre of mass.
+    (xx, yy, zz) or six (xx, xy, yy, xz, yz, zz) half-ranges; a percentage applies to the three on the diagonal.
+    For an object with a liquid or a pendulum, mass, com and inertia are those of the container alone; `fill` is the
+    liquid's height, `length` the pendulum's length.
+    contents = "any" allows every distribution of the mass inside the shape that has this mass and centre of mass.
     """
 
     mass: Range | None = None
@@ -173,7 +173,10 @@ class Uncertainty(Model):
         return self
 
     def ranges(self, item: LooseObject, lone: bool) -> Iterator[tuple[Parameter, float, float]]:
-        """What is uncertain about an object, with its nominal value and half-range, each above 0."""
+        """The uncertain parameters of an object, each with its nominal value and its half-range, above 0.
+
+        lone: whether it is the only object, so that its parameters need no prefix.
+        """
         from salver.models.uncertain.parameters import inertial_vector, parameters_of
 
         inertial, inner = inertial_vector(item.own), item.inner
@@ -207,20 +210,20 @@ class Uncertainty(Model):
 
 
 def _exact(value: Any) -> Any:
-    """ "none" says that everything is exactly as it is given."""
+    """Convert "none" to a table without ranges: everything is known exactly."""
     return {} if value == "none" else value
 
 
 def assumed(shape: Shape, on: str | list[str], inner: InnerDynamics | None) -> Uncertainty:
-    """What is taken to be uncertain of an object of which nothing is said (docs/scenario-file.md says why so much).
+    """The ranges that are assumed for an object whose scenario gives none (docs/scenario-file.md has the reasons).
 
-    friction 15 %, mass 10 %, the centre of mass 3 mm to the sides, at most a tenth of the width, and 5 % of the height,
-    the place on the tray 2 mm; in a container the liquid's height 10 %, at most half of the way to the brim; where
-    something moves inside not the place, with which that changes in ways that are not known.
+    Friction 15 %; mass 10 %; centre of mass 3 mm to the sides, at most a tenth of the width, and 5 % of the height;
+    position on the tray 2 mm; fill height 10 %, at most half of the distance to the brim. With a liquid or pendulum the
+    position is exact, because their models do not include its effect.
     """
     try:
         solid = shape.solid()
-    except ValueError:  # a mesh that cannot be read, which the object itself says
+    except ValueError:  # a mesh that cannot be read; the validation of the object reports it
         return Uncertainty()
     aside = min(0.003, 0.1 * float(np.ptp(solid.outline_polygon, axis=0).min()))
     found: dict[str, Any] = {"friction": "15%", "mass": "10%", "com": (aside, aside, 0.05 * solid.height)}
@@ -232,8 +235,9 @@ def assumed(shape: Shape, on: str | list[str], inner: InnerDynamics | None) -> U
 
 
 class CarriedObject(Model):
-    """One loose object. `at` is where its shape's centre stands, from the tray's centre whatever it stands `on`, m.
+    """One loose object.
 
+    at: m, position of its shape's centre from the tray's centre, even if it stands `on` another object.
     With a `liquid` or a `pendulum` in it, mass, com and inertia are those of the container alone.
     """
 
@@ -275,28 +279,28 @@ class CarriedObject(Model):
         loose = self.loose()
         bodies.check(loose)
         away = loose.solid.bounding_points_G - loose.solid.centroid_G - self.com
-        # Four times that of all of it in the furthest corner, where the paper's own value is 1.1 times that.
+        # Four times the inertia of the whole mass in the furthest corner; the paper's own value is 1.1 times that.
         most = 4 * self.mass * float(np.sum(away**2, axis=1).max())
         stated = [x for key in (self.inertia, self.uncertainty.inertia) if isinstance(key, tuple) for x in key]
         if max(map(abs, stated), default=0.0) > most * (1 + 1e-6):
             raise ValueError(
                 f"inertia of {self.name} = {max(map(abs, stated)):g} kg m^2 (nominal or half-range) is too large for "
-                f"{self.mass:g} kg of this shape: at most {most:.3g}, four times that of all of it in the furthest "
-                "corner"
+                f"{self.mass:g} kg of this shape: at most {most:.3g}, four times that of the whole mass in the "
+                "furthest corner"
             )
         for key in ("mass", "friction"):
             nominal, half = getattr(self, key), getattr(self.uncertainty, key)
             if isinstance(half, float) and half >= nominal:
                 raise ValueError(
-                    f"uncertainty.{key} = {half:g} reaches down to zero from {key} = {nominal:g}; it must be less "
-                    "than that"
+                    f"uncertainty.{key} = {half:g} is not below {key} = {nominal:g}, so that {key} could be zero; give "
+                    "less"
                 )
         return self
 
     def loose(self, solid: Solid | None = None) -> LooseObject:
-        """The object as mechanics see it. Inertia that is not given is that of the uniform solid.
+        """The object as a `LooseObject`. An inertia that is not given is that of the uniform solid.
 
-        solid: instead of the shape's own, for example with a rounder base.
+        solid: replaces the shape's own, for example with a finer polygon for a round base.
         """
         from salver.models.bodies import LooseObject
         from salver.models.rigid_body import RigidBody, inertia_matrix
@@ -339,11 +343,11 @@ class CarriedObject(Model):
 
     @property
     def inner(self) -> InnerDynamics | None:
-        """The table of what moves inside; None where nothing does."""
+        """The table of its liquid or pendulum; None without one."""
         return self.liquid or self.pendulum
 
     def _check_inner(self) -> None:
-        """Raise ValueError when nothing such can move inside such an object."""
+        """Raise ValueError when its liquid or pendulum does not fit into it, or contradicts another key."""
         inner = self.inner
         for table in (LiquidIn, PendulumIn):
             if getattr(self.uncertainty, table.quantity) is not None and not isinstance(inner, table):
@@ -357,7 +361,7 @@ class CarriedObject(Model):
             return
         noun, shape = inner.noun, self.shape
         if self.uncertainty.contents == "any":
-            raise ValueError(f'{noun} of {self.name}: with contents = "any" where a {noun} is cannot be said; give one')
+            raise ValueError(f'{noun} of {self.name}: contents = "any" does not work with a {noun}; leave one out')
         if not isinstance(shape, Box | Cylinder):
             raise ValueError(f"{noun} of {self.name}: only a cylinder or a box can hold one, not a {shape.type}")
         inside = (shape.radius,) if isinstance(shape, Cylinder) else shape.size[:2]
@@ -369,8 +373,8 @@ Tilt = Annotated[Number, Field(ge=0, le=45)]  # degrees
 
 
 class Shake(Model):
-    """How the tray shakes beside its motion: by up to `amplitude`, m, in any direction, and `tilt_deg` about any axis
-    through its middle, at up to `frequency`, Hz."""
+    """Vibration of the tray on top of its motion: up to `amplitude`, m, in any direction, and up to `tilt_deg` about
+    any axis through its centre, at up to `frequency`, Hz."""
 
     amplitude: Annotated[Number, Field(ge=0, le=0.05)] = 0.0
     tilt_deg: Annotated[Number, Field(ge=0, le=5)] = 0.0
@@ -384,7 +388,7 @@ class Shake(Model):
 
 
 class UncertaintySet(Model):
-    """Shape of the uncertain set, and what is uncertain beyond the objects themselves."""
+    """Shape of the uncertain set, and the uncertainty of the tray: its tilt and its vibration."""
 
     set: Literal["box", "ellipsoid"] = "box"
     tilt_deg: tuple[Tilt, Tilt] | None = None
@@ -395,14 +399,14 @@ class UncertaintySet(Model):
 
     @model_serializer(mode="wrap")
     def _stated(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Without a shake of which nothing is said: plans that were made before there was one stay readable."""
+        """Leave out a missing shake, so that plans made before this key existed keep their digest."""
         found: dict[str, Any] = dump(self)
         return found if self.shake is not None else {key: value for key, value in found.items() if key != "shake"}
 
     def around(self, objects: list[CarriedObject], loose: list[LooseObject]) -> UncertainSet:
         """All uncertain parameters, in the order of the objects and then of the tray: eq (8).
 
-        Raises ValueError when the correlation is none, or of something that is not uncertain.
+        Raises ValueError when the correlation matrix is not positive definite or names a parameter without a range.
         """
         from salver.models.uncertain.parameters import TILT, UncertainSet
 
@@ -417,11 +421,11 @@ class UncertaintySet(Model):
         return UncertainSet(parameters, np.array(nominal), np.array(half), self.set, correlation, shake)
 
     def _matrix(self, names: list[str]) -> np.ndarray | None:
-        """(n_p, n_p) correlation matrix; None when there is none."""
+        """Correlation matrix (n_p, n_p) of the parameters `names`; None if none is given."""
         if not self.correlation:
             return None
         matrix = np.eye(len(names))
-        said: dict[frozenset[str], str] = {}
+        given: dict[frozenset[str], str] = {}
         for key, value in self.correlation.items():
             parts = [part.strip() for part in key.split(",")]
             pair = frozenset(parts)
@@ -430,11 +434,11 @@ class UncertaintySet(Model):
                     f'uncertainty.correlation has the key "{key}"; it must name two different parameters: a parameter '
                     "is fully correlated with itself"
                 )
-            if pair in said:
+            if pair in given:
                 raise ValueError(
-                    f'uncertainty.correlation has "{said[pair]}" and "{key}", which is the same pair; give it once'
+                    f'uncertainty.correlation has "{given[pair]}" and "{key}", which is the same pair; give it once'
                 )
-            said[pair] = key
+            given[pair] = key
             if len(parts) != 2 or any(part not in names for part in parts):
                 raise ValueError(
                     f'uncertainty.correlation has the key "{key}"; it must name two uncertain parameters, as in '
@@ -456,7 +460,7 @@ def _absolute(value: float | Relative | None, nominal: float) -> float:
 
 
 def _inertia_ranges(value: Relative | tuple[float, ...] | None, nominal: np.ndarray) -> list[float]:
-    """Half-ranges of the six entries: three values mean the diagonal."""
+    """Half-ranges of the six entries of the inertia; three values are those of the diagonal."""
     if value is None:
         return []
     half, diagonal = np.zeros(6), [0, 2, 5]

@@ -13,12 +13,14 @@ from salver.scenario.inner import InnerDynamics
 if TYPE_CHECKING:
     from salver.dynamics.pendulum import Pendulum
 
-Damped = Annotated[Number, Field(ge=0, le=0.2)]  # of critical
+Damped = Annotated[Number, Field(ge=0, le=0.2)]  # share of critical damping
 
 
 class PendulumIn(InnerDynamics):
-    """A mass on a light rod that hangs in an object, its pivot on the object's axis at the height `pivot` over the
-    base, and swings to every side, at most `widest_deg` from the axis."""
+    """A mass on a light rod that hangs in an object and swings in every direction, up to `widest_deg` from the axis.
+
+    pivot: m, height of the pivot over the object's base, on the object's axis. length: m, of the rod.
+    """
 
     quantity: ClassVar[str] = "length"
     noun: ClassVar[str] = "pendulum"
@@ -35,7 +37,7 @@ class PendulumIn(InnerDynamics):
 
     @property
     def assumed(self) -> float:
-        """m: 2 %."""
+        """Half-range of the length, m: 2 %."""
         return 0.02 * self.length
 
     def check(self, name: str, outside: tuple[float, ...], height: float, half_range: float) -> None:
@@ -49,11 +51,11 @@ class PendulumIn(InnerDynamics):
             )
         if longest * np.sin(np.deg2rad(self.widest_deg)) > least:
             raise ValueError(
-                f"pendulum of {name}: widest_deg = {self.widest_deg:g} takes it out of {name}, "
-                f"{least:g} m from its axis; give less"
+                f"pendulum of {name}: with widest_deg = {self.widest_deg:g} it leaves {name}, whose side is "
+                f"{least:g} m from the axis; give less"
             )
         if self.damping[0] > self.damping[1]:
-            raise ValueError(f"pendulum.damping = {list(self.damping)}; the least comes first, of critical damping")
+            raise ValueError(f"pendulum.damping = {list(self.damping)}; give the smaller share of critical first")
 
     def dynamics(self, height: float) -> Pendulum:
         from salver.dynamics.pendulum import Pendulum

@@ -1,4 +1,4 @@
-"""The task: ends, parameterisation, contact condition, gains, cost."""
+"""Tables of a scenario for the task: start and goal, parameterisation, contact condition, gains, cost."""
 
 from __future__ import annotations
 
@@ -35,16 +35,17 @@ class Pose(Model):
         return matrix_from_rpy(np.deg2rad(self.rpy_deg if self.rpy_deg is not None else (0.0, 0.0, 0.0)))
 
     def same_as(self, other: Pose) -> bool:
-        """Whether both are one pose, but for rounding."""
+        """Whether two poses are equal, up to rounding."""
         near = np.allclose(self.position, other.position, rtol=0, atol=1e-6)
         return near and np.allclose(self.rotation, other.rotation, rtol=0, atol=1e-6)
 
 
 class Motion(Model):
-    """Rest to rest from `start` to `goal`, and how the reference trajectory is parameterised.
+    """The motion from rest at `start` to rest at `goal`, and the parameterisation of the reference trajectory.
 
-    With legs, `goal` is that of the last, and may be left out. speeds: where the plan must hold: at "any" constant
-    speed factor from 0 to 1, and at factors that change by up to speed_rate, 1/s; or at "full" speed only.
+    With legs, `goal` is that of the last leg and may be left out.
+    speeds: "any": the plan must hold at every constant speed factor from 0 to 1, and at factors that change by up to
+        speed_rate, 1/s. "full": it must hold at full speed only.
     """
 
     model_config = ConfigDict(json_schema_extra=lambda schema: schema["required"].remove("goal"))
@@ -64,15 +65,15 @@ class Motion(Model):
 
     @property
     def may_turn(self) -> bool:
-        """Whether the tray may tilt and turn on the way; unless it is said, only the fastest motion may."""
+        """Whether the tray may tilt and turn on the way; by default only if no duration is given."""
         return self.duration is None if self.orientation is None else self.orientation == "free"
 
 
 class Contact(Model):
-    """The contact condition that the plan must keep, and the linearisation of friction cones.
+    """The contact condition of the plan, and the linearisation of friction cones.
 
-    margin: what the condition must keep over its tube, in N of a cone coefficient (paper), or as a share of the
-    normal force at rest (exact).
+    margin: required margin of the condition beyond its tube: N of a cone coefficient (paper), or a share of the normal
+    force at rest (exact).
     """
 
     condition: Literal["paper", "exact"] = "paper"
@@ -81,9 +82,9 @@ class Contact(Model):
     margin: Annotated[Number, Field(ge=0, le=1000)] = 1e-3
 
 
-def grows(kp: float, kd: float, period: float) -> bool:
-    """Whether e'' + kd e' + kp e = 0 grows when what it asks for is held for a period (s)."""
-    # Over one period e'' is what the gains made of e and e' at its beginning.
+def unstable_when_held(kp: float, kd: float, period: float) -> bool:
+    """Whether e'' + kd e' + kp e = 0 is unstable under a zero-order hold of its control for a period (s)."""
+    # Over one period e'' has the value that the gains give at its beginning.
     step = np.array([[1 - 0.5 * kp * period**2, period - 0.5 * kd * period**2], [-kp * period, 1 - kd * period]])
     return bool(np.abs(np.linalg.eigvals(step)).max() >= 1)
 
@@ -99,9 +100,9 @@ class Control(Model):
     kd: tuple[Damping, Damping] = (25.0, 15.0)
 
     def check_held(self, period: float) -> None:
-        """Raise ValueError when the error dynamics grow because each command is held for a period (s)."""
+        """Raise ValueError when the error dynamics are unstable because each command is held for a period (s)."""
         for kp, kd in zip(self.kp, self.kd, strict=True):
-            if grows(kp, kd, period):
+            if unstable_when_held(kp, kd, period):
                 raise ValueError(
                     f"control.kp = {kp:g} 1/s^2 with control.kd = {kd:g} 1/s is unstable when commands are held for "
                     f"physics.command_period = {period:g} s; give smaller gains, or kd nearer to 2 sqrt(kp)"
@@ -109,8 +110,7 @@ class Control(Model):
 
 
 class Planning(Model):
-    """Which motion `salver plan` seeks: one of the methods, or, where none is named, the safest in motion.duration, and
-    without a duration the fastest."""
+    """The planning method. By default it is "safest" if motion.duration is given, else "fastest"."""
 
     method: Literal["robust", "fastest", "safest", "least-sensitive"] | None = None
 

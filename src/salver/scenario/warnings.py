@@ -1,4 +1,4 @@
-"""Warnings of a scenario: values that are probably not meant, or beyond what an arm is made for."""
+"""Warnings about a scenario: values that are probably mistakes, or beyond what the arm is rated for."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from salver.scenario.objects import assumed
 if TYPE_CHECKING:
     from salver.models.arm.arm import ArmModel
 
-SLIPPERY_AT_MOST = 1.2  # dry rubber on a dry tray has about that; little has more
+HIGHEST_FRICTION = 1.2  # about that of dry rubber on a dry tray; few materials have more
 LIGHTEST = 1e-3  # kg
-DENSITIES = (5.0, 20e3)  # kg/m^3: less than any foam and any empty carton, and gold
-LEAST_TILT = 2.0  # degrees; who bounds a tilt by less has it in radians
+DENSITIES = (5.0, 20e3)  # kg/m^3: below foam and empty cartons, above gold
+LEAST_TILT = 2.0  # degrees; a smaller bound of the tilt is probably in radians
 
 
 def warnings_of(scenario: Scenario) -> tuple[str, ...]:
-    """All of a scenario, a sentence each. Raises what `salver.models.arm.arm.load_arm` does."""
+    """All warnings about a scenario, one sentence each. Raises as `salver.models.arm.arm.load_arm`."""
     found = [*_of_ranges(scenario), *_of_objects(scenario), *_of_angles(scenario.model_dump(exclude_unset=True))]
     if scenario.arm is not None:
         from salver.models.arm.arm import load_arm
@@ -33,9 +33,9 @@ def warnings_of(scenario: Scenario) -> tuple[str, ...]:
 
 
 def _of_ranges(scenario: Scenario) -> Iterator[str]:
-    """Warning of assumed ranges, or of none."""
+    """Warnings about ranges that are assumed, and about a scenario without ranges."""
     if not scenario.uncertain.size:
-        yield "Nothing is uncertain; what is said to be safe is safe for exactly these values."
+        yield "No parameter is uncertain; a plan is safe for exactly these values only."
     for item in scenario.objects:
         ranges = assumed(item.shape, item.on, item.inner)
         if item.uncertainty == ranges:
@@ -44,13 +44,13 @@ def _of_ranges(scenario: Scenario) -> Iterator[str]:
             if item.inner is not None:
                 rest = f", {item.inner.quantity} {1e3 * item.inner.assumed:.3g} mm"
             yield (
-                f"Nothing is said of how exactly {item.name} is known; assumed are friction 15 %, mass 10 %, centre of "
-                f"mass {com} mm{rest}, either way ([objects.uncertainty] says otherwise)."
+                f"{item.name} has no [objects.uncertainty]; assumed half-ranges are friction 15 %, mass 10 %, centre "
+                f"of mass {com} mm{rest}."
             )
 
 
 def _of_limits(arm: ArmModel) -> Iterator[str]:
-    """Limits above those that the arm's maker or its URDF gives."""
+    """Warnings about limits above those of the arm's maker or its URDF."""
     for kind in LIMITS:
         for end, sign in (("q_min", -1.0), ("q_max", 1.0)) if kind.key == "position" else ((kind.key, 1.0),):
             given, own = getattr(arm.limits, end), getattr(arm.own_limits, end)
@@ -75,12 +75,12 @@ def _of_payload(scenario: Scenario, arm: ArmModel) -> Iterator[str]:
 
 def _of_objects(scenario: Scenario) -> Iterator[str]:
     for item in scenario.objects:
-        if item.friction > SLIPPERY_AT_MOST:
-            yield f"friction = {item.friction:g} of {item.name}: hardly anything has more than {SLIPPERY_AT_MOST:g}."
+        if item.friction > HIGHEST_FRICTION:
+            yield f"friction = {item.friction:g} of {item.name}: few materials have more than {HIGHEST_FRICTION:g}."
         loose = item.loose()
         density = loose.inertial.mass / float(
             np.prod(np.ptp(loose.solid.bounding_points_G, axis=0))
-        )  # of a box about it
+        )  # kg/m^3, from the volume of its bounding box
         if item.mass <= LIGHTEST:
             yield f"mass = {item.mass:g} of {item.name} is {1e3 * item.mass:.3g} g; masses are in kg."
         elif not DENSITIES[0] <= density <= DENSITIES[1]:
@@ -92,7 +92,7 @@ def _of_objects(scenario: Scenario) -> Iterator[str]:
 
 
 def _of_angles(table: Any, where: str = "") -> Iterator[str]:
-    """Keys in degrees whose values are a twelfth of pi, or a few of them, to three digits."""
+    """Warnings about keys in degrees whose values are multiples of pi / 12 to three digits, so probably radians."""
     rows = table.items() if isinstance(table, dict) else enumerate(table) if isinstance(table, list | tuple) else ()
     for key, value in rows:
         name = f"{where}[{key}]" if isinstance(key, int) else f"{where}.{key}".lstrip(".")
@@ -107,5 +107,5 @@ def _in_radians(angles: Array, key: str) -> bool:
         return bool(angles[0] < LEAST_TILT)
     parts = np.abs(angles) * 12 / np.pi
     near = (np.abs(parts - np.round(parts)) < 0.02) & (np.round(parts) > 0) & (np.abs(angles) < 6.3)
-    rounded = np.abs(angles * 10 - np.round(angles * 10)) < 1e-9  # 2.1 degrees are 2.1 degrees
+    rounded = np.abs(angles * 10 - np.round(angles * 10)) < 1e-9  # one decimal, as 2.1: probably meant as degrees
     return bool(np.any(near & ~rounded))
