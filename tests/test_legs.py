@@ -294,7 +294,7 @@ def test_a_run_of_all_legs_can_be_stopped_on_any_of_them(planned, tmp_path, caps
         rest = legs[number - 1].stops.motion(course.stop).q[-1]
         assert np.abs(stopped.q[-1] - rest).max() < 1e-3  # rad
         assert np.abs(legs[number - 1].joint.q[-1] - rest).max() > 0.05
-    with pytest.raises(ScenarioError, match="The stop is asked for at"):
+    with pytest.raises(ScenarioError, match="The stop is requested at"):
         sv.simulate_legs(plan, stop_at=first + second + 0.1)
     plan.save(tmp_path)
     made = run_campaign(tmp_path, 3, jobs=1, stops=True)

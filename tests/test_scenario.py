@@ -134,7 +134,7 @@ def test_rest_on_the_steepest_tilt_that_holds():
     scenario.parse(changed(("motion.goal.rpy_deg", [0, 26.56, 45])), "mine.toml")
     uncertain = ("objects.0.uncertainty.friction", "10%")
     scenario.parse(changed(("motion.goal.rpy_deg", [0, 24.2, 45]), uncertain), "mine.toml")
-    with pytest.raises(ScenarioError, match=r"motion\.goal tilts .* least friction of 0\.45 at most 24\.23 deg hold"):
+    with pytest.raises(ScenarioError, match=r"motion\.goal tilts .* least friction of 0\.45 holds it up to 24\.23 deg"):
         scenario.parse(changed(("motion.goal.rpy_deg", [0, 24.3, 45]), uncertain), "mine.toml")
 
 

@@ -1,10 +1,9 @@
-"""The perturbed closed loop without an engine: eqs (18), (19) in full, for many true bodies at once.
+"""The nonlinear closed loop, eqs (18) and (19), without the physics engine, for many true bodies at once.
 
-Integrated in the controller's own error coordinates (e_p, e_R, e_v, e_w), which is an exact change of
-variables on SE(3): the rotation error is a rotation vector that the integrator re-centres on the reference
-at every instant, so no drift off the group can occur. The reference itself then carries no integration
-error, and what is integrated is the deviation: its *relative* accuracy is that of the integrator, however
-small the deviation is. Finite differences of these rollouts are therefore good to many digits.
+The state is integrated in the controller's error coordinates (e_p, e_R, e_v, e_w), an exact change of variables on
+SE(3): the rotation error is a rotation vector about the reference, so that no drift off the group can occur. Only the
+deviation from the reference is integrated, with the *relative* accuracy of the integrator however small it is. Finite
+differences of these rollouts are therefore good to many digits.
 """
 
 from __future__ import annotations
@@ -22,8 +21,8 @@ from salver.models.rigid_body import RigidBody, spatial_inertia, wrench
 from salver.sensitivity import tubes
 from salver.trajectory import MotionSamples, Reference
 
-# Longest step times the fastest rate of the error dynamics: the error is then below 1e-6 of the deviation, usually
-# below 1e-7 (benchmarks/rollouts.py).
+# Longest step times the fastest rate of the error dynamics, with an error below 1e-6 of the deviation, usually below
+# 1e-7 (benchmarks/rollouts.py).
 STEP_TIMES_RATE = 0.625
 
 
@@ -33,7 +32,6 @@ class Rollout:
 
     t: (T,) s. deviation: (n, T, 12) of the true state from the reference: (dp in S, dtheta in B with
     R = R* Exp(dtheta), dv in S, domega = omega - omega* in B). cone_coefficients: (n, T, n_lambda) Lambda, N.
-    Row i is one body's record, time first.
     """
 
     t: Array
@@ -51,13 +49,19 @@ def rollout(
     initial_deviation: npt.ArrayLike | None = None,
     max_step: float | None = None,
 ) -> Rollout:
-    """Closed loop (18), (19) from t = 0 at the reference's initial state, for true bodies phi (n, 10).
+    """Simulate the closed loop (18), (19) from t = 0 for n true bodies.
 
-    body: what the controller believes. grasp_map: (6, n_lambda) G F_hat. t: (T,) increasing times >= 0.
-    initial_deviation: (12,) or (n, 12) start off the reference, as `Rollout.deviation`; zero by default.
-    max_step: longest step, s; by default from the gains (25 ms at the paper's). Give the spacing of the knots
-        of a reference that is only piecewise smooth and moves fast.
-    Raises ValueError when t does not increase from a value >= 0.
+    Args:
+        body: the nominal body, which the controller uses.
+        grasp_map: (6, n_lambda) G F_hat.
+        phi_samples: (n, 10) inertial parameters of the true bodies.
+        t: (T,) increasing times >= 0, s.
+        initial_deviation: (12,) or (n, 12) from the reference at t = 0, as `Rollout.deviation`; default zero.
+        max_step: longest step, s; default from the gains (25 ms at the paper's). For a fast reference that is only
+            piecewise smooth, give the spacing of its knots.
+
+    Raises:
+        ValueError: t does not increase from a value >= 0.
     """
     phi = np.atleast_2d(np.asarray(phi_samples, dtype=float))
     t = np.atleast_1d(np.asarray(t, dtype=float))
@@ -101,12 +105,12 @@ class _Loop:
         return error, R_SB, apply(error.transport, reference.omega_B) - error.omega_B
 
     def inputs(self, reference: MotionSamples, error: Errors, R_SB: Array, omega_B: Array) -> Array:
-        """Lambda (n, n_lambda), eq (19)."""
+        """Cone coefficients Lambda (n, n_lambda), N: eq (19)."""
         a_cmd_S, alpha_cmd_B = command(self.gains, reference, error)
         return wrench(self.phi_nominal, R_SB, a_cmd_S, omega_B, alpha_cmd_B) @ self.grasp_inverse.T
 
     def rate(self, reference: MotionSamples, state: Array) -> Array:
-        """d/dt (n, 12) of the errors: those of the reference less those of the plant, eq (18)."""
+        """Time derivative (n, 12) of the errors: that of the reference minus that of the plant, eq (18)."""
         error, R_SB, omega = self.errors(reference, state)
         wrench_B = self.inputs(reference, error, R_SB, omega) @ self.grasp_map.T
         a_S, alpha = acceleration(self.phi, R_SB, omega, wrench_B, self.inverse_inertia)
@@ -117,14 +121,14 @@ class _Loop:
 
 
 def _deviation(reference: MotionSamples, state: Array) -> Array:
-    """Errors (n, 12) to the deviation of the state, rows of docs/conventions.md."""
+    """The deviation (n, 12) of the state from its errors (n, 12), rows as in docs/conventions.md."""
     e_p, e_R, e_v, e_w = state[:, :3], state[:, 3:6], state[:, 6:9], state[:, 9:]
     domega = apply(exp(e_R) - np.eye(3), reference.omega_B) - e_w
     return np.concatenate([-e_p, -e_R, -e_v, domega], axis=1)
 
 
 def _from_deviation(deviation: npt.ArrayLike | None, n: int, reference: MotionSamples) -> Array:
-    """Inverse of `_deviation`, (n, 12)."""
+    """Errors (n, 12) from the deviation: the inverse of `_deviation`."""
     if deviation is None:
         return np.zeros((n, 12))
     d = np.broadcast_to(np.asarray(deviation, dtype=float), (n, 12))
@@ -132,17 +136,17 @@ def _from_deviation(deviation: npt.ArrayLike | None, n: int, reference: MotionSa
     return np.concatenate([-d[:, :3], -d[:, 3:6], -d[:, 6:9], e_w], axis=1)
 
 
-ROUNDING = 1e-9  # in the unit of each quantity; leaving a tube by less is not leaving it
+ROUNDING = 1e-9  # a record that exceeds a tube by less, in the unit of the quantity, counts as inside
 
 
 @dataclass(frozen=True)
 class Coverage:
-    """How n sampled records (n, T, c) lie in c tubes: eq (12).
+    """Whether n sampled records of c quantities stay in their tubes: eq (12).
 
     names: (c,) of the quantities. excess: (n, c) the largest |value - nominal| - radius over time, in the unit of
-    the quantity; negative when the record stays inside. relative: (n, c) excess over the *largest* radius of that
-    tube (with one parameter a radius passes through zero, so a ratio at an instant says nothing).
-    when: (n, c) time of the excess, s. tolerance: share of the largest radius that does not count as leaving.
+    the quantity; negative when the record stays inside. relative: (n, c) excess divided by the *largest* radius of
+    the tube (a radius may pass through zero, so that a ratio at one instant would be meaningless).
+    when: (n, c) time of the excess, s. tolerance: relative excess up to which a record counts as inside.
     """
 
     names: tuple[str, ...]
@@ -153,17 +157,17 @@ class Coverage:
 
     @property
     def outside(self) -> Mask:
-        """(n, c) whether a record left a tube."""
+        """Whether each record left each tube (n, c)."""
         return (self.excess > ROUNDING) & (self.relative > self.tolerance)
 
     @property
     def left(self) -> int:
-        """Number of the n records that left at least one of their tubes."""
+        """Number of records that left at least one of their tubes."""
         return int(self.outside.any(axis=1).sum())
 
     @property
     def worst(self) -> tuple[int, int]:
-        """(sample, quantity) with the largest relative excess among those outside; of all when none is."""
+        """Indices (sample, quantity) of the largest relative excess, among those outside if there are any."""
         score = np.where(self.outside, self.relative, -np.inf)
         if not self.outside.any():
             score = np.where(np.isfinite(self.relative), self.relative, -np.inf)
@@ -187,10 +191,10 @@ def coverage(
     names: Sequence[str],
     tolerance: float = 1e-6,
 ) -> Coverage:
-    """Which of the sampled records `values` (n, T, c) left the tubes nominal +- radius, each (T, c).
+    """Compare sampled records `values` (n, T, c) with the tubes nominal +- radius, each (T, c).
 
-    For states pass `Rollout.deviation`, nominal zero; for inputs `Rollout.cone_coefficients`.
-    The default tolerance is the rollouts' own accuracy.
+    For states pass `Rollout.deviation` and nominal zero, for inputs `Rollout.cone_coefficients`.
+    The default tolerance is the accuracy of the rollouts.
     """
     beyond = tubes.excess(values, nominal, radius)
     at = beyond.argmax(axis=1)

@@ -1,15 +1,15 @@
-"""The creep of MuJoCo's contacts, so that it is never taken for slip.
+"""The creep of MuJoCo's contacts, which is subtracted from displacements so that it does not count as slip.
 
-A contact that sticks is held there by J qacc = -b v_rel: the constraint sees the acceleration J qacc and not the
-J-dot qdot that comes with it on any curved joint motion. So the velocity between object and tray settles at
+A sticking contact in MuJoCo obeys J qacc = -b v_rel: the constraint includes the acceleration J qacc but not
+J-dot qdot, which is not zero on a curved joint motion. So the velocity between object and tray settles at
 (J-dot qdot of the object - J-dot qdot of the tray) / b instead of zero, whatever the friction, and an object that is
-carried around a bend is displaced for good. With b = 2 / (d_max timeconst) of the friction rows, and half a step less
-because velocity is updated before position (semi-implicit integration), the law is
+carried around a bend is permanently displaced. With b = 2 / (d_max timeconst) of the friction rows, and half a step
+less because velocity is updated before position (semi-implicit integration), the law is
 
     d(slip)/dt = -(d_max timeconst / 2 - timestep / 2) P (bias of the tray's point - bias of the object's point)
 
-with P the projection onto the contact plane. A free body's own bias at a point r from its origin is
-omega x (omega x r). Nothing here is fitted; tests/test_physics_calibration.py compares it with the engine.
+with P the projection onto the contact plane. The bias of a free body at a point r from its origin is
+omega x (omega x r). No number is fitted; tests/test_physics_calibration.py compares the law with the engine.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ from salver.models.arm.arm import ArmModel
 
 @dataclass(frozen=True)
 class TrayBias:
-    """Acceleration of the tray by the joints' velocities alone, at N instants, in E.
+    """The velocity-dependent acceleration J-dot qdot of the tray at N instants, in E.
 
-    linear (N, 3): of the origin of E, m/s^2. angular (N, 3): rad/s^2. omega (N, 3): the tray's angular velocity.
+    linear (N, 3): of the origin of E, m/s^2. angular (N, 3): rad/s^2. omega (N, 3): the tray's angular velocity, rad/s.
     """
 
     linear: Array
@@ -36,7 +36,7 @@ class TrayBias:
 
     @cached_property
     def centripetal(self) -> Array:
-        """(N, 3, 3): a point r from the origin of a body that turns as the tray has the bias of this times r."""
+        """hat(omega)^2 (N, 3, 3): times r, the bias at a point r from the origin of a body that turns with the tray."""
         spin = hat(self.omega)
         return spin @ spin
 
@@ -45,7 +45,7 @@ class TrayBias:
         return hat(self.angular) + self.centripetal
 
     def of_point(self, p_E: Array) -> Array:
-        """(N, 3) of a point (3,) fixed to the tray."""
+        """Bias (N, 3) of a point (3,) fixed to the tray."""
         return self.linear + self._by_place @ p_E
 
 
@@ -59,13 +59,13 @@ def tray_bias(arm: ArmModel, q: Array, dq: Array, R_tilt: Array) -> TrayBias:
 
 
 def still_bias(count: int) -> TrayBias:
-    """The bias of a tray that is the engine's world."""
+    """The zero bias of a tray that is fixed to the engine's world."""
     zero = np.zeros((count, 3))
     return TrayBias(zero, zero, zero)
 
 
 def gain(contact_time: float, timestep: float, damping_width: float) -> float:
-    """Seconds: creep speed per unit of bias acceleration."""
+    """Creep speed per unit of bias acceleration, s."""
     return 0.5 * damping_width * contact_time - 0.5 * timestep
 
 

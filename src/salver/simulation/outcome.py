@@ -1,6 +1,6 @@
-"""From a trace to what happened to each object: slip, lift, tip, contact; and the word for it.
+"""Measure slip, lift, tip and contact of each object in a trace, and judge the outcome.
 
-An object is measured against what it stands on: the tray, or the object below it.
+The motion of an object is measured relative to its support: the tray, or the object below it.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from salver.simulation.trace import Trace
 
 @dataclass(frozen=True)
 class Thresholds:
-    """From where on a thing counts as having happened.
+    """Thresholds above which an object counts as slipping, tipping or lifting.
 
-    slip: m along the support, creep taken off; ten times what the creep law leaves over in the paper's move.
-    tip: rad out of its resting orientation: a cube of 4 cm has then lifted one side by 1.4 mm.
-    lift: m that the whole base is above its support.
+    slip: m along the support, creep subtracted; ten times the residual of the creep law in the paper's motion.
+    tip: rad from its orientation at rest; a cube of 4 cm has then lifted one side by 1.4 mm.
+    lift: m between the whole base and its support.
     """
 
     slip: float = 5e-4
@@ -36,9 +36,9 @@ class Thresholds:
 
 @dataclass(frozen=True)
 class Behaviour:
-    """Motion of m objects at N instants; see SimulationRecord for the fields.
+    """Motion of m objects at N instants; see SimulationRecord for the other fields.
 
-    lost (N, m): the centre of the base is beyond the tray's edge.
+    lost (N, m): whether the centre of the base is beyond the tray's edge.
 
     p_EB (N, m, 3), R_EB (N, m, 3, 3): pose relative to the real tray.
     """
@@ -54,7 +54,7 @@ class Behaviour:
 
 
 def behaviour(scene: Scene, trace: Trace, bias: creep.TrayBias, tray_size: tuple[float, float]) -> Behaviour:
-    """Measure every object. The first instant with t >= 0 is the rest that displacements are counted from."""
+    """Measure every object. Displacements are relative to the first instant with t >= 0."""
     start = int(np.searchsorted(trace.t, -1e-9))
     R_EX = np.swapaxes(trace.R_XE, -1, -2)
     p_EB = np.einsum("tij,tmj->tmi", R_EX, trace.p_XB - trace.p_XE[:, None])
@@ -94,7 +94,7 @@ def _points(p: Array, rotation: Array, point: Array) -> Array:
 
 
 def _in_support(p_EB: Array, R_EB: Array, k: int, below: int | None) -> tuple[Array, Array]:
-    """Pose (N, 3), (N, 3, 3) of object k relative to what it stands on."""
+    """Pose (N, 3), (N, 3, 3) of object k relative to its support."""
     if below is None:
         return p_EB[:, k], R_EB[:, k]
     back = np.swapaxes(R_EB[:, below], -1, -2)
@@ -110,15 +110,17 @@ def _creep(
 
 
 def inner_motions(scene: Scene, trace: Trace) -> Array:
-    """(N, m, 3) m of what moves inside each object, `LoadDynamics.seen`; NaN where nothing does. Of a liquid: its
-    height at the wall along x and y, and its highest point, over the level at rest."""
+    """`LoadDynamics.seen` (N, m, 3), m, of the liquid or pendulum in each object; NaN without one.
+
+    For a liquid: its height at the wall along x and y, and its highest point, above the level at rest.
+    """
     out = np.full((len(trace.t), len(scene.loads), 3), np.nan)
     for i, swing in enumerate(scene.swings):
         load, count = scene.loads[swing.load], len(swing.qpos_ids)
         swung = trace.swung[:, i, :count]
-        incline = np.tan(swung) * HINGE  # of each mass under its hinges
+        incline = np.tan(swung) * HINGE  # slope of each pendulum
         incline[..., 1 - swing.first] /= np.cos(swung[..., swing.first])
-        # A push shorter than its own time moves what follows as its mean over that time would, held: contacts chatter.
+        # Average over the fastest time constant, because chattering contacts give short peaks of acceleration.
         own = 1 / load.modes.following
         accelerated = _rate(trace.t, trace.moved[:, i], own) - trace.pulled[:, i]
         force = np.einsum("tji,tj->ti", trace.R_XB[:, swing.load], accelerated)
@@ -129,7 +131,7 @@ def inner_motions(scene: Scene, trace: Trace) -> Array:
 
 
 def _rate(t: Array, x: Array, seconds: float) -> Array:
-    """Mean derivative of x (N, ...) over so many seconds around each instant, fewer at the ends."""
+    """Mean derivative of x (N, ...) over `seconds` around each instant, less at the ends."""
     k, half = np.arange(len(t)), max(1, round(0.5 * seconds / (t[1] - t[0])))
     before, after = np.maximum(k - half, 0), np.minimum(k + half, len(t) - 1)
     return np.asarray((x[after] - x[before]) / (t[after] - t[before])[:, None])
@@ -148,10 +150,10 @@ def judge(
     loads: Sequence[Load],
     inner: Array,
 ) -> dict[str, Any]:
-    """Figures per object and over all, from t = 0 on. The outcome is the worst of tips, lifts, lost, spills,
-    swings, slides, holds. inner: (N, m, 3), see `inner_motions`.
+    """Summarise each object and the whole load from t = 0 on, until an object is lost.
 
-    first_* is the time of the first instant over the threshold, or None. Figures end when an object is lost.
+    The outcome is the worst of tips, lifts, lost, spills, swings, slides, holds. first_*: time of the first instant
+    over the threshold, or None. inner: (N, m, 3), see `inner_motions`.
     """
     moving = t >= -1e-9
     objects = []

@@ -1,8 +1,8 @@
-"""Runs in the physics engine: a plan carried by its arm, or a tray moved exactly as a reference says.
+"""Runs in the physics engine: a plan executed by its arm, or a tray that follows a reference exactly.
 
-`simulate` is the whole experiment: MuJoCo's arm under the controller that a robot driver would step, command by
-command, with the objects as they truly are; `Experiment` repeats it with other objects. `simulate_tray` leaves the arm
-out. All give a SimulationRecord.
+`simulate` runs the whole experiment: the arm in MuJoCo under the controller that a robot driver would step, with the
+true parameters of the objects; `Experiment` repeats it with other parameters. `simulate_tray` moves the tray without
+an arm. All return a SimulationRecord.
 """
 
 from __future__ import annotations
@@ -39,10 +39,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Experiment:
-    """A plan that can be run many times. What the true parameters do not change is made once, by the first run.
+    """A plan that is run many times, with what does not depend on the true parameters computed once.
 
-    stop_at: s of the plan's time at which a stop is asked for; None: never.
-    One run at a time: they share the arm's work space and the controller.
+    stop_at: s of the plan's time, when a stop is requested; None: never.
+    Runs must not overlap, because they share the controller and the work space of the arm model.
     """
 
     plan: Plan
@@ -56,7 +56,7 @@ class Experiment:
 
     @cached_property
     def moved(self) -> Plan:
-        """What the arm is to do. Raises ScenarioError when it is to be stopped and cannot be."""
+        """The plan, or its motion with the stop. Raises ScenarioError when the requested stop is impossible."""
         if self.stop_at is None:
             return self.plan
         from salver.planning.stops import stopped
@@ -76,8 +76,8 @@ class Experiment:
         plan, stops = self.plan, self.plan.stops
         course = None if stops is None or self.stop_at is None else stops.course(self.stop_at)
         if stops is None or course is None or course.stop is None:
-            told = plan.command if self.stop_at is None and plan.command is not None else self.joint
-            return robot_for(plan.scenario, told, plan.reference, self.arm, plan.space)
+            commanded = plan.command if self.stop_at is None and plan.command is not None else self.joint
+            return robot_for(plan.scenario, commanded, plan.reference, self.arm, plan.space)
         assert plan.joint is not None
         first = robot_for(plan.scenario, plan.joint, plan.reference, self.arm, plan.space)
         stop = robot_for(plan.scenario, stops.motion(course.stop), None, self.arm, "joint")
@@ -85,7 +85,7 @@ class Experiment:
 
     @cached_property
     def wanted(self) -> MotionSamples:
-        """The reference at the commands."""
+        """The reference at the instants of the commands."""
         return at_commands(self.plan.scenario, self.moved.reference)
 
     def run(self, parameters: Mapping[str, float] | None = None, seed: int = 0) -> SimulationRecord:
@@ -111,12 +111,12 @@ class Experiment:
         else:
             assert plan.stops is not None
             course = plan.stops.course(self.stop_at)
-            told = {"stop_at": self.stop_at, "stop_takes": course.rests - self.stop_at, "finishes": course.stop is None}
-            record.summary.update(told)  # type: ignore[attr-defined]
+            stop = {"stop_at": self.stop_at, "stop_takes": course.rests - self.stop_at, "finishes": course.stop is None}
+            record.summary.update(stop)  # type: ignore[attr-defined]
         return record
 
     def joint_log(self, parameters: Mapping[str, float] | None = None, seed: int = 0) -> tuple[Array, Array]:
-        """t (N,), q (N, n): what encoders log, command by command, when the load is strapped to the tray."""
+        """t (N,) and q (N, n) at the commands as encoders log them, with noise, when the load is fixed to the tray."""
         trace = self.strapped(parameters, seed)
         noise = self.plan.scenario.physics.position_noise * np.random.default_rng([seed, 1]).standard_normal(
             trace.q.shape
@@ -124,7 +124,7 @@ class Experiment:
         return trace.t, trace.q + noise
 
     def strapped(self, parameters: Mapping[str, float] | None = None, seed: int = 0) -> Trace:
-        """The same run with the load fixed to the tray: without what loose contacts do to the arm."""
+        """The trace of a run with the load fixed to the tray, without the reaction of loose contacts on the arm."""
         return self._carried(parameters, seed, strapped=True)[1]
 
     def _carried(self, parameters: Mapping[str, float] | None, seed: int, strapped: bool = False) -> tuple[Run, Trace]:
@@ -144,20 +144,24 @@ def simulate(
     options: Options | None = None,
     stop_at: float | None = None,
 ) -> SimulationRecord:
-    """Run a plan in the physics engine; with its arm when the scenario has one, else with an exactly moving tray.
+    """Run a plan in the physics engine, with its arm or, if the scenario has none, with a tray that moves exactly.
 
-    parameters: true values by name, where not nominal (docs/conventions.md). seed: of sensor noise and of how the tray
-    shakes, 0 or more. stop_at: s of the plan's time at which a stop is asked for; the plan must have stops
-    (`salver.planning.stops`).
-    Raises ScenarioError for parameters that cannot be and for a stop that cannot, UnreachableError when the plan has no
-    joint motion, SalverError when the engine diverges.
+    Args:
+        parameters: true values by name, in SI units (docs/conventions.md); the others are nominal.
+        seed: seed of the sensor noise and of the vibration of the tray, 0 or more.
+        stop_at: s of the plan's time, when a stop is requested; the plan must have stops (`salver.planning.stops`).
+
+    Raises:
+        ScenarioError: impossible parameters, or an impossible stop.
+        UnreachableError: the plan has no joint motion.
+        SalverError: the engine diverges.
     """
     record = Experiment(plan, options or Options(), stop_at).run(parameters, seed)
     return record.what_if(outside(plan.scenario.uncertain, parameters or {}))
 
 
 def _run_arm(run: Run, controller: ArmController | Relay, q_start: Array, rng: np.random.Generator) -> Trace:
-    """Command by command: sense, step the controller, apply its torque, step the engine."""
+    """For each command: read the sensors, step the controller, apply its torque, step the engine."""
     scene, physics = run.scene, run.scenario.physics
     model, data, n = scene.model, mujoco.MjData(scene.model), scene.n
     scene.place(data, q_start)
@@ -190,7 +194,7 @@ def _run_arm(run: Run, controller: ArmController | Relay, q_start: Array, rng: n
 
 
 def _arm_summary(limits: JointLimits, trace: Trace, saturation: Saturation) -> dict[str, Any]:
-    """How near the arm came to its limits; shares of 1 are limits. cut: share of commands that were cut back."""
+    """Peak torque and velocity as shares of the joints' limits. cut: share of the commands that were saturated."""
     outside = np.maximum(limits.q_min - trace.q, trace.q - limits.q_max).max(axis=0)
     speed = np.abs(limits.shares({"velocity": trace.dq})["velocity"])
     return {
@@ -204,9 +208,9 @@ def _arm_summary(limits: JointLimits, trace: Trace, saturation: Saturation) -> d
 
 
 def _against_tube(plan: Plan, record: SimulationRecord) -> dict[str, float]:
-    """Lambda implied by the measured contact forces against nominal +- radius, while the plan lasts.
+    """Compare Lambda of the measured contact forces with its tube, nominal +- radius, during the plan.
 
-    coverage: share of all (instant, coefficient) pairs inside the tube, to 1 mN. excess: most that one is outside, N.
+    coverage: share of all (instant, coefficient) pairs inside the tube, to 1 mN. excess: largest amount outside, N.
     """
     moving = record.t <= plan.duration
     t = record.t[moving]
@@ -228,11 +232,16 @@ def simulate_tray(
     options: Options | None = None,
     seed: int = 0,
 ) -> SimulationRecord:
-    """Move the tray so that frame B of the first object, were it glued on, follows `reference`. No arm, no controller.
+    """Run a motion of the tray in the physics engine, without arm and controller.
 
-    parameters: true values by name, where not nominal (docs/conventions.md). The tray's tilt adds to its motion. seed:
-    of how it shakes.
-    Raises ScenarioError for parameters that cannot be, SalverError when the engine diverges.
+    Args:
+        reference: motion of frame B of the first object, if it were fixed to the tray; the tray's tilt is added.
+        parameters: true values by name, in SI units (docs/conventions.md); the others are nominal.
+        seed: seed of the vibration of the tray.
+
+    Raises:
+        ScenarioError: impossible parameters.
+        SalverError: the engine diverges.
     """
     began = time.perf_counter()
     run = prepare(scenario, parameters, options, reference, None, seed)
@@ -266,8 +275,8 @@ def _steps_per_command(scenario: Scenario) -> int:
     ratio = scenario.physics.command_period / scenario.physics.timestep
     if abs(ratio - round(ratio)) > 1e-6 or round(ratio) < 1:
         raise ScenarioError(
-            f"physics.command_period = {scenario.physics.command_period:g} s is no multiple of physics.timestep = "
-            f"{scenario.physics.timestep:g} s; it must be."
+            f"physics.command_period = {scenario.physics.command_period:g} s must be a multiple of physics.timestep = "
+            f"{scenario.physics.timestep:g} s."
         )
     return round(ratio)
 

@@ -23,26 +23,26 @@ if TYPE_CHECKING:
     from salver.simulation.scene.loads import Load
 
 FOLDER = "simulation"
-WHAT_IF = "-what-if"  # ends the name of a run that says nothing for or against its plan
+WHAT_IF = "-what-if"  # suffix of a run with values outside their ranges, which is no evidence about its plan
 OUTCOMES = ("holds", "slides", "spills", "swings", "tips", "lifts", "lost", "limit")
 
 
 @dataclass(frozen=True, repr=False)
 class SimulationRecord(Shown, Tabular):
-    """One run at T instants, with m objects, n joints (n = 0 without an arm), n_c feet of the first object.
+    """One run at T instants, with m objects, n joints (n = 0 without an arm), n_c contact points of the first object.
 
     t (T,): s, 0 at the start of the motion. q, dq, tau (T, n): true joint state and applied torque.
     p_SE (T, 3), quat_SE_wxyz (T, 4): the real tray. p_SB (T, m, 3), quat_SB_wxyz (T, m, 4): the objects.
-    slip_E (T, m, 3): displacement of the centre of each base relative to the tray since t = 0, in E, as seen in the
-    engine. creep_E (T, m, 3): how much of it is the engine's creep (salver.simulation.creep).
-    slip (T, m): largest displacement of any corner of the base along what it stands on, creep taken off, m.
-    lift (T, m): height of the lowest corner of the base over what it stands on, m. tip_angle (T, m): rad.
-    in_contact (T, m). contact_force_E (T, m, 3): sum of contact forces on each object from what it stands on, in E, N.
-    contact_points_B (n_c, 3), contact_forces_B (T, n_c, 3): feet of the first object and the force on it there, in B.
+    slip_E (T, m, 3): displacement of the centre of each base relative to the tray since t = 0, in E, with creep.
+    creep_E (T, m, 3): the part of slip_E that is creep of the engine's contacts (salver.simulation.creep).
+    slip (T, m): largest displacement of any corner of the base along its support, without creep, m.
+    lift (T, m): height of the lowest corner of the base over its support, m. tip_angle (T, m): rad.
+    in_contact (T, m). contact_force_E (T, m, 3): sum of contact forces on each object from its support, in E, N.
+    contact_points_B (n_c, 3), contact_forces_B (T, n_c, 3): of the first object, force on it, in B, m and N.
     cone_coefficients (T, n_lambda): Lambda of the net contact wrench on the first object, pinv(G F_hat) F_B, N.
-    e_p, e_o (T,): m and rad between the first object and its reference. tray_e_p, tray_e_o: same for the tray.
-    surface (T, m, 3): of what moves inside each object, m, `LoadDynamics.seen`: of a liquid how far it stands over its
-    level at the wall along the object's x and y, and its highest point; NaN where nothing does.
+    e_p, e_o (T,): deviation of the first object from its reference, m and rad. tray_e_p, tray_e_o: of the tray.
+    surface (T, m, 3): `LoadDynamics.seen` of the liquid or pendulum in each object, m; NaN without one. For a liquid:
+    its height at the wall along the object's x and y, and its highest point, above the level at rest.
     object_names: m names. parameters: the values that were not nominal. summary: figures, see `salver simulate --help`.
     """
 
@@ -87,20 +87,20 @@ class SimulationRecord(Shown, Tabular):
             "slip": ", ".join(f"{name} {value:.3g} mm" for name, value in slipped.items()),
             "true parameters": ", ".join(f"{name} = {value:.4g}" for name, value in self.parameters.items())
             or "as assumed",
-            "objects off their reference": f"{1e3 * float(np.nanmax(self.e_p)):.3g} mm",
+            "largest deviation": f"{1e3 * float(np.nanmax(self.e_p)):.3g} mm",
         }
 
     def table(self) -> Table:
-        """The record for pandas and xarray; parameters and outcome are its attributes."""
+        """The record for pandas and xarray, with parameters and outcome as attributes."""
         arrays = {name: getattr(self, name) for name in ARRAYS}
         about = {"outcome": self.outcome, **{f"true {name}": value for name, value in self.parameters.items()}}
         return Table(dimensioned(arrays, _DIMENSIONS), {"object": self.object_names}, about)
 
     def motion(self, joint_names: tuple[str, ...] = ()) -> MotionSeries:
-        """The executed motion of joints, tray and first object, to be written with `salver.motion_files.write`.
+        """The executed motion of joints, tray and first object, for `salver.motion_files.write`.
 
-        joint_names: of the n joints; numbered, if empty. It begins with the run, before the motion. Without velocities:
-        waypoints with velocities are a command, and this is a recording.
+        joint_names: of the n joints; numbers by default. Velocities are left out, because motion files with velocities
+        are read as commands, and this is a recording.
         """
         ns: Any = np.round((self.t - self.t[0]) * 1e9).astype(np.int64)
         names = joint_names or tuple(f"q{k + 1}" for k in range(self.q.shape[1]))
@@ -108,15 +108,15 @@ class SimulationRecord(Shown, Tabular):
         return MotionSeries(ns, names, self.q, None, None, None, self.p_SE, self.quat_SE_wxyz, p_SB, quat_SB_wxyz)
 
     def what_if(self, outside: Mapping[str, tuple[float, float] | None]) -> SimulationRecord:
-        """The record, which says which true values were outside their ranges
-        (`salver.simulation.scene.loads.outside`)."""
+        """The record with the true values that were outside their ranges (`salver.simulation.scene.loads.outside`)
+        added to its summary."""
         return replace(self, summary={**self.summary, "outside": dict(outside)}) if outside else self
 
     def save(self, directory: str | Path, stem: str = "plan", kind: str = "") -> Path:
         """Write DIRECTORY/simulation/STEM.npz and .json, atomically; returns the path of the first.
 
-        A different run that stands there is kept, as STEM-1.npz and .json, STEM-2.npz ... kind: added to the name of
-        what is no run of the whole plan. A run with a value outside its range is STEM-what-if.
+        Existing files of a different run are kept as STEM-1, STEM-2, ... kind: added to the file name if the run was
+        not of the whole plan. A run with a value outside its range is STEM-what-if.
         """
         kind = kind or (WHAT_IF if "outside" in self.summary else "")
         return save_record(
@@ -142,12 +142,12 @@ _REQUIRED = tuple(name for name in ARRAYS if name != "surface")
 
 
 def load_record(directory: str | Path, stem: str = "plan") -> SimulationRecord:
-    """Read what `SimulationRecord.save` wrote. Raises FileFormatError, also when it is of another plan."""
+    """Read a record that `SimulationRecord.save` wrote. Raises FileFormatError, also if it is of another plan."""
     folder = Path(directory) / FOLDER
     path = folder / f"{stem}.json"
     arrays, summary = read_result(path, _REQUIRED)
     if summary.get("outcome") not in OUTCOMES:
-        raise FileFormatError(f"{path} is no summary of a simulation; write it again with salver simulate.")
+        raise FileFormatError(f"{path} is not the summary of a simulation; write it again with salver simulate.")
     check_digest(summary, path, Path(directory), stem)
     names = tuple(summary.pop("object_names", ()))
     parameters = summary.pop("parameters", {})
@@ -162,8 +162,10 @@ def load_record(directory: str | Path, stem: str = "plan") -> SimulationRecord:
 
 
 def drawn_inside(loads: Sequence[Load], inner: Array, summary: Mapping[str, Any]) -> list[Drawn | None]:
-    """What moves inside each object in a run with these true loads, of `SimulationRecord.surface` and summary; None
-    where nothing does."""
+    """Drawings of the liquid or pendulum in each object; None without one.
+
+    loads: the true loads of the run. inner: `SimulationRecord.surface`. summary: that of the record.
+    """
     out: list[Drawn | None] = [None] * len(loads)
     for k, load in enumerate(loads):
         if load.value is not None and inner.shape[1]:

@@ -1,8 +1,8 @@
-"""A plan of several legs in the physics engine, leg by leg, what remains on the tray where the leg before has left it.
+"""Runs of a plan of several legs in the physics engine, leg by leg.
 
-The true parameters are the same on all legs. What was carried on, and has slid, begins the next leg where it stood at
-the end of the last, along the tray; how far it has turned or rocked is not carried over. Each leg begins when the arm
-has come to rest under its new load (`physics.settle_before`).
+The true parameters are the same on all legs. An object that stays on the tray begins a leg at the position to which it
+slid on the leg before; its rotation is reset. Each leg begins when the arm has come to rest under its new load
+(`physics.settle_before`).
 """
 
 from __future__ import annotations
@@ -24,17 +24,16 @@ from salver.simulation.run import Options
 from salver.simulation.scene.loads import outside
 
 _ORDER = (*WORST_FIRST, "limit", "holds")
-OF_A_STOP = ("stop_at", "stop_takes", "finishes")  # of a summary
-ENDS_IT = ("lost", "lifts", "tips")  # what remains on the tray is then not where a next leg could begin
+OF_A_STOP = ("stop_at", "stop_takes", "finishes")  # keys of the summary of a run with a stop
+ENDS_IT = ("lost", "lifts", "tips")  # outcomes after which no further leg can be run
 
 
 @dataclass(frozen=True)
 class RoundRecord:
-    """Records of the legs that were run, in order: fewer than there are when the load was lost on one.
+    """Records of the legs that were run, in order; the legs after the loss of the load are missing.
 
-    parameters: the values that were not nominal. summary: outcome (the worst of all legs), leg (which one that was, 1
-    for the first), duration, and the summary of each; of a run that was stopped also what that of the last leg says of
-    the stop.
+    parameters: the values that were not nominal. summary: the worst outcome of all legs, the number of that leg (from
+    1), the duration, the summary of each leg, and for a run with a stop the keys of `OF_A_STOP`.
     """
 
     legs: tuple[SimulationRecord, ...]
@@ -46,8 +45,10 @@ class RoundRecord:
         return str(self.summary["outcome"])
 
     def save(self, directory: str | Path, kind: str = "") -> Path:
-        """Write DIRECTORY/simulation/leg1.npz and .json and so on, of a stopped run leg1-stop; returns the path of the
-        last. kind: added to the names of what is no run of the plan at full speed."""
+        """Write DIRECTORY/simulation/leg1.npz and .json and so on; returns the path of the last.
+
+        kind: added to the names of a run that is not at full speed; a run with a stop is leg1-stop.
+        """
         kind = "-stop" if "stop_at" in self.summary else kind
         return [leg.save(directory, f"leg{k}", kind) for k, leg in enumerate(self.legs, 1)][-1]
 
@@ -66,21 +67,24 @@ class RoundExperiment:
     def run(
         self, parameters: Mapping[str, float] | None = None, seed: int = 0, stop_at: float | None = None
     ) -> RoundRecord:
-        """One run of all legs. stop_at: s of all motions together, one after the other, at which a stop is asked for;
-        it ends the run. Raises ScenarioError for parameters that cannot be, and for a stop that cannot."""
+        """Run all legs once.
+
+        stop_at: s, motion time from the start of the first leg, when a stop is requested, which ends the run.
+        Raises ScenarioError for impossible parameters or an impossible stop.
+        """
         true = _known(self.plan.scenario, parameters or {})
         if stop_at is not None and stop_at > self.plan.duration:
             raise ScenarioError(
-                f"The stop is asked for at {stop_at:g} s; it must be after 0 and not after {self.plan.duration:.4g} s, "
-                "the end of all legs."
+                f"The stop is requested at {stop_at:g} s; it must be after 0 and not after {self.plan.duration:.4g} s, "
+                "the end of the last leg."
             )
         last, now = (None, 0.0) if stop_at is None else self._of_leg(stop_at)
-        moved: dict[Parameter, float] = {}  # by which what remains stands elsewhere
+        moved: dict[Parameter, float] = {}  # displacement, m, of the objects that stay on the tray
         records: list[SimulationRecord] = []
         for k, experiment in enumerate(self._experiments):
             scenario = experiment.plan.scenario
             names = {p: p.name for p in all_parameters([item.name for item in scenario.objects])}
-            moved = {p: by for p, by in moved.items() if p in names}  # what is put on later stands where it should
+            moved = {p: by for p, by in moved.items() if p in names}  # others are put on at their nominal place
             values = {p: true.get(p, 0.0) + moved.get(p, 0.0) for p in (*true, *moved)}
             if k == last:
                 experiment = replace(experiment, stop_at=now)
@@ -106,7 +110,7 @@ class RoundExperiment:
         return RoundRecord(tuple(records), dict(parameters or {}), summary)
 
     def _of_leg(self, stop_at: float) -> tuple[int, float]:
-        """Leg, counted from 0, of an instant of all motions together, and s of that leg's own time."""
+        """Index of the leg at motion time `stop_at`, s, and the time on that leg, s."""
         *before, _ = self.plan.legs
         for k, leg in enumerate(before):
             if stop_at <= leg.duration:
@@ -120,8 +124,8 @@ def simulate_round(
 ) -> RoundRecord:
     """Run a plan of several legs in the physics engine, leg by leg; see `salver.simulation.physics.simulate`.
 
-    parameters: true values by name, where not nominal, of any object: "glass1.mass". stop_at: see
-    `RoundExperiment.run`. Raises as that does.
+    parameters: true values by name, such as {"glass1.mass": 0.3}; the others are nominal. stop_at, errors: as in
+    `RoundExperiment.run`.
     """
     record = RoundExperiment(plan).run(parameters, seed, stop_at)
     beyond = outside(plan.scenario.uncertain, parameters or {})
@@ -129,12 +133,12 @@ def simulate_round(
 
 
 def _known(scenario: Scenario, parameters: Mapping[str, float]) -> dict[Parameter, float]:
-    """Values by parameter. Raises ScenarioError for an unknown name."""
+    """The values by parameter instead of by name. Raises ScenarioError for an unknown name."""
     known = {p.name: p for p in all_parameters([item.name for item in scenario.objects])}
     for name in parameters:
         if name not in known:
             raise ScenarioError(
-                f'There is no parameter "{name}" in {scenario.name}; those of an object have its name in front, as in '
-                f"{scenario.objects[0].name}.mass."
+                f'There is no parameter "{name}" in {scenario.name}; parameters are named by object and quantity, such '
+                f"as {scenario.objects[0].name}.mass."
             )
     return {known[name]: float(value) for name, value in parameters.items()}

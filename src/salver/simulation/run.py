@@ -1,4 +1,4 @@
-"""One run in the physics engine: simulation, measurement, judgement, record."""
+"""One run in the physics engine: its scene, the measurement of its trace, its record."""
 
 from __future__ import annotations
 
@@ -25,7 +25,10 @@ from salver.trajectory import MotionSamples, Reference
 
 @dataclass(frozen=True)
 class Options:
-    """record_rate: samples per second kept in the record (measured at every command). thresholds: see there."""
+    """Options of a run.
+
+    record_rate: samples per second in the record; outcomes are judged at every command. thresholds: of the outcomes.
+    """
 
     record_rate: float = 200.0
     thresholds: Thresholds = field(default_factory=Thresholds)
@@ -33,7 +36,7 @@ class Options:
 
 @dataclass(frozen=True)
 class Run:
-    """One run: the scene and its settings. wanted: the reference at the commands."""
+    """One run: the scene and its settings. wanted: the reference at the instants of the commands."""
 
     scenario: Scenario
     parameters: Mapping[str, float]
@@ -44,12 +47,12 @@ class Run:
 
     @property
     def t(self) -> Array:
-        """(N,) times of the commands, s."""
+        """Times (N,) of the commands, s."""
         return self.wanted.t
 
     @cached_property
     def wanted_E(self) -> MotionSamples:
-        """Motion of the assumed tray frame at the commands."""
+        """Reference motion of the assumed tray frame E at the commands."""
         return of_tray(self.wanted, self.scene)
 
 
@@ -61,25 +64,25 @@ def prepare(
     arm: ArmModel | None,
     seed: int = 0,
 ) -> Run:
-    """The scene with its true parameters, and the times of the commands. seed: of how the tray shakes."""
+    """Build the scene with its true parameters, and sample the reference. seed: of the vibration of the tray."""
     scene = build(scenario, true_world(scenario, parameters), arm, seed=seed)
     wanted = at_commands(scenario, reference)
     return Run(scenario, dict(parameters or {}), options or Options(), reference, scene, wanted)
 
 
 def at_commands(scenario: Scenario, reference: Reference) -> MotionSamples:
-    """The reference at the commands of a run, of which there are some before it and after it."""
+    """The reference at the commands of a run, from rest before the motion to rest after it."""
     return reference.sample(_command_times(scenario, reference.duration))
 
 
 def of_tray(wanted: MotionSamples, scene: Scene) -> MotionSamples:
-    """Motion of the assumed frame E when the first object, which moves as wanted, keeps its place on the tray."""
+    """Motion of the assumed frame E for which the first object, fixed to the tray, moves as `wanted`."""
     first = scene.loads[0].nominal
     return wanted.of_frame(*invert(first.p_EB, first.R_EB))
 
 
 def _command_times(scenario: Scenario, duration: float) -> Array:
-    """From rest before the motion to rest after it, with t = 0 among them."""
+    """Times of the commands, s, from rest before the motion to rest after it, including t = 0."""
     period = scenario.physics.command_period
     before = round(scenario.physics.settle_before / period)
     after = int(np.ceil((duration + scenario.physics.settle_after) / period - 1e-9))
@@ -94,8 +97,10 @@ def measure(
     summary: dict[str, Any],
     began: float,
 ) -> SimulationRecord:
-    """Measure, judge and thin out. tray_S: pose of the real tray in S. summary: what is known of the run besides.
-    began: of `time.perf_counter`, before the run."""
+    """Make the record of a run: measure, judge the outcome, keep samples at the record rate.
+
+    tray_S: pose of the real tray in S. summary: entries to add. began: `time.perf_counter()` before the run.
+    """
     scene, scenario = run.scene, run.scenario
     seen, inner = behaviour(scene, trace, bias, scenario.tray.size), inner_motions(scene, trace)
     p_SE, R_SE = tray_S
@@ -107,7 +112,7 @@ def measure(
     points = first.outline_B
     cone = net_contact_wrench(scene, trace) @ np.linalg.pinv(first.nominal.contacts.grasp_map).T
     moving = trace.t >= -1e-9
-    counted = moving & ~np.logical_or.accumulate(seen.lost[:, 0])  # what falls off the tray follows no reference
+    counted = moving & ~np.logical_or.accumulate(seen.lost[:, 0])  # a lost object has no reference
     counted[np.argmax(moving)] = True
     every = max(1, round(1 / (run.options.record_rate * scenario.physics.command_period)))
     keep = np.arange(int(np.argmax(moving)), len(trace.t), every)
@@ -154,7 +159,7 @@ def measure(
 
 
 def _judged(run: Run, trace: Trace, seen: Behaviour, inner: Array, summary: Mapping[str, Any]) -> dict[str, Any]:
-    """What became of the loads; where all of them stayed, whether the arm kept its limits."""
+    """The outcome of the loads; "limit" if all of them hold but the arm exceeded its limits."""
     judged = judge(trace.t, seen, trace.touches, run.options.thresholds, run.scene.loads, inner)
     if judged["outcome"] == "holds" and not summary.get("arm", {}).get("limits_kept", True):
         judged["outcome"] = "limit"

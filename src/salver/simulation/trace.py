@@ -14,16 +14,17 @@ from salver.simulation.tray_frame import TrayMotion
 
 @dataclass(frozen=True)
 class Trace:
-    """N instants, m objects, n joints, n_f feet (of all objects, object by object).
+    """A run at N instants, with m objects, n joints, n_f contact points (feet) of all objects, object by object.
 
-    t (N,) s, 0 when the motion starts. q, dq, tau (N, n). p_XE, R_XE: the real tray in the engine's world X.
+    t (N,): s, 0 when the motion starts. q, dq, tau (N, n). p_XE, R_XE: the real tray in the engine's world X.
     p_XB, R_XB (N, m, ...): the objects. foot_force_B (N, n_f, 3): force on the object at each foot, in its B, N.
-    force_X (N, m, 3): sum of contact forces on an object from what it stands on. touches (N, m): whether there is any.
-    foreign (N, m): whether it touches what it should not (another object's side, an obstacle, its own side).
+    force_X (N, m, 3): sum of contact forces on an object from its support. touches (N, m): whether there are any.
+    foreign (N, m): whether an object touches anything other than its support, or with its side.
     collides (N,): whether tray or objects touch an obstacle.
-    swung (N, k, n_modes, 2): angles of what moves inside each of k objects (`scene.Swing`), of the most modes that
-    one has. moved, turned (N, k, 3): velocity of its origin in X, turning rate of its object in B. pulled (N, k, 3):
-    acceleration that it would have in X if it were free."""
+    The rest is of the k objects with a liquid or a pendulum (`scene.Swing`). swung (N, k, n_modes, 2): joint angles of
+    its modes. moved, turned (N, k, 3): velocity of the origin of its dynamics in X, angular velocity of its object in
+    B. pulled (N, k, 3): acceleration of a free mass there in X.
+    """
 
     t: Array
     q: Array
@@ -45,14 +46,14 @@ class Trace:
 
 
 class Recorder:
-    """Collects a `Trace`, one `take` per command, between the position stage of a step and the next step."""
+    """Collects a `Trace`: one `take` for each command, between the position stage of a step and the next step."""
 
     def __init__(self, scene: Scene, count: int) -> None:
         n, model, swings = scene.n, scene.model, scene.swings
         self.scene = scene
         self.t = np.empty(count)
         self.q, self.dq, self.tau = (np.empty((count, n)) for _ in range(3))
-        # Of all bodies and joints: to copy all is quicker than to pick some.
+        # Of all bodies and joints, because copying all is faster than selecting some.
         self.position, self.quaternion = np.empty((count, model.nbody, 3)), np.empty((count, model.nbody, 4))
         self.qpos, self.sensed = np.empty((count, model.nq)), np.empty((count, model.nsensordata))
         self.pulled = np.tile(scene.model.opt.gravity, (count, len(swings), 1))
@@ -60,12 +61,12 @@ class Recorder:
         self.count = 0
 
     def joints(self, t: float, q: Array, dq: Array, tau: Array) -> None:
-        """The state that a command acts on, and the command."""
+        """Store the joint state at a command, and the command."""
         k = self.count
         self.t[k], self.q[k], self.dq[k], self.tau[k] = t, q, dq, tau
 
     def take(self, data: Any) -> None:
-        """Poses and contact forces of that state: `data` has been stepped once since, so both are of its start."""
+        """Store poses and contact forces of that state; `data` has been stepped once, and has those of its start."""
         k = self.count
         self.position[k], self.quaternion[k] = data.xpos, data.xquat
         self.qpos[k], self.sensed[k] = data.qpos, data.sensordata
@@ -80,7 +81,7 @@ class Recorder:
         return self.count == len(self.t)
 
     def keep(self, last: int) -> None:
-        """Forget all but so many of what was taken last."""
+        """Discard all but the last `last` samples."""
         gone = max(0, self.count - last)
         samples = (
             self.t,
@@ -99,7 +100,7 @@ class Recorder:
         self.count -= gone
 
     def seen_from_rest(self, motion: TrayMotion, step: int) -> None:
-        """Of a tray that is the engine's world: what was just taken felt the tray's motion too, at that step of it."""
+        """Add the tray's motion at a step to the last sample, when the tray is fixed to the engine's world."""
         k = self.count - 1
         for swing, pulled in zip(self.scene.swings, self.pulled[k], strict=True):
             sensed = self.sensed[k, swing.sensor : swing.sensor + 6]
@@ -122,7 +123,7 @@ class Recorder:
         sensed = self.sensed[:count, sensors]
         instant = np.repeat(np.arange(count), [len(c[0]) for c in self.contacts])
         geom, frame, address, rows = (np.concatenate([c[i] for c in self.contacts]) for i in range(4))
-        # A contact's three rows of the constraint forces, which start anew at every instant.
+        # The three constraint forces of each contact; their addresses restart at every instant.
         start = np.cumsum([0, *(len(c[3]) for c in self.contacts[:-1])])
         local = rows[(start[instant] + address)[:, None] + np.arange(3)]
         # Contact forces act on the second geom, in a frame whose rows are the normal and two tangents.
@@ -170,16 +171,16 @@ class Recorder:
 
 
 def _owner(scene: Scene) -> Array:
-    """Per geom, the index of the object it belongs to; -1 for tray, arm and obstacles."""
-    index = np.full(scene.model.nbody, -1)  # what swings inside has no geoms
+    """For each geom, the index of its object; -1 for tray, arm and obstacles."""
+    index = np.full(scene.model.nbody, -1)  # liquids and pendulums have no geoms
     index[scene.object_ids] = np.arange(len(scene.object_ids))
     return index[scene.model.geom_bodyid]
 
 
 def net_contact_wrench(scene: Scene, trace: Trace) -> Array:
-    """(N, 6) wrench at B on the first object, in B, at all feet: its own and those of objects that stand on it.
+    """Net contact wrench (N, 6) on the first object at B, in B, from its support and the objects that stand on it.
 
-    Its inverse dynamics alone: what the plan's wrench is of.
+    It corresponds to the wrench of the plan, the inverse dynamics of the first object.
     """
     first = scene.loads[0]
     R_BX, p_XB = np.swapaxes(trace.R_XB[:, 0], -1, -2), trace.p_XB[:, 0]

@@ -1,10 +1,10 @@
-"""Physics as seen from a moving tray: what its motion does to the objects, as forces.
+"""Simulation in the frame of a moving tray: its motion acts on the objects as inertial forces.
 
-Without an arm the tray moves exactly as the reference says. Moving a body by force in a physics engine is never exact,
-and MuJoCo's contacts know nothing of the velocity of a body whose pose is merely set; both are avoided by simulating
-in frame E, where the tray is at rest. With E accelerating at a_E (its origin, in E), turning at omega and alpha, a
-body of mass m and inertia I about its centre of mass c, seen to move at v and to turn at w, needs besides the
-contact forces (Landau and Lifshitz, Mechanics, section 39, and the same for Euler's equation):
+Without an arm the tray follows the reference exactly. Moving a body by forces in a physics engine is never exact, and
+MuJoCo's contacts ignore the velocity of a body whose pose is set; both are avoided by simulating in frame E, where the
+tray is at rest. E has the acceleration a_E (of its origin, in E), angular velocity omega and angular acceleration
+alpha. On a body of mass m and inertia I about its centre of mass c, with velocity v and angular velocity w in E, act
+besides the contact forces (Landau and Lifshitz, Mechanics, section 39, and likewise for Euler's equation):
 
     f   = m (g_E - a_E - alpha x c - omega x (omega x c) - 2 omega x v)
     tau = - I (alpha + omega x w) - (omega + w) x I (omega + w) + w x I w
@@ -24,9 +24,10 @@ from salver.trajectory import MotionSamples
 
 @dataclass(frozen=True)
 class TrayMotion:
-    """Motion of frame E at N instants, in E: specific = g_E - a_E (N, 3), and what turning adds, as matrices.
+    """Motion of frame E at N instants, in E.
 
-    omega, alpha (N, 3). turn (N, 3, 3): hat(omega). pull (N, 3, 3): hat(alpha) + hat(omega)^2.
+    specific (N, 3): g_E - a_E. omega, alpha (N, 3). turn (N, 3, 3): hat(omega). pull (N, 3, 3): hat(alpha) +
+    hat(omega)^2. turns: whether omega or alpha is ever nonzero.
     """
 
     specific: Array
@@ -37,7 +38,7 @@ class TrayMotion:
     turns: bool
 
     def felt_at(self, k: int, p: Array, v: Array) -> Array:
-        """(3,) acceleration that a point (3,) which moves at v (3,) seems to have of itself at instant k."""
+        """Inertial and gravitational acceleration (3,) at instant k of a point at p (3,) with velocity v (3,) in E."""
         return self.specific[k] - self.pull[k] @ p - 2 * (self.turn[k] @ v)
 
     @classmethod
@@ -52,8 +53,10 @@ class TrayMotion:
 def apply(
     motion: TrayMotion, k: int, model: Any, data: Any, object_ids: Array, qvel_ids: Array, point_ids: Iterable[int] = ()
 ) -> None:
-    """Set the forces of instant k on the objects, and on bodies that are points. Poses and velocities in `data` must be
-    current."""
+    """Set the inertial forces of instant k on the objects, and on bodies that are point masses.
+
+    Poses and velocities in `data` must be current.
+    """
     wrench = data.xfrc_applied
     for i in point_ids:
         root = data.subtree_com[model.body_rootid[i]]
@@ -72,12 +75,12 @@ def apply(
         axes = data.ximat[i].reshape(3, 3)
         inertia = (axes * model.body_inertia[i]) @ axes.T
         wrench[i, :3] = model.body_mass[i] * (specific - pull @ c - 2 * (turn @ v))
-        # (omega + w) x I (omega + w) - w x I w, without the product that cancels
+        # (omega + w) x I (omega + w) - w x I w, without the terms that cancel
         spin = turn @ (inertia @ (omega + w)) - _cross(inertia @ omega, w)
         wrench[i, 3:] = -(inertia @ (alpha + turn @ w)) - spin
 
 
 def _cross(a: Array, b: Array) -> tuple[float, float, float]:
-    """Cross product of two vectors (3,), at every step of the engine: NumPy's own takes ten times as long."""
+    """Cross product of two vectors (3,); ten times faster than np.cross, which matters at every engine step."""
     (x, y, z), (u, v, w) = a.tolist(), b.tolist()
     return y * w - z * v, z * u - x * w, x * v - y * u

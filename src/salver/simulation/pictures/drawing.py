@@ -16,7 +16,7 @@ OBSTACLE_COLOUR = "#a5816b"
 
 
 def draw_obstacles(axes: Any, obstacles: Iterable[Obstacle]) -> None:
-    """Obstacles in 3-D axes, seen through, as far as they lie within the axes' limits."""
+    """Draw obstacles in 3-D axes, transparent and clipped to the limits of the axes."""
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection  # type: ignore[import-untyped]
 
     low, high = np.array([getattr(axes, f"get_{name}lim")() for name in "xyz"]).T
@@ -26,7 +26,7 @@ def draw_obstacles(axes: Any, obstacles: Iterable[Obstacle]) -> None:
 
 
 def within(obstacles: Iterable[Obstacle], low: Array, high: Array) -> list[Surface]:
-    """Surfaces of obstacles, pressed into a box; those that lie outside of it are left out."""
+    """Surfaces of obstacles, clamped to the box from low (3,) to high (3,); obstacles outside of it are left out."""
     pieces = [surface(shape, placement) for obstacle in obstacles for shape, placement in obstacle_shapes(obstacle)]
     return [
         (np.clip(vertices, low, high), faces)

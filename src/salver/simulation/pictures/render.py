@@ -1,4 +1,4 @@
-"""Pictures of a run, without a display: MuJoCo's renderer where OpenGL works, a plain drawing where it does not."""
+"""Pictures of a run, without a display: by MuJoCo's renderer, or by matplotlib if OpenGL does not work."""
 
 from __future__ import annotations
 
@@ -24,14 +24,16 @@ from salver.simulation.scene.scene import Scene, build
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-EDGE_RADIUS = 0.0012  # m, of the ring in pictures
+EDGE_RADIUS = 0.0012  # m, of the ring that shows the brim or the pendulum's limit
 _BACKENDS = ("egl", "osmesa", "glfw")  # the first two need no display
 
 
 @dataclass(frozen=True)
 class View:
-    """A camera. target_S: (3,) what it looks at, m. distance: m. azimuth, elevation: degrees, as MuJoCo has them
-    (azimuth 90 looks along +y of S, 180 along -x; a negative elevation looks down). None: chosen to show the motion.
+    """A camera.
+
+    target_S: (3,) point in its centre, m. distance: m. None: chosen so that the whole motion is visible. azimuth,
+    elevation: degrees, as in MuJoCo (azimuth 90 looks along +y of S, 180 along -x; a negative elevation looks down).
     """
 
     target_S: Array | None = None
@@ -42,7 +44,10 @@ class View:
 
 @dataclass(frozen=True)
 class Pictures:
-    """images: (N, height, width, 3) uint8. renderer: "mujoco" or "matplotlib". note: why not MuJoCo, or empty."""
+    """Rendered pictures.
+
+    images: (N, height, width, 3) uint8. renderer: "mujoco" or "matplotlib". note: why not MuJoCo, or empty.
+    """
 
     images: np.ndarray
     renderer: str
@@ -60,10 +65,10 @@ def snapshots(
     trail: bool = True,
     plain: bool = False,
 ) -> Pictures:
-    """The scene at the samples of the record nearest to `times`, s.
+    """Render the scene at the samples of the record nearest to `times`, s.
 
-    trail: with the path of the first object. plain: the drawing without OpenGL, even where it works.
-    Falls back to that drawing, and says so in `note`, when no OpenGL is found.
+    trail: show the path of the first object. plain: draw with matplotlib even if OpenGL works.
+    Without OpenGL, matplotlib draws, and `note` of the result says why.
     """
     frames = frames_at(record, times)
     arm = load_arm(scenario.arm, scenario.tray) if scenario.arm is not None and record.q.shape[1] else None
@@ -85,7 +90,7 @@ def frames_at(record: SimulationRecord, times: Sequence[float] | Array) -> np.nd
 
 
 class NoOpenGLError(RuntimeError):
-    """No OpenGL context can be made on this machine; the message says what was tried."""
+    """No OpenGL context can be made on this machine; the message lists the backends that were tried."""
 
 
 @contextmanager
@@ -97,9 +102,9 @@ def painter(
     view: View | None = None,
     path: Array | None = None,
 ) -> Iterator[Callable[[int], np.ndarray]]:
-    """A function from a sample of the record to an image (height, width, 3), for as long as the context lasts.
+    """A context with a function that renders a sample of the record to an image (height, width, 3), for films.
 
-    For many pictures, a film for one. Raises NoOpenGLError.
+    Raises NoOpenGLError.
     """
     arm = load_arm(scenario.arm, scenario.tray) if scenario.arm is not None and record.q.shape[1] else None
     scene = build(scenario, true_world(scenario, record.parameters), arm, visual=True)
@@ -133,7 +138,7 @@ def painter(
 
 
 def _context(width: int, height: int) -> Any:
-    """An OpenGL context that is current: what MUJOCO_GL names, or the first that works."""
+    """A current OpenGL context of the backend that MUJOCO_GL names, or of the first that works."""
     wanted = os.environ.get("MUJOCO_GL", "").lower()
     tried = []
     for name in (wanted,) if wanted in _BACKENDS else _BACKENDS:
@@ -144,13 +149,13 @@ def _context(width: int, height: int) -> Any:
             context = module.GLContext(width, height)
             context.make_current()
             return context
-        # PyOpenGL raises whatever it meets when a library is missing, AttributeError among it.
+        # PyOpenGL raises various exceptions when a library is missing, such as AttributeError.
         except Exception as error:
             tried.append(f"{name}: {(str(error).strip().splitlines() or [type(error).__name__])[0]}")
             os.environ.pop("PYOPENGL_PLATFORM", None)
     raise NoOpenGLError(
         f"No OpenGL for pictures without a display ({'; '.join(tried) or 'none tried'}); install libegl1, "
-        "libopengl0 and libgl1-mesa-dri, or set MUJOCO_GL. A plain drawing takes its place."
+        "libopengl0 and libgl1-mesa-dri, or set MUJOCO_GL. The pictures are drawn by matplotlib instead."
     )
 
 
@@ -177,7 +182,7 @@ def _camera(view: View, record: SimulationRecord, arm: ArmModel | None) -> Any:
 
 
 def _framing(view: View, record: SimulationRecord, arm: ArmModel | None) -> tuple[Array, float]:
-    """Target and distance: the whole path of the tray, and the arm's base when there is one."""
+    """Target (3,) and distance of a camera that sees the whole path of the tray, and the arm's base if there is one."""
     points = (
         record.p_SE
         if arm is None
@@ -203,7 +208,7 @@ def _add_trail(scene: Any, path: Array | None, spacing: float = 6e-3) -> None:
 
 
 def _add(scene: Any, kind: Any, size: Array, at: Array, axes: Array, rgba: Sequence[float]) -> None:
-    """One more piece of the picture: columns of axes (3, 3) may be of any length and direction."""
+    """Add a geom to the picture; the columns of axes (3, 3) may have any length and direction."""
     if scene.ngeom < scene.maxgeom:
         piece = scene.geoms[scene.ngeom]
         mujoco.mjv_initGeom(piece, kind, size, at, axes.ravel(), np.array(rgba, dtype=np.float32))
@@ -211,7 +216,7 @@ def _add(scene: Any, kind: Any, size: Array, at: Array, axes: Array, rgba: Seque
 
 
 def _add_inside(scene: Any, inside: Drawn, record: SimulationRecord, j: int, k: int) -> None:
-    """What moves inside object j at sample k, and its edge."""
+    """Add the liquid or pendulum inside object j at sample k, and the edge that it must not exceed."""
     p, R = record.p_SB[k, j], matrix_from_quat_wxyz(record.quat_SB_wxyz[k, j])
     for a, b, c in p + inside.triangles_B(k) @ R.T:
         across = np.cross(b - a, c - a)

@@ -1,1 +1,1 @@
-"""The scene in the physics engine: arm, tray, true loads, what swings in them, obstacles."""
+"""The scene in the physics engine: arm, tray, true loads with liquids and pendulums, obstacles."""

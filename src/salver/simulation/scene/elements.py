@@ -1,11 +1,11 @@
-"""MuJoCo elements: the arm, an object on its feet with its hull, what swings in it, an obstacle.
+"""MuJoCo elements: the arm, an object with its contacts, its liquid or pendulum, an obstacle.
 
-Contact is set up so that it is known exactly. An object stands on small feet, spheres at the corners of its
-base (24 of them for a round one): each gives one contact, at a known point, against what it stands on, with
-an explicit pair that carries the interface's friction. A hull, raised by a hair, catches it once it tips.
+An object stands on small spheres, its feet, at the corners of its base (24 for a round base). Each foot has one
+contact with the support, at a known point, with an explicit pair for the friction. The hull of the object, raised by
+`HULL_GAP`, touches the support once the object tips.
 
-Engine settings are those under which sticking sticks (measured in tests/test_physics_calibration.py): elliptic cones,
-impratio 300 (at 1000 sticking contacts creep a third of it, at half the speed), contact time constant of two steps.
+The engine settings are those under which contacts stick (measured in tests/test_physics_calibration.py): elliptic
+cones, impratio 300 (1000 gives a third of the creep at half the speed), contact time constant of two steps.
 """
 
 from __future__ import annotations
@@ -28,21 +28,21 @@ from salver.simulation.scene.engine import mujoco
 from salver.simulation.scene.loads import Load
 
 FOOT_RADIUS = 5e-4  # m
-FARTHEST_SWING = 60.0  # degrees; a quarter turn on, the first of two hinges would move nothing, and the engine diverge
-SMALL_POINT = 1e-6  # of m L^2: the inertia about itself of a mass that stands for a point
-LEAST_INERTIA = 1e-12  # kg m^2; the engine takes less for none, and a gram swings on a few millimetres in a thin glass
+FARTHEST_SWING = 60.0  # degrees; at 90 the two hinges of a pendulum become singular, and the engine diverges
+SMALL_POINT = 1e-6  # inertia of a point mass about itself, as a share of m L^2
+LEAST_INERTIA = 1e-12  # kg m^2; the engine treats less as zero, and light pendulums would have less
 HULL_GAP = 3e-4  # m between the hull's base and the feet: closed once an object tips
 DAMPING_WIDTH = 0.95  # d_max of solimp: with solref it sets the contact's damping 2 / (d_max timeconst)
-DAMPING_RATIO = 3.0  # of the contact's spring: below 2 feet chatter near the friction limit, at 10 they sink visibly
+DAMPING_RATIO = 3.0  # of a contact; below 2 feet chatter near the friction limit, at 10 they sink visibly
 SOLIMP = (0.9, DAMPING_WIDTH, 0.001, 0.5, 2.0)
 ARM_PREFIX = "arm/"
 TRAY_BODY = TRAY_GEOM = "salver:tray"
 FLOOR, OBSTACLE, FOOT, HULL = "salver:floor", "salver:obstacle:", "salver:foot:", "salver:hull:"
-# Geoms meet only through explicit pairs, and add no mass of their own.
+# Geoms touch through explicit pairs only, and have no mass of their own.
 INERT: dict[str, Any] = {"contype": 0, "conaffinity": 0, "mass": 0}
 TRAY_COLOUR, POST_COLOUR = (0.06, 0.30, 0.36, 1.0), (0.35, 0.37, 0.40, 1.0)  # dark against floor, sky and white links
 POST_RADIUS = 0.026  # m, as the replay draws it
-WALL_OPACITY = 0.25  # of an object in which something moves
+WALL_OPACITY = 0.25  # of an object with a liquid or a pendulum
 COLOURS = ((0.80, 0.36, 0.22), (0.20, 0.45, 0.70), (0.35, 0.60, 0.30), (0.75, 0.60, 0.20), (0.50, 0.35, 0.60))
 
 
@@ -51,35 +51,35 @@ def strap(spec: Any, load: Load, k: int, contact_time: float) -> None:
     weld = spec.add_equality(type=mujoco.mjtEq.mjEQ_WELD, objtype=mujoco.mjtObj.mjOBJ_BODY)
     weld.name1, weld.name2 = TRAY_BODY, f"salver:object:{k}"
     weld.solref, weld.solimp = [contact_time, 1.0], [0.999, 0.9999, 0.001, 0.5, 2.0]
-    # Anchor in the object, its pose on the tray, weight of the rotation, and what MuJoCo does not read.
+    # Anchor in the object, its pose on the tray, weight of the rotation, and entries that MuJoCo ignores.
     weld.data[:11] = [0.0, 0.0, 0.0, *load.p_EB, *quat_wxyz_from_matrix(load.R_EB), 1.0]
 
 
 def set_options(spec: Any, timestep: float, with_arm: bool, several: bool = False) -> None:
-    """Solver, integrator and gravity; see the module. several: more than one object on the tray."""
+    """Set solver, integrator and gravity (see the module). several: whether several objects are on the tray."""
     option = spec.option
     option.timestep = timestep
     option.gravity = [0, 0, -9.81] if with_arm else [0, 0, 0]
     option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     option.solver = mujoco.mjtSolver.mjSOL_NEWTON
     option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
-    # An arm with four glasses takes two fifths of the time when what one glass does not know of another is left out.
+    # A sparse Jacobian makes an arm with four glasses 2.5 times faster.
     sparse = with_arm and several
     option.jacobian = mujoco.mjtJacobian.mjJAC_SPARSE if sparse else mujoco.mjtJacobian.mjJAC_DENSE
     option.impratio = 300
     option.tolerance = 1e-14
     option.iterations = 100
     option.noslip_iterations = 0
-    # A diverged run must be seen as such: no silent return to the initial state.
+    # A diverged run must be detected: no silent reset to the initial state.
     option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
-    # Softness from the true inertia at each contact; MuJoCo's estimate is off through an arm, and many feet chatter.
+    # Contact softness from the true inertia; MuJoCo's estimate is wrong for a tray on an arm, and feet chatter.
     option.enableflags |= int(mujoco.mjtEnableBit.mjENBL_DIAGEXACT)
-    if with_arm:  # through the arm all objects are one island: looking for several only costs time
+    if with_arm:  # the arm connects all objects to one island, so that a search for islands costs time only
         option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_ISLAND)
 
 
 def set_inertia(body: Any, mass: float, com: Array, inertia: Array) -> None:
-    """MuJoCo takes a body's inertial frame as given only if position, mass and inertia are all explicit."""
+    """Set position, mass and inertia of a body; MuJoCo uses its inertial frame only if all are explicit."""
     body.mass = mass
     body.ipos = com
     i = inertia
@@ -94,7 +94,7 @@ def add_arm(spec: Any, arm: ArmModel, friction: Array, visual: bool) -> Any:
         for tag in ("visual", "collision"):
             for element in link.findall(tag):
                 link.remove(element)
-    _inertia_of_what_moves(root)
+    _merge_fixed_links(root)
     extension = ElementTree.SubElement(root, "mujoco")
     ElementTree.SubElement(extension, "compiler", fusestatic="false", discardvisual="false", balanceinertia="false")
     robot = mujoco.MjSpec.from_string(ElementTree.tostring(root, encoding="unicode"))
@@ -105,7 +105,7 @@ def add_arm(spec: Any, arm: ArmModel, friction: Array, visual: bool) -> Any:
         if limited:
             joint.range = [arm.limits.q_min[k], arm.limits.q_max[k]]
         joint.actfrclimited = mujoco.mjtLimited.mjLIMITED_FALSE
-        joint.damping = np.zeros(3)  # what friction there is comes from the scenario; the URDF's is not in eq (20)
+        joint.damping = np.zeros(3)  # joint friction comes from the scenario; eq (20) has no damping
         joint.frictionloss = friction[k]
     half = 0.5 * arm.base_yaw
     base = spec.worldbody.add_frame(pos=arm.base_position, quat=[np.cos(half), 0, 0, np.sin(half)])
@@ -115,9 +115,11 @@ def add_arm(spec: Any, arm: ArmModel, friction: Array, visual: bool) -> Any:
     return spec.body(ARM_PREFIX + arm.flange)
 
 
-def _inertia_of_what_moves(root: ElementTree.Element) -> None:
-    """Give a link that a joint moves the inertia of what is fixed to it, and take it from what stands still: there
-    URDFs have inertias that no body has, which the engine would refuse."""
+def _merge_fixed_links(root: ElementTree.Element) -> None:
+    """Merge the inertia of links that are fixed to one another, and remove that of links that do not move.
+
+    Fixed links in URDFs often have impossible inertias, which the engine would refuse.
+    """
     model = pin.buildModelFromXML(ElementTree.tostring(root, encoding="unicode"))
     moved, links = moved_links(model), {link.get("name", ""): link for link in root.iter("link")}
     for name, link in links.items():
@@ -140,7 +142,7 @@ def _set_inertial(link: ElementTree.Element, inertia: Any) -> None:
 
 
 def add_tray(body: Any, tray: Tray, flange_E: Array | None = None) -> None:
-    """The tray's plate on a body at E. flange_E: (3,) where the flange is, to draw what holds the plate above it."""
+    """Add the tray's plate to a body at E. flange_E: (3,) the flange, m, to draw the post between it and the plate."""
     x, y = tray.size
     box, plate = mujoco.mjtGeom.mjGEOM_BOX, [x / 2, y / 2, tray.thickness / 2]
     body.add_geom(name=TRAY_GEOM, type=box, size=plate, pos=[0, 0, -tray.thickness / 2], rgba=TRAY_COLOUR, **INERT)
@@ -150,16 +152,16 @@ def add_tray(body: Any, tray: Tray, flange_E: Array | None = None) -> None:
 
 
 def add_floor(spec: Any, height: float) -> str:
-    """The plane at a height, m, below which there is ground; returns its name."""
+    """Add the floor, a plane at a height, m; returns its name."""
     plane = mujoco.mjtGeom.mjGEOM_PLANE
-    # Where `add_surroundings` was, as that material; without it, not drawn.
+    # It has the material of `add_surroundings`; without that, it is not drawn.
     material = next((item.name for item in spec.materials if item.name == FLOOR), "")
     spec.worldbody.add_geom(name=FLOOR, type=plane, size=[0, 0, 0.05], pos=[0, 0, height], material=material, **INERT)
     return FLOOR
 
 
 def add_surroundings(spec: Any) -> None:
-    """The look of a floor, a sky and soft light."""
+    """Add the material of a floor, a sky and soft light, for pictures."""
     spec.visual.headlight.ambient = [0.35, 0.35, 0.35]
     spec.visual.headlight.diffuse = [0.35, 0.35, 0.35]
     spec.visual.headlight.specular = [0.1, 0.1, 0.1]
@@ -197,7 +199,7 @@ def _add_meshes(spec: Any, arm: ArmModel) -> None:
             mesh = spec.add_mesh(
                 name=name, uservert=part.vertices.ravel().tolist(), userface=part.faces.ravel().tolist()
             )
-            mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL  # pieces of a skin enclose no volume
+            mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL  # open surfaces have no volume
             geom = body.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, rgba=[*part.colour, 1], **INERT)
             geom.group = 0
 
@@ -223,7 +225,7 @@ def obstacle_name(k: int) -> str:
 
 
 def add_load(spec: Any, load: Load, k: int) -> None:
-    """Add an object at the world's origin, free to move: its feet, its hull, and what swings in it."""
+    """Add an object at the world's origin, free to move: its feet, its hull, its liquid or pendulum."""
     body = spec.worldbody.add_body(name=f"salver:object:{k}")
     body.add_freejoint(name=f"salver:object:{k}")
     if load.value is not None:
@@ -271,16 +273,18 @@ def add_load(spec: Any, load: Load, k: int) -> None:
 
 
 def lent(still: RigidBody) -> float:
-    """kg m^2 to add about every axis so that the engine's compiler accepts a body: the part of a liquid in a box that
-    does not swing (`Modes.still`) may violate the triangle inequality. Its axes stay as they are, and the compiled
-    scene takes the addition back."""
+    """Inertia, kg m^2, to add about every axis so that the engine's compiler accepts a body.
+
+    The part of a liquid in a box that does not slosh (`Modes.still`) may violate the triangle inequality. The addition
+    keeps the principal axes, and is subtracted again in the compiled scene.
+    """
     least, middle, largest = np.linalg.eigvalsh(still.inertia_com).tolist()
     lacks = largest - middle - least
     return lacks + 1e-9 * largest if lacks > 1e-9 * largest else 0.0
 
 
 def _add_swing(spec: Any, body: Any, load: Load, k: int) -> None:
-    """The moving masses inside. Pendulums and not springs: what lifts or tilts the container stiffens them."""
+    """Add the sloshing or swinging masses as pendulums, whose stiffness depends on lift and tilt as it should."""
     modes, damping = load.modes, load.damping or 0.0
     inertia = modes.mass * modes.length**2
     for n, rods in enumerate(modes.pendulums):
@@ -337,7 +341,7 @@ def add_obstacle(spec: Any, obstacle: Obstacle, k: int) -> list[str]:
 
 
 def add_pairs(spec: Any, loads: tuple[Load, ...], obstacles: list[str], contact_time: float) -> None:
-    """Add contact pairs with their friction."""
+    """Add the contact pairs with their friction."""
 
     def pair(first: str, second: str, friction: float) -> None:
         spec.add_pair(
@@ -363,5 +367,5 @@ def add_pairs(spec: Any, loads: tuple[Load, ...], obstacles: list[str], contact_
 
 
 def foot_supports(load: Load) -> Iterable[tuple[int, str]]:
-    """For each foot its number, and the name of what it stands on."""
+    """For each foot its number, and the name of its support."""
     return enumerate(name for name, points in load.supports.items() for _ in points)

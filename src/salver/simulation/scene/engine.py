@@ -1,4 +1,4 @@
-"""MuJoCo, or one sentence when it is not there."""
+"""The module mujoco, or a MissingDependencyError with one sentence if it is not installed."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ except ImportError:
         "The physics engine is not installed; install the package mujoco (pip install mujoco) to simulate."
     ) from None
 except Exception:
-    # MUJOCO_GL asks for an OpenGL that this machine lacks. Physics needs none; render.py makes its own choice.
+    # MUJOCO_GL names a backend that is not available. Physics needs none; render.py chooses its own.
     _wanted = os.environ.pop("MUJOCO_GL", None)
     os.environ["MUJOCO_GL"] = "disable"
     try:

@@ -1,4 +1,4 @@
-"""True loads of one run: the scenario's objects with drawn parameters instead of nominal ones."""
+"""True loads of one run: the scenario's objects with true instead of nominal parameters."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ from salver.models.uncertain.parameters import (
 )
 from salver.scenario import CarriedObject, Scenario
 
-LEAST_MOMENT = 1e-14  # kg m^2; MuJoCo takes less for zero
-ON_A_LINE = 1e-3  # share of the largest moment that is added where another is zero; with 1e-6 contacts shake it off
+LEAST_MOMENT = 1e-14  # kg m^2; MuJoCo treats less as zero
+ON_A_LINE = 1e-3  # share of the largest principal moment that replaces a zero one; with 1e-6 contacts are unstable
 ROUND_POINTS = 24  # support points of a round base: the inscribed polygon is at most 0.9 % inside the circle
 
 
@@ -35,12 +35,12 @@ ROUND_POINTS = 24  # support points of a round base: the inscribed polygon is at
 class Load:
     """One loose object with its true parameters.
 
-    inertial: true inertial parameters in B, whose origin is the *nominal* centre of mass (docs/conventions.md); without
-    what moves inside. value, damping: of that, m and of critical; None where nothing does.
-    friction: Coulomb coefficient towards everything it stands on. p_EB, R_EB: pose at the start.
+    inertial: true inertial parameters in B, whose origin is the *nominal* centre of mass (docs/conventions.md), without
+    its liquid or pendulum. value, damping: of the liquid or pendulum, m and share of critical; None without one.
+    friction: Coulomb coefficient with all its supports. p_EB, R_EB: pose at the start.
     supports: name of each support ("tray" or an object) -> (k, 3) points of its base that rest on it, in B.
-    outline_B: (n, 3) all those points: what slips, lifts and tips is told by them.
-    nominal: the same object as the planner sees it.
+    outline_B: (n, 3) all those points, at which slip, lift and tip are measured.
+    nominal: the body that the planner uses.
     """
 
     name: str
@@ -58,36 +58,36 @@ class Load:
 
     @cached_property
     def modes(self) -> Modes:
-        """Modes of what moves inside."""
+        """Modes of its liquid or pendulum."""
         return self.inner.modes(self.inner_value)
 
     @property
     def inner(self) -> LoadDynamics:
-        """What moves inside."""
+        """The dynamics of its liquid or pendulum."""
         assert self.nominal.inner is not None
         return self.nominal.inner
 
     @property
     def inner_value(self) -> float:
-        """Its value, m."""
+        """True fill height or pendulum length, m."""
         assert self.value is not None
         return self.value
 
     @property
     def edge(self) -> float:
-        """m, see `LoadDynamics.edge`; NaN where nothing moves inside."""
+        """`LoadDynamics.edge`, m; NaN without a liquid or pendulum."""
         return np.nan if self.value is None else self.inner.edge(self.value)
 
     def drawn(self, seen: Array, beyond: float | None) -> Drawn:
-        """What moves inside, see `LoadDynamics.drawn`."""
+        """Drawing of its liquid or pendulum, see `LoadDynamics.drawn`."""
         return self.inner.drawn(self.nominal, self.inner_value, seen, beyond)
 
     @cached_property
     def still(self) -> RigidBody:
-        """The part of it that does not swing, in B.
+        """The part of it that does not slosh or swing, in B.
 
-        What a long box of liquid leaves in a very light container has less than no moment about the long side:
-        it is then given none.
+        For a long box of liquid in a very light container the model gives it a negative principal moment, which is
+        replaced by a small positive one.
         """
         if self.value is None:
             return self.inertial
@@ -101,7 +101,7 @@ class Load:
 
     @property
     def origin_B(self) -> Array:
-        """(3,) origin of what moves inside, in B."""
+        """Origin (3,) of the dynamics of its liquid or pendulum, in B, m."""
         return self.nominal.inner_origin_B(self.inner_value)
 
     @property
@@ -110,28 +110,28 @@ class Load:
 
     @property
     def base_centre_B(self) -> Array:
-        """(3,) centre of the base, in B."""
+        """Centre (3,) of the base, in B, m."""
         return np.array([0.0, 0.0, self.solid.base_z]) - self.com_G
 
 
 @dataclass(frozen=True)
 class TrueWorld:
-    """The objects, in the scenario's order, and tilt: (3,) rotation vector of the real tray in the assumed E, rad."""
+    """The true loads in the scenario's order, and tilt: (3,) rotation vector of the real tray in the assumed E, rad."""
 
     loads: tuple[Load, ...]
     tilt: Array
 
     @property
     def R_tilt(self) -> Array:
-        """(3, 3) the real tray's axes in the assumed E."""
+        """Rotation (3, 3) of the real tray in the assumed E."""
         return exp(self.tilt)
 
 
 def true_world(scenario: Scenario, parameters: Mapping[str, float] | None = None) -> TrueWorld:
-    """Put values (absolute, in the parameter's unit) in place of nominal ones.
+    """The true loads of a scenario, with some parameters not nominal.
 
-    Names as in docs/conventions.md, with `object.` in front when there are several objects.
-    Raises ScenarioError for an unknown name, a value that cannot be, or an object that then stands on nothing.
+    parameters: true values by name (docs/conventions.md), in SI units; with several objects, names have the prefix
+    `object.`. Raises ScenarioError for an unknown name, an impossible value, or an object beside its supports.
     """
     values: dict[str, Any] = dict(parameters or {})
     known = {parameter.name: parameter for parameter in all_parameters([item.name for item in scenario.objects])}
@@ -150,9 +150,9 @@ def true_world(scenario: Scenario, parameters: Mapping[str, float] | None = None
 
 
 def outside(uncertain: UncertainSet, parameters: Mapping[str, float]) -> dict[str, tuple[float, float] | None]:
-    """Range of each value that is outside what a plan was made for; None where it was taken as known exactly.
+    """The values outside the uncertain set of a plan: name to its range, or to None if it was assumed to be exact.
 
-    Of an ellipsoid these are all values that have a range, if they are outside it together.
+    For a point outside an ellipsoid these are all values that have a range.
     """
     place = {name: uncertain.names.index(name) for name in parameters if name in uncertain.names}
     off = np.zeros(uncertain.size)
@@ -201,7 +201,10 @@ def _load(
 
 
 def _wide_enough(body: RigidBody) -> RigidBody:
-    """All mass on a line, the worst that contents may be, has no moment about it; the engine needs a little."""
+    """The body with a small moment of inertia instead of a zero one, which the engine cannot handle.
+
+    The worst contents may be masses on a line, with no moment about it.
+    """
     principal = np.linalg.eigvalsh(body.inertia_com)
     if not -1e-9 * principal[2] <= principal[0] < LEAST_MOMENT:
         return body
@@ -209,11 +212,11 @@ def _wide_enough(body: RigidBody) -> RigidBody:
 
 
 def _inside(body: Body, true: Mapping[Parameter, float]) -> tuple[float | None, float | None]:
-    """Value and damping of what moves in a body, or None. Raises ScenarioError for what cannot be."""
+    """Fill height or pendulum length and damping of a body, or None. Raises ScenarioError for impossible values."""
     inner, own = body.inner, () if body.inner is None else (body.inner.quantity, "damping")
     for kind in INNER_QUANTITIES:
         if (key := Parameter(body.name, kind)) in true and kind not in own:
-            raise ScenarioError(f"{kind} of {body.name} = {true[key]:g}: nothing in it has one.")
+            raise ScenarioError(f"{kind} of {body.name} = {true[key]:g}: it contains nothing that has a {kind}.")
     if inner is None:
         return None, None
     value = true.get(Parameter(body.name, inner.quantity), inner.value)
@@ -241,7 +244,7 @@ def _check(name: str, body: RigidBody, friction: float) -> None:
 
 
 def _supports(body: Body, solid: Solid, p_EB: Array, scenario: Scenario, below: list[Load]) -> dict[str, Array]:
-    """Corners of the overlap of the object's base with what it stands on, in B."""
+    """Corners of the overlap of the object's base with each support, in B."""
     R_EB = body.R_EB
     base_z = solid.base_z - body.com_G[2]
     base_B = np.column_stack([solid.base_polygon - body.com_G[:2], np.full(len(solid.base_polygon), base_z)])
@@ -269,7 +272,7 @@ def clip(polygon: Array, window: Array) -> Array:
     """Intersection (k, 2) of two convex counter-clockwise polygons (n, 2), (m, 2): Sutherland and Hodgman 1974."""
     points = list(polygon)
     for a, b in zip(window, np.roll(window, -1, axis=0), strict=True):
-        normal = np.array([a[1] - b[1], b[0] - a[0]]) / np.linalg.norm(b - a)  # to the inside
+        normal = np.array([a[1] - b[1], b[0] - a[0]]) / np.linalg.norm(b - a)  # points inside
         depth = [float(normal @ (p - a)) for p in points]
         kept: list[Array] = []
         for i, (p, d) in enumerate(zip(points, depth, strict=True)):

@@ -1,4 +1,4 @@
-"""Visual meshes of an arm's links, COLLADA included, which MuJoCo does not read, or its collision shapes."""
+"""Visual meshes of an arm's links, including COLLADA, which MuJoCo does not read; else their collision shapes."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ GREY = (0.72, 0.76, 0.80)
 
 @dataclass(frozen=True)
 class MeshPart:
-    """Triangles of one colour. vertices (n, 3) m, in the link's frame; faces (k, 3); colour (3,) 0 to 1."""
+    """Triangles of one colour: vertices (n, 3) m, in the link's frame; faces (k, 3); colour (3,) from 0 to 1."""
 
     vertices: Array
     faces: Indices
@@ -29,8 +29,8 @@ class MeshPart:
 
 
 def arm_meshes(arm: ArmModel) -> dict[str, list[MeshPart]]:
-    """Parts of each link: its visual meshes (.dae, .stl, .obj), or, where none can be read, the shapes that are
-    compared when collisions are looked for; a link of unknown shape is left out."""
+    """Mesh parts by link: the visual meshes (.dae, .stl, .obj) or, if none can be read, the shapes of the collision
+    checks. Links of unknown shape are left out."""
     meshes: dict[str, list[MeshPart]] = {}
     for link in ElementTree.fromstring(arm.urdf).iter("link"):
         for visual in link.findall("visual"):
@@ -55,7 +55,7 @@ def arm_meshes(arm: ArmModel) -> dict[str, list[MeshPart]]:
 
 @lru_cache(maxsize=64)
 def read_mesh(filename: str) -> tuple[MeshPart, ...]:
-    """Parts of a mesh file; none when it cannot be read."""
+    """Parts of a mesh file; none if it cannot be read."""
     try:
         if filename.lower().endswith(".dae"):
             if Path(filename).stat().st_size > LARGEST:
@@ -99,7 +99,7 @@ def _collada(root: ElementTree.Element) -> list[MeshPart]:
 def _triangles(
     geometry: ElementTree.Element, by_id: dict[str | None, ElementTree.Element]
 ) -> list[tuple[Array, Indices, str | None]]:
-    """(vertices, faces, material symbol) of each set of triangles or polygons; polygons are fanned."""
+    """(vertices, faces, material symbol) of each set of triangles or polygons; polygons become triangle fans."""
     found: list[tuple[Array, Indices, str | None]] = []
     for group in [*geometry.iter("triangles"), *geometry.iter("polylist")]:
         inputs = {i.get("semantic"): i for i in group.findall("input")}

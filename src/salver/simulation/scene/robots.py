@@ -1,4 +1,4 @@
-"""Controllers of the arm in a run: salver's own, or the robot's with its errors."""
+"""Controllers of the arm in a run: salver's own, or a model of a robot's internal one."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from salver.trajectory import JointMotion, Reference
 
 
 def each_joint(values: float | Sequence[float], arm: ArmModel, key: str) -> Array:
-    """(n,) one value for each joint. Raises ScenarioError for a list of another length."""
+    """One value for each joint (n,), from one number or a list. Raises ScenarioError for a list of another length."""
     given = np.asarray(values, dtype=float)
     if given.ndim and len(given) != arm.n:
         raise ScenarioError(
@@ -29,7 +29,7 @@ def each_joint(values: float | Sequence[float], arm: ArmModel, key: str) -> Arra
 
 
 def believed(scenario: Scenario) -> tuple[Body, ...]:
-    """The objects as the robot was told of them: the first is heavier by `physics.robot.payload_error`."""
+    """The load as it is configured in the robot: the first object is heavier by `physics.robot.payload_error`."""
     first, *others = scenario.payload.bodies
     error, nominal = scenario.physics.robot.payload_error, first.inertial
     if error == 0:
@@ -37,8 +37,8 @@ def believed(scenario: Scenario) -> tuple[Body, ...]:
     mass = nominal.mass + error
     if mass < 0:
         raise ScenarioError(
-            f"physics.robot.payload_error = {error:g} kg: {first.name} of {nominal.mass:g} kg would weigh less than "
-            f"nothing; at least {-nominal.mass:g} kg is accepted."
+            f"physics.robot.payload_error = {error:g} kg makes the mass of {first.name}, {nominal.mass:g} kg, "
+            f"negative; it must be at least {-nominal.mass:g} kg."
         )
     share = mass / nominal.mass
     return (replace(first, inertial=RigidBody(mass, nominal.com_B, share * nominal.inertia_com)), *others)
@@ -51,9 +51,10 @@ def robot_for(
     arm: ArmModel,
     space: Literal["object", "joint"] = "object",
 ) -> ArmController:
-    """The robot of a scenario (`physics.robot`), told to do a joint motion.
+    """The controller of a scenario's robot (`physics.robot`) for a joint motion.
 
-    space: where salver's own controller closes its loop; a robot under position control is told of joints only.
+    space: whether salver's own controller closes its loop on the object or on the joints; a position-controlled robot
+    always closes it on the joints.
     """
     robot = scenario.physics.robot
     if robot.control == "torque":

@@ -1,9 +1,9 @@
 """The scene in MuJoCo: an arm with a tray, or a tray alone, loose objects on it, obstacles around.
 
-What each of them is made of, and how they meet, is in `salver.simulation.scene.elements`.
+`salver.simulation.scene.elements` has the bodies, geoms and contact pairs.
 
-Without an arm the tray is at rest in the engine and the world moves: frame E is the engine's world, and what
-the tray's acceleration does is applied as forces (see salver.simulation.tray_frame).
+Without an arm the tray is at rest in the engine: frame E is the engine's world, and inertial forces act on the objects
+(see salver.simulation.tray_frame).
 """
 
 from __future__ import annotations
@@ -48,21 +48,21 @@ from salver.simulation.scene.robots import each_joint
 from salver.simulation.scene.shaking import Shaking
 
 DOWN = np.array([0.0, 0.0, -1.0])
-HINGE = (-1.0, 1.0)  # about y and x: which way a mass that hangs goes along x and y when the angle grows
-_REFUSED_LINK = re.compile(f"Element name '{ARM_PREFIX}([^']*)'")  # in the engine's sentence
+HINGE = (-1.0, 1.0)  # sign of a pendulum's displacement along x and y for positive angles about y and x
+_REFUSED_LINK = re.compile(f"Element name '{ARM_PREFIX}([^']*)'")  # in the engine's error message
 
 
 @dataclass(frozen=True)
 class Scene:
-    """A compiled scene and where things are in it.
+    """A compiled scene, with the indices of its parts.
 
-    model: mujoco.MjModel. arm: the arm, or None when the tray is the engine's world.
-    world: the objects as they truly are. tray_id, object_ids: MuJoCo bodies. n: joints of the arm.
+    model: mujoco.MjModel. arm: the arm, or None if the tray is the engine's world.
+    world: the true loads. tray_id, object_ids: MuJoCo bodies. n: joints of the arm.
     qpos_ids, qvel_ids: (m,) first index of each object's free joint. contact_time: solref[0], s.
-    foot_object, foot_support, foot_number: (n_geom,) per geom: index of the object whose foot it is (-1: no
-    foot), index of the object it rests on (-1: tray),
-    number of the foot in `Load.outline_B`. obstacle: (n_geom,) whether it is one, or the floor.
-    swings: what moves inside the objects, in the order of those in which something does. shaking: of the tray, or None.
+    foot_object, foot_support, foot_number: (n_geom,) for each geom the index of the object whose foot it is (-1: no
+    foot), the index of the object that supports it (-1: the tray), its number in `Load.outline_B`.
+    obstacle: (n_geom,) whether a geom is an obstacle or the floor.
+    swings: the liquids and pendulums, in the order of the objects. shaking: vibration of the tray, or None.
     """
 
     model: Any
@@ -86,7 +86,7 @@ class Scene:
 
     @property
     def point_ids(self) -> list[int]:
-        """MuJoCo bodies that are points: what swings inside the objects."""
+        """MuJoCo bodies that are point masses: the pendulums inside the objects."""
         return [int(i) for swing in self.swings for i in swing.body_ids]
 
     @cached_property
@@ -94,7 +94,7 @@ class Scene:
         return np.array([*self.object_ids, *self.point_ids], dtype=np.intp)
 
     def shake(self, data: Any, t: float) -> None:
-        """What stands on a tray that is held by an arm feels of its shaking at t, s."""
+        """Apply the forces of the tray's vibration at t, s, to the load, when an arm holds the tray."""
         if self.shaking is not None:
             self.shaking.push(self.model, data, self._loose_ids, data.xpos[self.tray_id], t)
 
@@ -103,9 +103,9 @@ class Scene:
         return self.world.loads
 
     def place(self, data: Any, q: Array | None = None, down: Array = DOWN) -> None:
-        """Put the arm at q (n,) at rest, and every object at its place on the tray, at rest with it; what swings hangs.
+        """Set the initial state: arm at q (n,), objects at their places on the tray, pendulums hanging, all at rest.
 
-        down (3,): where gravity points in the world of the model, of any length: without an arm that is the tray's.
+        down (3,): direction of gravity in the engine's world; without an arm that is frame E.
         """
         data.qvel[:] = 0
         if q is not None:
@@ -123,17 +123,18 @@ class Scene:
         mujoco.mj_forward(self.model, data)
 
     def tray_pose(self, data: Any) -> tuple[Array, Array]:
-        """(p_SE, R_SE) of the real tray's surface, tilt included."""
+        """Pose (p_SE, R_SE) of the real tray's surface, including its tilt."""
         return data.xpos[self.tray_id].copy(), data.xmat[self.tray_id].reshape(3, 3).copy()
 
 
 @dataclass(frozen=True)
 class Swing:
-    """The moving masses inside one object (`salver.models.load_dynamics.Modes.pendulums`).
+    """The pendulums inside one object (`salver.models.load_dynamics.Modes.pendulums`).
 
-    load: which object it is in. first: along which axis of the container, 0 or 1, the first hinge of each lets swing.
-    qpos_ids: (n_modes, 2) of the angles that swing along x and y. body_ids: (n_points,) of the masses. sensor: first
-    of the six readings at the origin of its inner dynamics: velocity, turning rate, in the container's axes.
+    load: index of the object. first: axis of the container, 0 or 1, along which the first hinge of each one swings.
+    qpos_ids: (n_modes, 2) indices of the angles along x and y. body_ids: (n_points,) MuJoCo bodies of the masses.
+    sensor: first of six sensor values at the origin of the dynamics: velocity, angular velocity, in the container's
+    axes.
     """
 
     load: int
@@ -153,9 +154,12 @@ def build(
     also: Callable[[Any], None] | None = None,
     seed: int = 0,
 ) -> Scene:
-    """Compile the scene of one run. visual: with meshes and light, for pictures; physics is the same. strapped:
-    objects are fixed to the tray, and touch nothing. also: adds to the mujoco.MjSpec what else there is. seed: of how
-    the tray shakes."""
+    """Compile the scene of one run.
+
+    visual: with meshes and light, for pictures; the physics does not change. strapped: objects are fixed to the tray,
+    without contacts. also: a function that adds further elements to the mujoco.MjSpec. seed: seed of the tray's
+    vibration.
+    """
     spec = specify(scenario, world, arm, visual=visual, strapped=strapped)
     if also is not None:
         also(spec)
@@ -167,7 +171,7 @@ def build(
 def specify(
     scenario: Scenario, world: TrueWorld, arm: ArmModel | None = None, *, visual: bool = False, strapped: bool = False
 ) -> Any:
-    """The same, not yet compiled: a mujoco.MjSpec that can be changed or written as a file."""
+    """The scene of `build` before compilation: a mujoco.MjSpec that can be changed or written to a file."""
     spec = mujoco.MjSpec()
     if visual:
         add_surroundings(spec)
@@ -202,9 +206,7 @@ def specify(
 
 
 def _compiled(spec: Any, arm: ArmModel | None, world: TrueWorld, contact_time: float) -> Scene:
-    """Raises ScenarioError: a link of the arm has no mass or inertia that the engine could move. One that is fixed to
-    another may be without: what is fixed together moves as one.
-    """
+    """Compile a scene. Raises ScenarioError when a moving link of the arm has no valid mass and inertia."""
     try:
         model = spec.compile()
     except ValueError as error:

@@ -1,9 +1,9 @@
-"""A tray that shakes, as those who stand on it feel it.
+"""Vibration of the tray, simulated as inertial forces on the load.
 
-Seen from the shaking tray every body of mass m and inertia I is pushed by -m (a + alpha x c) and turned by -I alpha,
-with a and alpha what the shake accelerates the tray by and c from its middle to the body. So the tray itself stays
-where the arm holds it, and what stands on it moves against it as it would on one that shakes. A run has one direction
-and one axis, drawn by its seed, at the highest frequency, at which a shake of a given amplitude pushes most.
+In the frame of a vibrating tray, the force -m (a + alpha x c) and the moment -I alpha act on a body of mass m and
+inertia I, with a and alpha the accelerations of the vibration and c the vector from the tray's centre to the body. So
+the tray stays where the arm holds it, and the load moves relative to it as on a vibrating tray. A run has one random
+direction and one random axis, and the highest frequency, at which a given amplitude has the largest acceleration.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Shaking:
-    """shift: (3,) m, and turn: (3,) rad, amplitudes in S, with a phase (rad) each; rate: 2 pi times the frequency."""
+    """A sinusoidal vibration: amplitudes shift (3,) m and turn (3,) rad in S, phases in rad, rate in rad/s."""
 
     shift: Array
     turn: Array
@@ -37,7 +37,7 @@ class Shaking:
         return cls(shake.amplitude * shift, shake.tilt * turn, (first, second), 2 * np.pi * shake.frequency)
 
     def at(self, t: Array | float) -> tuple[Array, Array]:
-        """a, with what a turned tray feels of gravity, and alpha, in S, (3,) or (T, 3), at t: s or (T,)."""
+        """Accelerations a (including gravity on the turned tray) and alpha in S, (3,) or (T, 3), at t, s or (T,)."""
         shift, turn = (
             np.sin(self.rate * np.asarray(t) + phase)[..., None] * way
             for way, phase in zip((self.shift, self.turn), self.phases, strict=True)
@@ -45,7 +45,7 @@ class Shaking:
         return -(self.rate**2) * shift + np.cross(turn, GRAVITY_S), -(self.rate**2) * turn
 
     def push(self, model: Any, data: Any, ids: Indices, p_SE: Array, t: float) -> None:
-        """Set the forces of an instant on bodies of the engine, whose poses in `data` are current."""
+        """Set the forces at time t, s, on bodies of the engine; poses in `data` must be current."""
         a, alpha = self.at(t)
         push = a + np.cross(alpha, data.xipos[ids] - p_SE)
         data.xfrc_applied[ids, :3] = -model.body_mass[ids, None] * push
