@@ -344,3 +344,105 @@ def campaign(
         seed: seed of the samples.
         method: how the uncertain set is sampled: "uniform" or "corners" (extremes first).
         stems: names of the plans to run; default: the first two of "plan", "baseline" and "nominal" that exist.
+        engine: "physics" or "closed-loop".
+        jobs: processes; default: one for each core.
+        stops: stop each run at a random instant by the plan's own stops (`salver plan --stops`).
+
+    Returns:
+        The Campaign.
+
+    Raises:
+        SalverError: one sentence for each mistake.
+    """
+    if not isinstance(directory, str | Path) or not Path(directory).exists():
+        raise _no_plan("campaign", directory)
+    from salver.campaigns import run_campaign
+
+    return run_campaign(directory, n, seed, method, stems, engine, jobs, stops=stops)
+
+
+def margins(motion: Plan | MotionSamples, scenario: Scenario | str | Path | None = None) -> Margins:
+    """Compute every contact margin along a motion (`salver.contact_margins`).
+
+    Args:
+        motion: a Plan, or MotionSamples of the first object's frame B.
+        scenario: the scenario with the load, for MotionSamples.
+
+    Returns:
+        The Margins, nominal and in the worst case of the uncertain set.
+
+    Raises:
+        ScenarioError: a motion without a scenario, or a mistake in it.
+    """
+    from salver.errors import ScenarioError
+    from salver.planning.plan import Plan
+
+    if isinstance(motion, Plan):
+        return motion.margins
+    from salver.contact_margins import margins as of
+    from salver.trajectory import MotionSamples
+
+    if isinstance(motion, str | Path):
+        raise _no_plan("margins", motion)
+    if not isinstance(motion, MotionSamples) or scenario is None:
+        raise ScenarioError(
+            f"margins wants a Plan, or MotionSamples and a scenario; it was given a {type(motion).__name__}"
+            f"{' alone' if scenario is None else ''}."
+        )
+    return of(_scenario(scenario), motion)
+
+
+def report(
+    of: Plan | Audit | str | Path, run: SimulationRecord | None = None, *, path: str | Path | None = None
+) -> Page:
+    """Make the page with its 3-D replay; a notebook shows it.
+
+    Args:
+        of: a run directory, a Plan or an Audit.
+        run: a simulated run of the Plan, for the replay.
+        path: where the page is written; default: DIR/report.html for a run directory, nowhere for a Plan or an Audit.
+
+    Returns:
+        The Page.
+
+    Raises:
+        SalverError: one sentence for each mistake.
+    """
+    from salver.auditing import Audit
+    from salver.errors import ScenarioError
+    from salver.planning.plan import Plan
+    from salver.reports.pages.inline import page_of
+
+    if not isinstance(of, Plan | Audit | str | Path):
+        raise ScenarioError(f"report wants a Plan, an Audit or a run directory; it was given a {type(of).__name__}.")
+    if isinstance(of, str | Path) and not Path(of).exists():
+        raise _no_plan("report", of)
+    return page_of(of, run, path)
+
+
+def _no_plan(name: str, given: object) -> Exception:
+    """The sentence for a function that needs a plan and got something else."""
+    from salver.errors import ScenarioError
+    from salver.planning.plan import Plan
+
+    named = isinstance(given, str | Path)
+    what = f'"{given}"' if named else f"a {type(given).__name__}"
+    made = f"sv.load_plan({what})" if Path(str(given)).is_dir() else f"sv.plan({what if named else '...'})"
+    if name == "campaign":
+        saved = f"{'plan' if isinstance(given, Plan) else made}.save(DIRECTORY)"
+        return ScenarioError(f"campaign wants a run directory, such as {saved} gives; it was given {what}.")
+    hint = f": sv.{name}({made})" if named else ", as sv.plan makes it"
+    return ScenarioError(f"{name} wants a plan{hint}; it was given {what}.")
+
+
+def __getattr__(name: str) -> Any:
+    if name == "Live":  # a class, with all that it needs
+        from salver.live import Live
+
+        return Live
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    """The public names."""
+    return sorted(["__version__", *__all__])
