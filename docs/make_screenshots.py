@@ -1,4 +1,4 @@
-"""Makes the pictures of the report page, the playground and the studio: python docs/make_screenshots.py
+"""Makes the pictures of the report page, the studio and its live mode: python docs/make_screenshots.py
 [report | live | studio]. Needs Chromium and chromedriver.
 
 The report is of a tall bottle whose centre of mass is 5 mm higher than its controller knows: it stays with the motion
@@ -17,9 +17,9 @@ from PIL import Image
 
 import salver as sv
 from salver import scenario
-from salver.playground import World
-from salver.playground.server import Playground
 from salver.reports.pages.page import write_report
+from salver.studio.server import Studio
+from salver.studio.text import changed
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE.parent / "tests"))
@@ -45,9 +45,6 @@ def main() -> None:
 
 def _studio() -> None:
     """The bottle in the engine; an obstacle in its way; a mass that cannot be."""
-    from salver.studio.server import Studio
-    from salver.studio.text import changed
-
     text = (scenario.SCENARIO_DIR / f"{SCENARIO}.toml").read_text()
     wall = {"type": "box", "name": "shelf", "size": [0.3, 0.06, 0.3], "position": [0.45, 0.12, 0.45]}
     texts = {
@@ -77,10 +74,14 @@ def _studio() -> None:
 
 def _live() -> None:
     """The bottle half way to a goal."""
-    world = World(scenario.load(SCENARIO))
-    with Playground(world) as playground, chromium(1280, 860) as browser:
-        browser.call("POST", "url", {"url": playground.url})
+    text = (scenario.SCENARIO_DIR / f"{SCENARIO}.toml").read_text()
+    with (
+        Studio(text, Path("bottle.toml"), scenario.SCENARIO_DIR, live=True) as studio,
+        chromium(1280, 860) as browser,
+    ):
+        browser.call("POST", "url", {"url": studio.url})
         browser.wait_for("window.salver && salver.state.frames > 3")
+        ((world, _),) = studio.lives.values()
         world.say({"goto": [0.45, 0.15, 0.5]})
         while world.frame()["speed"] < 0.5:
             time.sleep(0.01)

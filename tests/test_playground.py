@@ -1,6 +1,5 @@
 """The playground: a wild hand, with and without protection; its page in a real browser; what it keeps of a session."""
 
-import http.client
 import json
 import os
 import time
@@ -15,11 +14,12 @@ from salver.live import Worker
 from salver.models.arm.arm import load_arm
 from salver.planning.plan import load_plan
 from salver.playground import World
-from salver.playground.server import Playground
 from salver.playground.unprotected import Unprotected
 from salver.reports.run import read_run
+from salver.scenario import SCENARIO_DIR
 from salver.simulation.outcome import inner_motions
 from salver.simulation.trace import Recorder
+from salver.studio.server import Studio
 
 
 def run(world, seconds, every=None):
@@ -209,30 +209,6 @@ def test_what_nobody_can_mean_is_refused_and_changes_nothing():
     assert world.protected
 
 
-def asked(playground, method, path, body=None, host=None):
-    place = urlsplit(playground.url)
-    line = http.client.HTTPConnection(place.hostname, place.port, timeout=20)
-    line.request(method, path, body, {"Host": host} if host else {})
-    answer = line.getresponse()
-    return answer.status, answer.read()
-
-
-@pytest.mark.slow
-def test_the_page_is_for_who_knows_its_address_on_this_machine_alone():
-    with Playground(World(sv.load_scenario("panda-cube")), process=False) as playground:
-        place = urlsplit(playground.url)
-        assert place.hostname == "127.0.0.1"
-        assert asked(playground, "GET", place.path)[0] == 200
-        for path, host in (("/", None), ("/wrong/", None), (place.path, "evil.example:80"), (place.path + "x", None)):
-            assert asked(playground, "GET", path, host=host)[0] == 404
-        assert asked(playground, "POST", "/wrong/say", b'{"stop": true}')[0] == 404
-        assert asked(playground, "POST", place.path + "say", b"{")[0] == 400
-        assert asked(playground, "POST", place.path + "say", b"[" * 9000)[0] == 400
-        assert asked(playground, "POST", place.path + "say", b"x" * 20_000)[0] == 413
-        status, answer = asked(playground, "POST", place.path + "say", b'{"goto": [9, 9]}')
-        assert (status, json.loads(answer)["ok"]) == (200, False)
-
-
 @pytest.mark.slow
 def test_a_process_that_plans_may_die_and_another_one_goes_on():
     live = sv.Live("panda-cube", lead=0.2)
@@ -259,17 +235,18 @@ def test_a_process_that_plans_may_die_and_another_one_goes_on():
 
 @pytest.mark.slow
 @pytest.mark.skipif(missing() is not None, reason=str(missing()))
-def test_in_a_browser_the_goal_is_dragged_and_nothing_is_asked_of_others():
-    with Playground(World(sv.load_scenario("panda-cube")), process=False) as playground, chromium(900, 800) as browser:
-        browser.call("POST", "url", {"url": playground.url})
+def test_in_a_browser_the_goal_is_dragged_and_nothing_is_asked_of_others(tmp_path):
+    text = (SCENARIO_DIR / "panda-cube.toml").read_text()
+    with Studio(text, tmp_path / "cube.toml", SCENARIO_DIR, live=True) as studio, chromium(900, 800) as browser:
+        browser.call("POST", "url", {"url": studio.url})
         browser.wait_for("window.salver && salver.state.frames > 1")
         browser.script(
             """
             const canvas = document.getElementById("canvas"), box = canvas.getBoundingClientRect();
-            const [eye, p] = [salver.viewer.ray(0.5, 0.5)[0], salver.state.frame.objects[0]];
+            const [eye, p] = [salver.state.viewer.ray(0.5, 0.5)[0], salver.state.live.objects[0]];
             let best = null;  // the point of the picture where the load is
             for (let x = 0; x <= 1; x += 0.01) for (let y = 0; y <= 1; y += 0.01) {
-              const way = salver.viewer.ray(x, y)[1], to = [0, 1, 2].map((i) => p[i] - eye[i]);
+              const way = salver.state.viewer.ray(x, y)[1], to = [0, 1, 2].map((i) => p[i] - eye[i]);
               const off = 1 - to.reduce((s, v, i) => s + v * way[i], 0) / Math.hypot(...to);
               if (best === null || off < best[0]) best = [off, x, y];
             }
@@ -279,7 +256,7 @@ def test_in_a_browser_the_goal_is_dragged_and_nothing_is_asked_of_others():
             send("pointerdown", best[1], best[2]);
             window.up = () => send("pointerup", best[1] + 0.04, best[2]);
             window.first = document.getElementById("detail").textContent;
-            window.before = salver.viewer.marks.length;
+            window.before = salver.state.viewer.marks.length;
             send("pointermove", best[1] + 0.04, best[2]);
             """
         )
@@ -287,16 +264,22 @@ def test_in_a_browser_the_goal_is_dragged_and_nothing_is_asked_of_others():
         assert browser.script("return before") == 2  # the ring is there before there is a goal
         drawn = browser.script(
             "return new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(() =>"
-            "done([...salver.viewer.marks[0].model.slice(12, 15), ...salver.state.goal]))))"
+            "done([...salver.state.viewer.marks[0].model.slice(12, 15), ...salver.state.held]))))"
         )
         assert drawn[:3] == pytest.approx(drawn[3:], abs=1e-6)
         browser.script("up()")
         browser.wait_for(  # the motion itself is shorter than a busy machine looks away
             "(({ goal, objects, doing, planning }) => goal && doing === 'resting' && !planning &&"
-            "Math.hypot(...goal.map((x, i) => x - objects[0][i])) < 1e-3)(salver.state.frame)"
+            "Math.hypot(...goal.map((x, i) => x - objects[0][i])) < 1e-3)(salver.state.live)"
         )
-        assert became(playground.world) == [""]
-        goal, p = playground.world.frame()["goal"], playground.world.frame()["objects"][0][:3]
+        ((world, _),) = studio.lives.values()
+        assert became(world) == [""]
+        goal, p = world.frame()["goal"], world.frame()["objects"][0][:3]
         assert np.linalg.norm(np.subtract(goal, p)) < 1e-3
         assert [entry for entry in browser.log("browser") if entry["level"] == "SEVERE"] == []
-        assert {urlsplit(url).netloc for url in browser.requests()} <= {urlsplit(playground.url).netloc, ""}
+        assert {urlsplit(url).netloc for url in browser.requests()} <= {urlsplit(studio.url).netloc, ""}
+        browser.click("#design")  # the same page, where a plan is drawn again
+        browser.wait_for("!salver.state.live")
+        browser.script("document.getElementById('plan').click()")
+        browser.wait_for("salver.state.plan")
+        assert studio.lives == {}

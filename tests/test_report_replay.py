@@ -54,7 +54,7 @@ def test_the_tray_is_held_from_below_whatever_the_side_of_its_flange(rpy_deg: tu
     """What holds it is drawn from the flange to its underside, never through what stands between them."""
     task = scenario.load("panda-cube").with_changes(tray__height=0.15, tray__rpy_deg=rpy_deg)
     arm = load_arm(task.arm, task.tray)  # type: ignore[arg-type]
-    post = np.array(stage(task, task.payload.bodies, arm)["tray"]["post"])
+    post = np.array(stage(task, task.payload.bodies, arm, [])["tray"]["post"])
     p, R = arm.tray_pose(np.zeros(7))
     assert np.abs(p + R @ post[0] - arm.link_pose(np.zeros(7), arm.flange)[0]).max() < 1e-9
     assert post[-1].tolist() == [0.0, 0.0, -task.tray.thickness]

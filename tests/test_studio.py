@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 import salver as sv
 from browser import chromium, missing
 from salver.cli import app
-from salver.cli.plans.studio import _begun
+from salver.cli.plans.studio import begun
 from salver.errors import ScenarioError
 from salver.models.arm.arm import load_arm
 from salver.scenario import SCENARIO_DIR, names, parse
@@ -275,16 +275,74 @@ def test_the_page_is_for_who_knows_its_address_on_this_machine_alone(tmp_path):
             answer = json.loads(asked(studio, "POST", place.path + "say", json.dumps(wrong).encode())[1])
             assert answer["problem"].endswith(".")
         assert "kB" in say(studio, "look", text="#" * 300_000)["problem"]
+        assert asked(studio, "POST", place.path + "say", b"{")[0] == 400
+        assert asked(studio, "POST", place.path + "say", b"[" * 9000)[0] == 400
+        assert asked(studio, "POST", place.path + "say", b"x" * 500_000)[0] == 413
 
 
 def test_a_file_that_somebody_else_has_changed_is_not_written_over(tmp_path):
     file = tmp_path / "cube.toml"
     with Studio(CUBE, file, tmp_path) as studio:
+        one, other = CUBE + "\n# one", CUBE + "\n# other"
         assert say(studio, "save", text=CUBE)["saved"] == str(file)
-        assert say(studio, "save", text=CUBE + "\n# more")["saved"]
-        file.write_text("# mine")
-        assert "has changed" in say(studio, "save", text=CUBE)["problem"]
-        assert file.read_text() == "# mine"
+        assert say(studio, "save", text=one, over=CUBE)["saved"]
+        for over in (CUBE, None):  # another window, which has not seen that
+            assert "has changed" in say(studio, "save", text=other, over=over)["problem"]
+        assert file.read_text() == one
+        assert say(studio, "save", text=one)["saved"]  # it says what it would say
+        file.write_bytes(b"\xff\xfe")
+        assert "has changed" in say(studio, "save", text=other, over=one)["problem"]
+        file.write_text(one)
+        file.chmod(0o444)
+        assert "may not be written" in say(studio, "save", text=other, over=one)["problem"]
+        assert file.read_text() == one
+
+
+def test_what_the_page_says_first_is_said_by_salver_and_begins_with_what_was_not_checked(tmp_path):
+    mistake = CUBE.replace("mass = 0.256", "mass = -1", 1)
+    assert shown(CUBE)["verdict"][:2] == ("", "The arm reaches both ends, and nothing touches there.")
+    away = shown(change(CUBE, SCENARIO_DIR, [(["motion", "goal", "position"], [2.0, 0.0, 0.4])]))
+    assert away["verdict"][:2] == ("bad", "There is nothing to plan yet.")
+    assert away["verdict"][2].startswith(away["blocked"])
+    wrong = shown(mistake)
+    line = mistake.splitlines().index("mass = -1") + 1
+    assert wrong["verdict"] == ("bad", f"Line {line} says what cannot be.", wrong["mistakes"][0]["sentence"])
+    with Studio(CUBE, tmp_path / "cube.toml", SCENARIO_DIR) as studio:
+        level, head, detail = say(studio, "plan", text=CUBE, window="one")["verdict"]
+        assert (level, head) == ("", "2.500 s, safe in the worst case of what is checked.")
+        assert detail.startswith("Not checked: anything around the arm")
+        path = urlsplit(studio.url).path
+        assert say(studio, "look", text=CUBE, window="one")["mistakes"] == []
+        assert asked(studio, "GET", path + "csv/one")[0] == 200
+        assert say(studio, "look", text=mistake, window="one")["mistakes"]  # the plan is of a text that is no more
+        assert asked(studio, "GET", path + "csv/one")[0] == asked(studio, "GET", path + "report/one")[0] == 404
+        assert "plan first" in say(studio, "run", window="one")["problem"]
+
+
+@pytest.mark.slow
+def test_the_live_mode_of_a_window_is_its_own_and_ends_when_nobody_watches_it(tmp_path):
+    with Studio(CUBE, tmp_path / "cube.toml", SCENARIO_DIR, true={"mass": 0.25}) as studio:
+        assert "Line" in say(studio, "live", text=CUBE.replace("mass = 0.256", "mass = -1", 1), window="one")["problem"]
+        assert "Nobody knows" in say(studio, "hand", window="one", say={"stop": True})["problem"]
+        frame = say(studio, "live", text=CUBE, window="one")["frame"]
+        assert frame["verdict"][1] == "The arm rests."
+        assert not say(studio, "hand", window="one", say={"goto": [9, 9]})["ok"]
+        place = urlsplit(studio.url)
+        line = http.client.HTTPConnection(place.hostname, place.port, timeout=60)
+        line.request("GET", place.path + "frames/one")
+        answer = line.getresponse()
+        first = json.loads(answer.readline().removeprefix(b"data: "))
+        assert say(studio, "hand", window="one", say={"twist": [0.0, 0.1, 0.0, 0.0]})["ok"]
+        assert asked(studio, "GET", place.path + "frames/two")[0] == 404
+        for _ in range(40):
+            frame = json.loads(answer.readline().removeprefix(b"data: ")) if answer.readline() else frame
+        assert frame["t"] > first["t"]
+        answer.close()
+        line.close()
+        end = time.monotonic() + 20
+        while studio.lives:
+            assert time.monotonic() < end
+            time.sleep(0.05)
 
 
 @pytest.mark.slow
@@ -317,8 +375,10 @@ def test_a_plan_that_is_no_motion_of_the_arm_is_told_and_not_played(tmp_path):
     with Studio(text, tmp_path / "cube.toml", tmp_path) as studio:
         found = say(studio, "plan", text=text, window="one")
         assert (found["ok"], [variant["key"] for variant in found["variants"]]) == (False, ["baseline"])
-        assert found["sentence"].startswith("No reference of this degree and duration is safe")
-        assert found["sentence"].endswith("Shown is the straight line.")
+        level, head, detail = found["verdict"]
+        assert (level, head) == ("bad", "No safe motion was found.")
+        assert "No reference of this degree and duration is safe" in detail
+        assert detail.endswith("Shown is the straight line.")
         page = urlsplit(studio.url).path
         assert b"is not written as if it were safe" in asked(studio, "GET", page + "csv/one")[1]
 
@@ -354,17 +414,20 @@ def test_a_process_that_plans_may_die_and_another_one_goes_on(tmp_path):
 
 def test_the_command_says_what_it_cannot_begin_with(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    text, place, _, saved = _begun("bottle.toml")
+    text, place, _, saved = begun("bottle.toml")
     assert (place, saved) == (Path("bottle.toml"), False)
     assert parse(tomllib.loads(text), "it").name == "bottle"
-    assert _begun("panda-cube")[:2] == (CUBE, Path("panda-cube.toml"))
+    assert begun("panda-cube")[:2] == (CUBE, Path("panda-cube.toml"))
     (tmp_path / "broken.toml").write_text("a = [")
-    assert _begun("broken.toml")[0] == "a = ["  # the page shows what is wrong
+    assert begun("broken.toml")[0] == "a = ["  # the page shows what is wrong
     with pytest.raises(ScenarioError, match="did you mean panda-cube"):
-        _begun("panda-cubee")
+        begun("panda-cubee")
     (tmp_path / "odd.toml").write_bytes(b"\xff\xfe")
     with pytest.raises(ScenarioError, match="UTF-8"):
-        _begun("odd.toml")
+        begun("odd.toml")
+    (tmp_path / "big.toml").write_bytes(b"# " * 5_000_000)
+    with pytest.raises(ScenarioError, match="more than 200 kB"):
+        begun("big.toml")
 
 
 def drag(browser, name, dx, dy):
@@ -415,7 +478,7 @@ def pick(browser, selector, word):
 @pytest.mark.skipif(missing() is not None, reason=str(missing()))
 def test_in_a_browser_a_scenario_is_made_from_nothing_to_a_plan_by_mouse(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    text, place, folder, _ = _begun("mine.toml")
+    text, place, folder, _ = begun("mine.toml")
     with Studio(text, place, folder) as studio, chromium(1400, 900) as browser:
         browser.call("POST", "url", {"url": studio.url})
         browser.wait_for("window.salver && salver.state.answer && salver.state.idle()")
@@ -450,12 +513,24 @@ def test_in_a_browser_a_scenario_is_made_from_nothing_to_a_plan_by_mouse(tmp_pat
         )
         browser.wait_for("salver.state.mistakes.length === 1")
         assert "mass = -4: must be" in browser.script("return document.getElementById('wrong').textContent")
+        assert "objects[0].mass" in browser.script("return document.getElementById('detail').textContent")
         browser.click("#undo")
         browser.wait_for("salver.state.mistakes.length === 0")
         pick(browser, "#chosen", "cup")
         browser.click("#remove")
         browser.wait_for("salver.state.idle() && salver.state.answer.parts.every((part) => part.name !== 'cup')")
 
+        browser.click("#plan")
+        browser.wait_for("salver.state.plan", 120)
+        offered = "return ['report', 'csv'].map((id) => !document.getElementById(id).hidden)"
+        assert browser.script(offered) == [True, True]
+        browser.script(
+            "const area = document.getElementById('text'); area.value += 'x = ';area.dispatchEvent(new Event('input'))"
+        )
+        browser.wait_for("salver.state.mistakes.length === 1")
+        assert browser.script(offered) == [False, False]
+        browser.click("#undo")
+        browser.wait_for("salver.state.mistakes.length === 0 && salver.state.idle()")
         browser.click("#plan")
         browser.wait_for("salver.state.plan", 120)
         browser.click("#save")

@@ -1,4 +1,4 @@
-"""A page on which a live motion is steered by hand, with the load in the physics engine."""
+"""A live motion that is steered by hand, with the load in the physics engine."""
 
 from salver.playground.world import World
 

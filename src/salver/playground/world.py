@@ -6,7 +6,8 @@ Time is that of the engine. Whoever steps it may be late; planning then has more
 from __future__ import annotations
 
 import threading
-from collections.abc import Mapping
+import time
+from collections.abc import Generator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from salver.control.arm import controller_for
-from salver.errors import Status
+from salver.errors import SalverError, Status
 from salver.geometry import Array, quat_wxyz_from_matrix
 from salver.live import Live, LiveCourse
 from salver.live.replanning.wishes import numbers
@@ -26,6 +27,7 @@ from salver.playground.unprotected import Unprotected
 from salver.scenario import Scenario
 from salver.simulation.scene.engine import mujoco
 
+BEHIND = 0.05  # s behind the clock, from where on the world's clock is slowed instead of caught up
 FALLEN = float(np.deg2rad(10.0))  # tipped over by so much
 
 
@@ -89,6 +91,29 @@ class World:
         free.step(v, omega, self.period)
 
     # --- the loop
+
+    def paced(self) -> Generator[float]:
+        """Advance as fast as the clock; slower where the machine does not keep up. Yields 30 times a second the share
+        of real time at which it runs; ends where the arm can no longer be controlled, which `note` then says."""
+        begun = now = due = time.perf_counter()
+        begun, pace, marks = begun - self.t, 1.0, [(now, self.t)]
+        while True:
+            now = time.perf_counter()
+            begun = max(begun, now - self.t - BEHIND)
+            try:
+                while self.t <= now - begun and time.perf_counter() - now <= BEHIND:
+                    self.advance()
+            except SalverError as error:
+                self.note = str(error)
+                yield pace
+                return
+            if now >= due:
+                due = now + 1 / 30
+                marks = [mark for mark in marks if now - mark[0] < 1.0] + [(now, self.t)]
+                spent = now - marks[0][0]
+                pace = (self.t - marks[0][1]) / spent if spent > 0.2 else pace
+                yield pace
+            time.sleep(2e-3)
 
     def advance(self) -> None:
         """One control period."""

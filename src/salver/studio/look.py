@@ -28,7 +28,8 @@ from salver.reports.style import BLUE, VERMILION
 from salver.scenario import Arm, Scenario
 from salver.scenario.warnings import warnings_of
 from salver.studio.parts import parts
-from salver.studio.text import Key, changed, checked, mistakes
+from salver.studio.text import Key, Mistake, changed, checked, mistakes
+from salver.studio.words import looked, mistaken
 from salver.trajectory import min_jerk_line
 
 Look = dict[str, Any]
@@ -41,19 +42,22 @@ def look(text: str, folder: Path, near: Sequence[float] | None = None, arm_drawn
     """
     scenario = checked(text, folder)
     if isinstance(scenario, list):
-        return {"text": text, "mistakes": [asdict(one) for one in scenario]}
+        return _mistaken(text, scenario)
     try:
-        return {
+        shown = {
             "text": text,
             "mistakes": [],
-            "name": scenario.name,
-            "warnings": warnings_of(scenario),
             "parts": parts(scenario),
             "line": _straight_line(scenario),
             **_drawn(scenario, near, arm_drawn),
         }
+        return {**shown, "verdict": looked(scenario, shown["blocked"], warnings_of(scenario))}
     except SalverError as error:
-        return {"text": text, "mistakes": [asdict(one) for one in mistakes(error, text, scenario.name)]}
+        return _mistaken(text, mistakes(error, text, scenario.name))
+
+
+def _mistaken(text: str, found: Sequence[Mistake]) -> Look:
+    return {"text": text, "mistakes": [asdict(one) for one in found], "verdict": mistaken(found)}
 
 
 def change(text: str, folder: Path, changes: Sequence[tuple[Key, Any]]) -> str:
@@ -184,17 +188,17 @@ def _drawn(scenario: Scenario, near: Sequence[float] | None, arm_drawn: str) -> 
     task = scenario.each_leg[0] if scenario.legs else scenario
     bodies, ends = task.payload.bodies, (task.motion.start, task.motion.goal)
     line = [list(pose.position) for pose in ends]
-    scene: Look = stage(task, bodies, None)
     red: list[list[str]] = [[], []]
-    if task.arm is None:
+    arm, name = (load_arm(task.arm, task.tray), task.arm.model_dump_json()) if task.arm else (None, "")
+    scene: Look = stage(task, bodies, arm, _links(name) if name else [])
+    if arm is None:
         first = task.payload.first
         turns = [pose.rotation @ first.R_EB.T for pose in ends]
         trays = [(np.array(p) - R_SE @ first.p_EB, R_SE) for p, R_SE in zip(line, turns, strict=True)]
         joints = np.tile(IDENTITY, (2, 1, 1))
-        found: Look = {"blocked": "", "posture": None, "arm": ""}
+        found: Look = {"blocked": "", "posture": None, "arm": name}
         corners, base = np.array(line), np.zeros(3)
     else:
-        arm, name = load_arm(task.arm, task.tray), task.arm.model_dump_json()
         problem = transport_problem(task.with_changes(motion__duration=None), passing=True)
         postures, blocked = _postures(problem, near)
         trays = [arm.tray_pose(q) for q in postures]
@@ -202,7 +206,6 @@ def _drawn(scenario: Scenario, near: Sequence[float] | None, arm_drawn: str) -> 
         found = {"blocked": blocked, "posture": postures[0].tolist(), "arm": name}
         corners, base = np.vstack([line, joints[:, :, :3].reshape(-1, 3)]), arm.base_position
         red = [_touching(problem, q) for q in postures]
-        scene |= {"meshes": _links(name), "joints": arm.n + 1}
     scene["variants"] = [
         {**still(key, colour, bodies, tray, q, line), "red": touching}
         for key, colour, tray, q, touching in zip(("start", "goal"), (BLUE, VERMILION), trays, joints, red, strict=True)

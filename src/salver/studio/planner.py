@@ -15,6 +15,8 @@ import numpy as np
 
 from salver.errors import SalverError
 from salver.scenario import Scenario
+from salver.scenario.warnings import warnings_of
+from salver.studio.words import planned
 
 if TYPE_CHECKING:
     from salver.models.uncertain.parameters import UncertainSet
@@ -47,7 +49,7 @@ class PlanningProcess:
         try:
             found = pipe.recv()
         except (OSError, EOFError):
-            found = {"ok": False, "sentence": "The process that plans died; plan again."}
+            found = _failed("The process that plans died; plan again.")
         with self._lock:
             if self._running is None or self._running[0] is not process:
                 return None
@@ -87,9 +89,13 @@ def serve(descriptor: int) -> None:
             try:
                 pipe.send(_planned(*about) if do == "plan" else _run(*about))
             except SalverError as error:
-                pipe.send({"ok": False, "sentence": str(error)})
+                pipe.send(_failed(str(error)))
             except Exception as error:  # one task that fails is no reason to end
-                pipe.send({"ok": False, "sentence": f"It failed ({type(error).__name__}: {error})."})
+                pipe.send(_failed(f"It failed ({type(error).__name__}: {error})."))
+
+
+def _failed(sentence: str) -> dict[str, Any]:
+    return {"ok": False, "verdict": ("bad", "No motion was found.", sentence), "sentence": sentence}
 
 
 def _planned(scenario: Scenario, directory: Path) -> dict[str, Any]:
@@ -98,14 +104,8 @@ def _planned(scenario: Scenario, directory: Path) -> dict[str, Any]:
     plan, baseline = plan_pair(scenario)
     plan.save(directory, "plan")
     baseline.save(directory, "baseline")
-    arm = "" if plan.arm_status is None or plan.arm_status.ok else f" {plan.arm_status.sentence}"
-    return {
-        "ok": plan.ok,
-        "duration": plan.duration,
-        "left": plan.left,
-        "sentence": plan.status.sentence + arm,
-        "speeds": plan.speeds.summary(),
-    }
+    verdict = planned(plan, warnings_of(scenario))
+    return {"ok": plan.ok, "duration": plan.duration, "verdict": verdict, "speeds": plan.speeds.summary()}
 
 
 def _run(directory: Path) -> dict[str, Any]:

@@ -3,10 +3,13 @@ windows have nothing in common but the file in which they save."""
 
 from __future__ import annotations
 
+import json
+import os
 import shutil
 import tempfile
 import threading
-from dataclasses import asdict, replace
+from collections.abc import Generator, Mapping
+from dataclasses import replace
 from itertools import count
 from pathlib import Path
 from shlex import quote
@@ -14,34 +17,49 @@ from types import TracebackType
 from typing import Any, Self
 
 from salver.errors import SalverError, ScenarioError
-from salver.files import write_atomic
+from salver.files import versions, write_atomic
+from salver.live import Worker
 from salver.models.arm.arm import load_arm
-from salver.reports.pages.local_page import HTML, LocalPage, Shown, filled
-from salver.reports.pages.page import write_report
+from salver.playground import World
+from salver.reports.pages.page import asset, fill, framed, write_report
 from salver.reports.pages.replay import replay_scene
 from salver.reports.pages.speed_bar import speed_bar
 from salver.reports.run import read_run
+from salver.scenario import Scenario
+from salver.studio.local_page import HTML, LocalPage, Shown
 from salver.studio.look import change, look
 from salver.studio.parts import LOADS, OBSTACLES
 from salver.studio.planner import PlanningProcess
-from salver.studio.text import checked
-
-LONGEST = 200_000  # bytes of a text that is edited
+from salver.studio.text import LONGEST, checked
+from salver.studio.words import PLANNING, steered
 
 
 class Studio:
     """The page is served while it is entered."""
 
-    def __init__(self, text: str, place: Path, folder: Path, *, saved: bool = False, port: int = 0) -> None:
+    def __init__(
+        self,
+        text: str,
+        place: Path,
+        folder: Path,
+        *,
+        saved: bool = False,
+        live: bool = False,
+        true: Mapping[str, float] | None = None,
+        keep_in: Path = Path("runs/live"),
+        port: int = 0,
+    ) -> None:
         """text: the scenario that a window begins with. place: the file in which it is saved. folder: in which files
-        are that the scenario names. saved: whether the text is what stands in the file.
+        are that the scenario names. saved: whether the text is what stands in the file. live: begin in the live mode.
+        true: values there of parameters that are not nominal. keep_in: directory for recordings.
 
         Raises SalverError when the port is taken.
         """
-        self.text, self.place, self._folder = text, place, folder
-        self._on_disk = text if saved else None
-        self._looking, self._planners, self._numbers = threading.Lock(), dict[str, PlanningProcess](), count()
-        self._plans: dict[str, Path] = {}
+        self.text, self.place, self._folder, self._begins_live = text, place, folder, live
+        self._saved, self._true, self._keep_in = saved, true, keep_in
+        self._looking, self._numbers = threading.Lock(), count()
+        self._planners, self._plans = dict[str, PlanningProcess](), dict[str, tuple[str, Path]]()  # of windows
+        self.lives = dict[str, tuple[World, Worker]]()
         self._room = tempfile.TemporaryDirectory(prefix="salver-studio-")
         self._served = LocalPage(self._show, self._say, port, 2 * LONGEST)
 
@@ -56,10 +74,17 @@ class Studio:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        for window in {*self._planners, *self.lives}:
+            self._close(window)
         self._served.close()
-        for planner in self._planners.values():
-            planner.close()
         self._room.cleanup()
+
+    def _close(self, window: str, live: bool = True) -> None:
+        """End what runs for a window. live: its live mode too."""
+        _, worker = self.lives.pop(window, (None, None)) if live else (None, None)
+        for running in (self._planners.pop(window, None), worker):
+            if running is not None:
+                running.close()
 
     # --- what is shown
 
@@ -67,9 +92,11 @@ class Studio:
         if what == "":
             return self._page(), HTML
         kind, _, window = what.partition("/")
-        directory = self._plans.get(window)
-        if directory is None or kind not in ("report", "csv"):
+        if kind == "frames" and window in self.lives:
+            return self._frames(window)
+        if window not in self._plans or kind not in ("report", "csv"):
             return None
+        _, directory = self._plans[window]
         try:
             with self._looking:
                 if kind == "report":
@@ -77,6 +104,19 @@ class Studio:
                 return self._export(directory), "text/csv; charset=utf-8"
         except SalverError as error:
             return str(error).encode(), "text/plain; charset=utf-8"
+
+    def _frames(self, window: str) -> Generator[bytes]:
+        """The world of a window's live mode runs while somebody watches it."""
+        mine = world, worker = self.lives[window]
+        try:
+            for pace in world.paced():
+                if self.lives.get(window) is not mine:
+                    return
+                frame = world.frame()
+                yield json.dumps(frame | steered(frame, pace, worker.alive), separators=(",", ":")).encode()
+        finally:
+            if self.lives.get(window) is mine:
+                self._close(window)
 
     def _export(self, directory: Path) -> bytes:
         from salver.export import write_export
@@ -87,19 +127,26 @@ class Studio:
     def _page(self) -> bytes:
         data = {
             "text": self.text,
-            "saved": self._on_disk == self.text,
+            "saved": self._saved,
+            "live": self._begins_live,
             "place": str(self.place),
             "command": f"salver plan {quote(str(self.place))}",
             "loads": LOADS,
             "obstacles": OBSTACLES,
+            "planning": PLANNING,
         }
-        return filled("salver.studio", "studio", data, title=f"{self.place.name}, studio")
+        own = "salver.studio"
+        script = "".join([asset("viewer.js"), asset("plots.js"), asset("studio.js", own), asset("live.js", own)])
+        body = fill(asset("studio.html", own), version=versions()["salver"])
+        css = asset("page.css") + asset("studio.css", own)
+        return framed(body, f"{self.place.name}, studio", data, script, css, "'self'").encode()
 
     # --- what is said
 
     def _say(self, message: Any) -> dict[str, Any]:
-        """{"do": "look" | "plan" | "run" | "save" | "close", "text": ..., "window": ...} and, to look, "changes",
-        "near" and "arm". Each answer has a "problem" when it could not be done."""
+        """{"do": "look" | "plan" | "run" | "save" | "live" | "hand" | "end" | "close", "text": ..., "window": ...}; to
+        look, "changes", "near" and "arm"; to save, "over"; of a hand, "say". Each answer has a "problem" when it could
+        not be done."""
         try:
             if not isinstance(message, dict):
                 raise ScenarioError("A message is a table.")
@@ -108,17 +155,20 @@ class Studio:
                 raise ScenarioError(f"The text has more than {LONGEST // 1000} kB.")
             match do:
                 case "look":
-                    return self._look(message, text)
+                    return self._look(message, text, window)
                 case "plan":
                     return self._plan(text, window)
                 case "run":
                     return self._run(window)
                 case "save":
-                    return self._save(text)
-                case "close":
-                    planner = self._planners.pop(window, None)
-                    if planner is not None:
-                        planner.close()
+                    return self._save(text, message.get("over"))
+                case "live":
+                    return self._live(text, window)
+                case "hand" if window in self.lives:
+                    status = self.lives[window][0].say(message.get("say"))
+                    return {"ok": status.ok, "sentence": status.sentence}
+                case "end" | "close":
+                    self._close(window, live=do == "close")
                     return {}
             raise ScenarioError(f"Nobody knows what {do[:40]} means.")
         except SalverError as error:
@@ -126,37 +176,50 @@ class Studio:
         except Exception as error:  # one message that fails is no reason to end
             return {"problem": f"It failed ({type(error).__name__}: {error})."}
 
-    def _look(self, message: dict[str, Any], text: str) -> dict[str, Any]:
+    def _look(self, message: dict[str, Any], text: str, window: str) -> dict[str, Any]:
         try:
             changes = [(list(key), value) for key, value in message.get("changes", [])]
         except (TypeError, ValueError):
             raise ScenarioError("changes is a list of keys and values.") from None
         with self._looking:  # the arm's work space is one
             after = change(text, self._folder, changes) if changes else text
+            if window in self._plans and self._plans[window][0] != after:
+                self._forget(window)
             return look(after, self._folder, message.get("near"), str(message.get("arm", "")))
 
+    def _forget(self, window: str) -> None:
+        """The plan of a window: its text is no more."""
+        _, directory = self._plans.pop(window, ("", None))
+        if directory is not None:
+            shutil.rmtree(directory, ignore_errors=True)
+
     def _plan(self, text: str, window: str) -> dict[str, Any]:
-        scenario = checked(text, self._folder)
-        if isinstance(scenario, list):
-            return {"mistakes": [asdict(one) for one in scenario]}
+        scenario = self._checked(text)
         directory = Path(self._room.name) / str(next(self._numbers)) / scenario.name
         found = self._planners.setdefault(window, PlanningProcess()).plan(scenario, directory)
         if found is None:
             return {"ended": True}
         if "duration" not in found:
             return found
-        before, self._plans[window] = self._plans.get(window), directory
-        if before is not None:
-            shutil.rmtree(before, ignore_errors=True)
+        self._forget(window)
+        self._plans[window] = text, directory
         shown = self._replayed(directory)
         if "plan" not in (variant["key"] for variant in shown.get("variants", [])):
-            found["sentence"] += " Shown is the straight line." if shown else " The arm cannot make it."
+            level, head, detail = found["verdict"]
+            instead = "Shown is the straight line." if shown else "The arm cannot make it."
+            found["verdict"] = level, head, f"{detail} {instead}"
         return {**found, "speed_bar": str(speed_bar(found["speeds"])), **shown}
 
+    def _checked(self, text: str) -> Scenario:
+        scenario = checked(text, self._folder)
+        if isinstance(scenario, list):
+            raise ScenarioError(f"Line {scenario[0].line}: {scenario[0].sentence}")
+        return scenario
+
     def _run(self, window: str) -> dict[str, Any]:
-        directory = self._plans.get(window)
-        if directory is None:
+        if window not in self._plans:
             raise ScenarioError("Nothing is planned yet; plan first.")
+        _, directory = self._plans[window]
         found = self._planners.setdefault(window, PlanningProcess()).run(directory)
         return {"ended": True} if found is None else {**found, **self._replayed(directory)}
 
@@ -172,13 +235,26 @@ class Studio:
             scene = replay_scene(replace(run, motions=can), arm)
         return {"variants": scene["variants"], "start": scene["start"], "end": scene["duration"]}
 
-    def _save(self, text: str) -> dict[str, Any]:
-        """Written at once or not at all; not over what somebody else has written there meanwhile."""
-        there = self.place.read_text(encoding="utf-8") if self.place.is_file() else None
-        if there not in (None, self._on_disk, text):
-            raise ScenarioError(
-                f"{self.place} has changed since it was opened or saved here; move it away, or open it again."
-            )
-        write_atomic(self.place, text)
-        self._on_disk = text
-        return {"saved": str(self.place)}
+    def _live(self, text: str, window: str) -> dict[str, Any]:
+        scenario = self._checked(text)
+        self._close(window)
+        with self._looking:
+            world = World(scenario, self._true, keep_in=self._keep_in)
+        self.lives[window] = world, Worker(world.live).start()
+        frame = world.frame()
+        return {"frame": frame | steered(frame, 1.0, True)}
+
+    def _save(self, text: str, over: Any) -> dict[str, Any]:
+        """Written at once or not at all. over: what the window takes to stand in the file, None for nothing: what
+        somebody else has written there meanwhile is kept, and so is a file that may not be written."""
+        place = self.place
+        if place.exists():
+            if not place.is_file() or not place.stat().st_mode & 0o222 or not os.access(place, os.W_OK):
+                raise ScenarioError(f"{place} may not be written; allow that, or move it away.")
+            if place.read_text(encoding="utf-8", errors="replace") not in (over, text):
+                raise ScenarioError(
+                    f"{place} has changed since it was opened or saved in this window; move it away, or open it again."
+                )
+        write_atomic(place, text)
+        self.text, self._saved = text, True
+        return {"saved": str(place)}

@@ -16,6 +16,7 @@ from salver.errors import SalverError, ScenarioError
 from salver.scenario import Scenario
 from salver.scenario.files import read
 
+LONGEST = 200_000  # bytes of a text that is edited
 HEADER = re.compile(r"(?m)^([^#\n].*\n)(\[+[A-Za-z_][\w.]*\]+)")  # of a table, right below another line
 Key = Sequence[str | int]  # such as ["objects", 0, "mass"]
 

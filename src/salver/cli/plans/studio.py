@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from salver.cli.common import Json, print_json, say
+
+if TYPE_CHECKING:
+    from salver.studio.server import Studio
 
 
 def studio(
@@ -28,17 +31,22 @@ def studio(
 
     Example: `salver studio panda-cube`
     """
+    from salver.studio.server import Studio
+
+    text, place, folder, saved = begun(scenario)
+    served(Studio(text, place, folder, saved=saved, port=port), browser, json)
+
+
+def served(studio: Studio, browser: bool, json: bool) -> None:
+    """Serve the page until Ctrl-C."""
     import time
     import webbrowser
 
-    from salver.studio.server import Studio
-
-    text, place, folder, saved = _begun(scenario)
-    with Studio(text, place, folder, saved=saved, port=port) as page:
+    with studio as page:
         if json:
-            print_json({"file": place, "url": page.url})
+            print_json({"file": page.place, "url": page.url})
         else:
-            say(f"salver: the studio is at {page.url} and saves in {place}; Ctrl-C ends it.")
+            say(f"salver: the studio is at {page.url} and saves in {page.place}; Ctrl-C ends it.")
         if browser:
             webbrowser.open(page.url)
         try:
@@ -48,7 +56,7 @@ def studio(
             say("salver: ended.")
 
 
-def _begun(scenario: str | None) -> tuple[str, Path, Path, bool]:
+def begun(scenario: str | None) -> tuple[str, Path, Path, bool]:
     """The text to begin with, where it is saved, where files are that it names, and whether it is saved already.
 
     A file may have mistakes, which the page shows; a ready-made scenario is saved in the working directory.
@@ -56,6 +64,7 @@ def _begun(scenario: str | None) -> tuple[str, Path, Path, bool]:
     from salver.cli.plans.new import usual
     from salver.errors import ScenarioError, reason
     from salver.scenario import SCENARIO_DIR, load
+    from salver.studio.text import LONGEST
 
     place = Path(scenario or "scenario.toml")
     if place.suffix != ".toml":
@@ -67,6 +76,8 @@ def _begun(scenario: str | None) -> tuple[str, Path, Path, bool]:
     if not place.exists():
         return usual(place.stem), place, place.parent, False
     try:
+        if place.stat().st_size > LONGEST:
+            raise ScenarioError(f"{place} has more than {LONGEST // 1000} kB; the studio edits no longer text.")
         return place.read_text(encoding="utf-8"), place, place.parent, True
     except UnicodeDecodeError:
         raise ScenarioError(f"{place} is not a text file in UTF-8; a scenario is a .toml file.") from None

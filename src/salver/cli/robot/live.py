@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from salver.cli.common import Json, print_json, say
+from salver.cli.common import Json
 
 
 def live(
@@ -32,24 +32,13 @@ def live(
 
     Example: `salver live panda-tall-bottle`
     """
-    import time
-    import webbrowser
-
     from salver.cli.checks.simulate import true_values
+    from salver.cli.plans.studio import begun, served
     from salver.playground import World
-    from salver.playground.server import Playground
     from salver.scenario import load
+    from salver.studio.server import Studio
 
-    world = World(load(scenario), true_values(set_ or []), keep_in=out)
-    with Playground(world, port) as playground:
-        if json:
-            print_json({"scenario": world.scenario.name, "url": playground.url})
-        else:
-            say(f"salver: {world.scenario.name} is live at {playground.url} ; Ctrl-C ends it.")
-        if browser:
-            webbrowser.open(playground.url)
-        try:
-            while True:
-                time.sleep(1.0)
-        except KeyboardInterrupt:
-            say("salver: ended.")
+    true = true_values(set_ or [])
+    World(load(scenario), true)  # says at once what cannot be
+    text, place, folder, saved = begun(scenario)
+    served(Studio(text, place, folder, saved=saved, live=True, true=true, keep_in=out, port=port), browser, json)

@@ -113,15 +113,10 @@ def filled(
 ) -> str:
     """A page of salver: the template with all its parts. shown: its replay; None for a page of
     words and tables alone."""
-    data = {} if shown is None else {"replay": shown, "charts": made.specs}
     titles = made.titles if shown is not None else [title for title in made.titles if title[0] != "replay"]
-    script = "" if shown is None else asset("viewer.js") + asset("plots.js") + asset("main.js")
-    return fill(
+    body = fill(
         asset("page.html"),
-        title=f"{name}: {answer.headline}",
         name=name,
-        css=Markup(asset("page.css")),
-        policy=policy(script),
         level=answer.level,
         headline=answer.headline,
         detail=answer.detail,
@@ -135,6 +130,22 @@ def filled(
         version=versions()["salver"],
         date=_today(),
         directory=source,
+    )
+    title = f"{name}: {answer.headline}"
+    if shown is None:
+        return framed(body, title, {}, "", asset("page.css"))
+    script = asset("viewer.js") + asset("plots.js") + asset("main.js")
+    return framed(body, title, {"replay": shown, "charts": made.specs}, script, asset("page.css"))
+
+
+def framed(body: str, title: str, data: Any, script: str, css: str, asks: str = "'none'") -> str:
+    """A whole page: the body in the frame of all pages, with the data that its script reads. asks: whom it may ask."""
+    return fill(
+        asset("frame.html"),
+        title=title,
+        css=Markup(css),
+        policy=policy(script, asks),
+        body=Markup(body),
         # "<" could end the script element, or begin a comment in it; in JSON "\\u003c" is the same text.
         data=Markup(json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")),
         script=Markup(script),
@@ -159,7 +170,7 @@ def _today() -> str:
     return f"{datetime.now(UTC):%Y-%m-%d}"
 
 
-def policy(script: str, asks: str = "'none'") -> Markup:
+def policy(script: str, asks: str) -> Markup:
     """The page's content security policy: only the page's own script may run. asks: whom it may ask."""
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
     return Markup(

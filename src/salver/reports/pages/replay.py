@@ -27,12 +27,14 @@ if TYPE_CHECKING:
     from salver.scenario import Scenario, Tray
 
 
-def stage(scenario: Scenario, bodies: Sequence[Body], arm: ArmModel | None) -> dict[str, Any]:
-    """Arm, tray, objects and obstacles for the viewer before anything moves, ready for JSON."""
+def stage(
+    scenario: Scenario, bodies: Sequence[Body], arm: ArmModel | None, links: list[dict[str, Any]]
+) -> dict[str, Any]:
+    """Arm, tray, objects and obstacles for the viewer before anything moves, ready for JSON. links: packed."""
     first, tray = bodies[0], scenario.tray
     flange_E = invert(arm.p_FE, arm.R_FE)[0] if arm else np.array([0.0, 0.0, -tray.height])
     return {
-        "meshes": [pack(mesh) for mesh in link_meshes(arm)] if arm else [],
+        "meshes": links,
         "obstacles": [pack(mesh) for mesh in _obstacles(scenario)],
         "joints": arm.n + 1 if arm else 1,
         "tray": {
@@ -70,7 +72,7 @@ def replay_scene(run: ReportedRun, arm: ArmModel | None) -> dict[str, Any]:
     """Everything that the viewer draws, ready for JSON; arrays are float32 in base64, time first."""
     variants = [_variant(motion, run, arm) for motion in run.motions]
     return {
-        **stage(run.scenario, run.bodies, arm),
+        **stage(run.scenario, run.bodies, arm, [pack(mesh) for mesh in link_meshes(arm)] if arm else []),
         "variants": variants,
         "bounds": _bounds(run, arm),
         "azimuth": _azimuth(run, arm),

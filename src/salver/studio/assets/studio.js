@@ -1,4 +1,5 @@
-// The studio: a text is changed by hand, by sliders or as text; what is known of it comes back with each change.
+// The studio: a text is changed by hand, by sliders or as text; what is known of it comes back with each change. All
+// that stands at the top of the page is said by salver. The live mode is in live.js.
 "use strict";
 
 const given = JSON.parse(document.getElementById("data").textContent);
@@ -6,8 +7,8 @@ const byId = (id) => document.getElementById(id);
 const here = location.pathname.replace(/\/?$/, "/");
 const own = crypto.randomUUID();  // this window
 const COLOURS = { start: [0.0, 0.45, 0.7, 1], goal: [0.84, 0.37, 0.0, 1], objects: [0.9, 0.62, 0.0, 1], obstacles: [0.35, 0.38, 0.42, 1] };
-const RING = 0.04, NEAR = 16;  // m, and pixels, within which a ring is taken hold of
-const state = { text: given.text, saved: null, mistakes: [], answer: null, plan: null, planning: null, said: "", done: [], undone: [], chosen: "goal", time: 0, playing: false, gesture: null, base: "", viewer: null, looks: 0 };
+const RING = 0.04;  // m, within which a ring is taken hold of
+const state = { text: given.text, saved: null, mistakes: [], answer: null, verdict: null, plan: null, planning: null, said: "", done: [], undone: [], chosen: "goal", time: 0, playing: false, gesture: null, base: "", viewer: null, looks: 0, live: null, frames: 0, held: null, keys: new Set() };
 
 function post(does, more = {}) {
   return fetch(here + "say", { method: "POST", body: JSON.stringify({ do: does, window: own, ...more }) })
@@ -48,10 +49,10 @@ function heard(answer, typed) {
   const refused = !typed && state.mistakes.length === 0 && state.answer && answer.mistakes?.[0]?.sentence;
   state.said = answer.problem ?? refused ?? "";
   if (!answer.problem && !refused) {
-    state.text = answer.text;
+    [state.text, state.mistakes, state.verdict] = [answer.text, answer.mistakes, answer.verdict];
     if (!typed) byId("text").value = answer.text;
-    state.mistakes = answer.mistakes;
     number();
+    designing();  // what was planned of another text is no more
     if (answer.parts) show(answer);
   }
   tell();
@@ -59,17 +60,23 @@ function heard(answer, typed) {
 
 function show(answer) {
   state.answer = answer;
-  state.plan = null;
-  halt();
   if (state.viewer) state.viewer.furnish(answer.scene);
   else begin(answer.scene);
   list();
   drawMargin(answer.line);
-  byId("speeds").replaceChildren();
-  clearTimeout(state.due);
   if (byId("follow").checked && !answer.blocked) state.due = setTimeout(plan, 300);
-  else if (state.planning) post("close");  // of a text that is no more
   paint();
+}
+
+// From the plan back to start and goal; one that is sought is given up.
+function designing() {
+  clearTimeout(state.due);
+  if (state.planning !== null) post("end");
+  [state.plan, state.planning] = [null, null];
+  halt();
+  if (state.answer) state.viewer?.furnish({ variants: state.answer.scene.variants });
+  byId("speeds").replaceChildren();
+  tell();
 }
 
 async function plan() {
@@ -78,10 +85,10 @@ async function plan() {
   state.planning = performance.now();
   tell();
   const found = await post("plan", { text });
-  if (text !== state.text || found.ended) return;
+  if (text !== state.text || found.ended || state.live) return;
   state.planning = null;
   state.said = found.problem ?? "";
-  state.plan = found.sentence === undefined ? null : found;
+  state.plan = found.verdict ? found : null;
   if (found.variants) {
     byId("speeds").innerHTML = found.speed_bar;
     show3d(found);
@@ -114,32 +121,24 @@ async function run() {
 // --- words
 
 function tell() {
-  const { answer, plan: found, mistakes, said } = state, wrong = mistakes.length > 0;
-  const planning = state.planning !== null;
-  let [level, head, detail] = ["", "The arm reaches both ends, and nothing touches there.", "Plan, or change something."];
-  if (wrong) [level, head, detail] = ["bad", `Line ${mistakes[0].line} says what cannot be.`, mistakes[0].sentence];
-  else if (found && found.duration !== undefined) {
-    head = found.ok ? `${found.duration.toFixed(3)} s, safe in the worst case.` : "No safe motion was found.";
-    [level, detail] = [found.ok ? "" : "bad", found.sentence];
-  } else if (found) [level, head, detail] = ["bad", "No motion was found.", found.sentence];
-  else if (answer?.blocked) [level, head, detail] = ["bad", "There is nothing to plan yet.", answer.blocked];
-  else if (planning) [head, detail] = [`Planning, ${((performance.now() - state.planning) / 1000).toFixed(0)} s`, "The fastest safe motion is sought in another process; change what you like meanwhile."];
-  if (said) detail = said;
+  const { plan: found, live, mistakes } = state, wrong = mistakes.length > 0;
+  const now = wrong ? state.verdict : found?.verdict ?? (state.planning === null ? state.verdict : given.planning);
+  const [level, head, detail] = live?.verdict ?? now ?? ["", "Looking", ""];
   byId("verdict").className = `verdict ${level}`;
   byId("says").textContent = head;
-  byId("detail").textContent = [detail, ...(wrong ? [] : answer?.warnings ?? [])].join(" ");
+  byId("detail").textContent = [state.said, detail].filter(Boolean).join(" ");
   byId("place").textContent = given.place + (state.text === state.saved ? "" : " (not saved)");
   byId("undo").disabled = !state.done.length;
   byId("redo").disabled = !state.undone.length;
   byId("play").disabled = byId("run").disabled = byId("scrub").disabled = !found?.variants;
   byId("plan").disabled = wrong;
-  for (const id of ["add", "chosen"]) byId(id).disabled = !answer;
+  for (const id of ["add", "chosen"]) byId(id).disabled = !state.answer;
   for (const [id, kind] of [["report", "report"], ["csv", "csv"]]) {
     byId(id).hidden = !found?.variants || (kind === "csv" && !found.ok);
     byId(id).href = `${here}${kind}/${own}`;
   }
 }
-setInterval(() => state.planning !== null && tell(), 1000);
+setInterval(() => state.planning !== null && (byId("clock").textContent = `${((performance.now() - state.planning) / 1000).toFixed(0)} s`), 1000);
 
 function number() {
   const lines = byId("text").value.split("\n").length, wrong = new Set(state.mistakes.map((m) => m.line));
@@ -171,6 +170,7 @@ function begin(scene) {
   const ring = Array.from({ length: 41 }, (_, i) => [RING * Math.cos((Math.PI * i) / 20), RING * Math.sin((Math.PI * i) / 20), 0]);
   rings.ring = viewer.upload(tube(ring, 0.0035));
   rings.drop = viewer.upload(revolve([[0.0015, -1], [0.0015, 0]], 8));
+  rings.ball = viewer.upload(revolve(Array.from({ length: 13 }, (_, i) => [Math.sin((Math.PI * i) / 12), -Math.cos((Math.PI * i) / 12)]), 20));
   canvas.addEventListener("pointerdown", (event) => {
     const part = handleAt(event);
     if (!part) return;
@@ -178,7 +178,7 @@ function begin(scene) {
     if (state.plan) designing();
     canvas.setPointerCapture(event.pointerId);
     dragged = { part, p: placeOf(part), gesture: {} };
-    choose(part.name);
+    if (!state.live) choose(part.name);
   });
   canvas.addEventListener("pointermove", (event) => {
     if (dragged) return drag(event);
@@ -186,6 +186,7 @@ function begin(scene) {
     byId("hint").textContent = part ? `${part.name}: drag${part.handle.of === "world" ? ", with shift up and down" : " on the tray"}` : "drag a ring: that thing · elsewhere: turn · wheel: zoom";
   });
   canvas.addEventListener("pointerup", () => {
+    if (dragged && state.held) hand({ goto: state.held });
     dragged = null;
     paint();
   });
@@ -199,19 +200,10 @@ function begin(scene) {
 
 const trayPose = () => Mat.pose(state.viewer.variants[0].tray);
 const placeOf = ({ handle }) => (handle.of === "world" ? handle.at : Mat.point(trayPose(), [...handle.at, 0]));
-const handles = () => (state.playing ? [] : (state.answer?.parts ?? []).filter((part) => part.handle && (part.handle.of === "world" || !state.plan?.variants)));
-
-// From the plan back to start and goal.
-function designing() {
-  state.plan = null;
-  halt();
-  state.viewer.furnish({ variants: state.answer.scene.variants });
-  byId("speeds").replaceChildren();
-  tell();
-}
+const handles = () => (state.live ? [goal()] : state.playing ? [] : (state.answer?.parts ?? []).filter((part) => part.handle && (part.handle.of === "world" || !state.plan?.variants)));
 
 function handleAt(event) {
-  const found = handles().map((part) => [...state.viewer.missed(event, placeOf(part)), part]).filter(([off, pixels]) => off < RING || pixels < NEAR);
+  const found = handles().map((part) => [...state.viewer.missed(event, placeOf(part)), part]).filter(([off, pixels]) => off < RING || pixels < (state.live ? 34 : 16));
   return found.sort((a, b) => a[0] - b[0])[0]?.[2] ?? null;
 }
 
@@ -220,6 +212,7 @@ function drag(event) {
   const q = state.viewer.onPlane(event, p, upright);
   if (!q) return;
   dragged.p = upright ? [p[0], p[1], q[2]] : [q[0], q[1], p[2]];
+  if (state.live) return wish(dragged.p);
   let value = dragged.p;
   if (!world) {
     const tray = trayPose(), d = Vec.sub(dragged.p, Mat.point(tray, [0, 0, 0]));
@@ -237,8 +230,9 @@ function paint() {
   for (const part of handles()) {
     const p = dragged?.part.name === part.name ? dragged.p : placeOf(part), colour = COLOURS[part.name] ?? COLOURS[part.key[0]];
     viewer.marks.push({ shape: rings.ring, model: at(p), colour, flat: true });
-    if (part.name === state.chosen) viewer.marks.push({ shape: rings.drop, model: Mat.pose([...p, 1, 0, 0, 0], 0, [1, 1, Math.max(p[2] - state.answer.scene.floor || 0.3, 1e-3)]), colour: [...colour.slice(0, 3), 0.5], flat: true });
+    if (state.live || part.name === state.chosen) viewer.marks.push({ shape: rings.drop, model: Mat.pose([...p, 1, 0, 0, 0], 0, [1, 1, Math.max(p[2] - state.answer.scene.floor || 0.3, 1e-3)]), colour: [...colour.slice(0, 3), 0.5], flat: true });
   }
+  for (const ball of state.live?.balls ?? []) viewer.marks.push({ shape: rings.ball, model: Mat.pose([...ball.p, 1, 0, 0, 0], 0, Array(3).fill(ball.r)), colour: [0.8, 0.15, 0.25, 1] });
   viewer.render(state.time);
 }
 
@@ -386,7 +380,7 @@ function back(from, to) {
 }
 
 async function save() {
-  const text = state.text, answer = await post("save", { text });
+  const text = state.text, answer = await post("save", { text, over: state.saved });
   if (answer.saved) state.saved = text;
   state.said = answer.problem ?? `Saved in ${answer.saved}.`;
   tell();
@@ -419,6 +413,7 @@ byId("copy").addEventListener("click", async () => {
   tell();
 });
 document.addEventListener("keydown", (event) => {
+  if (state.live) return;
   const key = (event.ctrlKey || event.metaKey) && event.key.toLowerCase();
   const does = { z: () => (event.shiftKey ? back(state.undone, state.done) : back(state.done, state.undone)), y: () => back(state.undone, state.done), s: save }[key];
   if (!does) return;

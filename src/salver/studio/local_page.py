@@ -9,38 +9,18 @@ import json
 import secrets
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator
+from contextlib import closing
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
 
-from markupsafe import Markup
-
 from salver.errors import SalverError
-from salver.files import versions
-from salver.reports.pages.page import asset, fill, policy
 
 HOST = "127.0.0.1"
 HTML = "text/html; charset=utf-8"
 
-Shown = tuple[bytes, str] | Iterator[bytes] | None
-
-
-def filled(package: str, page: str, data: Any, **parts: str) -> bytes:
-    """PAGE.html of a package with its script and style beside it, the viewer, and data for them; all that it
-    asks for is on this machine."""
-    script = asset("viewer.js") + asset("plots.js") + asset(f"{page}.js", package)
-    whole = fill(
-        asset(f"{page}.html", package),
-        css=Markup(asset("page.css") + asset(f"{page}.css", package)),
-        policy=policy(script, "'self'"),
-        version=versions()["salver"],
-        # "<" could end the script element, or begin a comment in it; in JSON "\\u003c" is the same text.
-        data=Markup(json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")),
-        script=Markup(script),
-        **parts,
-    )
-    return whole.encode()
+Shown = tuple[bytes, str] | Generator[bytes] | None
 
 
 class LocalPage:
@@ -130,15 +110,16 @@ class _Handler(BaseHTTPRequestHandler):
         self.send_header("X-Content-Type-Options", "nosniff")
         self.send_header("Referrer-Policy", "no-referrer")
 
-    def _stream(self, events: Iterator[bytes]) -> None:
+    def _stream(self, events: Generator[bytes]) -> None:
         self.send_response(HTTPStatus.OK)
         self._headers("text/event-stream")
         self.send_header("Connection", "close")
         self.end_headers()
         self.close_connection = True
-        for event in events:
-            self.wfile.write(b"data: " + event + b"\n\n")
-            self.wfile.flush()
+        with closing(events):  # who makes them learns at once that nobody listens any more
+            for event in events:
+                self.wfile.write(b"data: " + event + b"\n\n")
+                self.wfile.flush()
 
     def _refuse(self, status: HTTPStatus) -> None:
         self.close_connection = True

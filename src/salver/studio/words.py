@@ -1,0 +1,84 @@
+"""What the page says at its top, made here alone: a level, a headline and what stands below it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from salver.planning.plan import Plan
+    from salver.scenario import Scenario
+    from salver.studio.text import Mistake
+
+PLANNING = ("", "Planning", "The fastest safe motion is sought in another process; change what you like meanwhile.")
+BECAME = {"lost": "is off the tray", "fallen": "has fallen over", "slid": "has slid", "spilt": "has spilt"}
+TRY = (
+    "Drag the ring, or hold W A S D: the arm follows and its load stays. Try to make it slide, fall or spill; then "
+    "uncheck “protected” and try again."
+)
+UNPROTECTED = (
+    "The same hand moves the arm, and nothing keeps the load on its tray. Check “protected” again when it rests, or "
+    "begin again."
+)
+
+Said = tuple[str, str, str]  # level ("" for good, "warning", "bad"), headline, detail
+
+
+def mistaken(mistakes: Sequence[Mistake]) -> Said:
+    return "bad", f"Line {mistakes[0].line} says what cannot be.", mistakes[0].sentence
+
+
+def looked(scenario: Scenario, blocked: str, warnings: Sequence[str]) -> Said:
+    """Of a scenario before it is planned. blocked: why nothing can be, or ""."""
+    if blocked:
+        return "bad", "There is nothing to plan yet.", " ".join([blocked, *warnings])
+    reached = "The arm reaches both ends, and nothing touches there."
+    return (
+        "",
+        reached if scenario.arm else "The tray moves without an arm.",
+        " ".join(["Plan, or change something.", *warnings]),
+    )
+
+
+def planned(plan: Plan, warnings: Sequence[str]) -> Said:
+    """Of a plan: what was not checked comes before what was found, as everywhere."""
+    blind = f"Not checked: {'; '.join(plan.unchecked)}." if plan.unchecked else ""
+    arm = "" if plan.arm_status is None or plan.arm_status.ok else plan.arm_status.sentence
+    detail = " ".join(filter(None, [blind, plan.status.sentence, arm, *warnings]))
+    if not plan.ok:
+        return "bad", "No safe motion was found.", detail
+    kept = "" if plan.speeds.every else " at full speed"
+    return "", f"{plan.duration:.3f} s, safe in the worst case{kept}{' of what is checked' if blind else ''}.", detail
+
+
+def steered(frame: dict[str, Any], pace: float, planner: bool) -> dict[str, Any]:
+    """Of a frame of the live mode: its verdict; of each of the three strips its value now and that in words; the pace.
+
+    pace: of the world's clock, as a share of real time. planner: whether it lives.
+    """
+    gone = [f"{item['name']} {BECAME[item['became']]}" for item in frame["load"] if item["became"]]
+    doing, held = frame["doing"], frame["protected"]
+    rests = f"at rest in {frame['restsIn']:.2f} s, {frame['nearest']}."
+    head = {
+        "following": f"Following: {rests}",
+        "stopping": f"Stopping: {rests}",
+        "unprotected": "Without protection.",
+        "resting": "Planning a safe way to the ring." if frame["planning"] else "The arm rests.",
+    }[doing]
+    hint = "" if frame["planning"] or gone else {"resting": TRY, "unprotected": UNPROTECTED}.get(doing, "")
+    if gone:
+        head = f"The {', the '.join(gone)}."
+    slow = f" This machine runs it at {100 * pace:.0f} % of real time." if pace < 0.97 else ""
+    dead = "" if planner else " The planner is dead."
+    margin = f"{100 * frame['margin']:.1f} % at {frame['limit']}" if held else "nothing is committed"
+    friction = zip(frame["load"], frame["friction"], strict=True)
+    return {
+        "verdict": ("bad" if gone else "" if held else "warning", head, frame["said"] or hint),
+        "values": [100 * frame["margin"] if held else None, max(frame["friction"]), frame["speed"]],
+        "legends": [
+            margin,
+            " · ".join(f"{item['name']} {used:.2f}" for item, used in friction),
+            f"{frame['speed']:.2f} m/s",
+        ],
+        "pace": f"Planning takes up to {1000 * frame['lead']:.0f} ms.{slow}{dead}",
+    }
