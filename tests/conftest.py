@@ -7,7 +7,7 @@ import gc
 import shutil
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -83,20 +83,24 @@ def safe(tmp_path_factory: pytest.TempPathFactory) -> Rig:
 
 
 @pytest.fixture(scope="session")
-def bottle_plan() -> Plan:
-    """The fastest motion of the tall bottle, which turns the tray; for full speed only, at which it leaves nothing."""
+def fastest() -> Callable[[str], Plan]:
+    """The fastest motion of a scenario, by its name: planned once, for full speed only, at which it leaves nothing."""
     from salver import scenario
     from salver.planning.fastest import plan_fastest
 
-    return plan_fastest(scenario.load("panda-tall-bottle").with_changes(motion__speeds="full"))
+    return functools.cache(lambda name: plan_fastest(scenario.load(name).with_changes(motion__speeds="full")))
 
 
 @pytest.fixture(scope="session")
-def coffee_plan(coffee: Scenario) -> Plan:
-    """The fastest motion of the open cup of coffee, which keeps it at every speed."""
-    from salver.planning.fastest import plan_fastest
+def bottle_plan(fastest: Callable[[str], Plan]) -> Plan:
+    """The fastest motion of the tall bottle, which turns the tray."""
+    return fastest("panda-tall-bottle")
 
-    return plan_fastest(coffee)
+
+@pytest.fixture(scope="session")
+def coffee_plan(fastest: Callable[[str], Plan]) -> Plan:
+    """The fastest motion of the open cup of coffee."""
+    return fastest("panda-coffee")
 
 
 @pytest.fixture(scope="session")

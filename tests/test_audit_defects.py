@@ -15,7 +15,6 @@ from salver.auditing.options import DEFAULT
 from salver.geometry import continuous, quat_wxyz_from_matrix
 from salver.models.arm.arm import load_arm
 from salver.motion_files.samples import TraySamples
-from salver.planning.fastest import plan_fastest
 
 CUBE = scenarios.load("panda-cube")
 RATE = 500.0
@@ -152,9 +151,9 @@ def test_a_small_shake_of_a_coarse_encoder_is_not_taken_for_jolts():
 @pytest.mark.parametrize(
     ("name", "rest"), [("ur3-cup", 0.3), ("ur5-bottle", 0.3), ("ur5-bottle", 2.0), ("ur3-cup", 0.0)]
 )
-def test_a_motion_that_was_computed_was_not_filtered(name, rest):
+def test_a_motion_that_was_computed_was_not_filtered(fastest, name, rest):
     """It is smooth, and where it rests nothing moves at all."""
-    plan = plan_fastest(scenarios.load(name))
+    plan = fastest(name)
     t = np.arange(-rest, plan.duration + rest, 2e-3)
     q = plan.joint.sample(np.clip(t, 0.0, plan.duration))[0]
     names = load_arm(plan.scenario.arm, plan.scenario.tray).joint_names
@@ -163,9 +162,9 @@ def test_a_motion_that_was_computed_was_not_filtered(name, rest):
 
 
 @pytest.mark.parametrize(("of", "rate"), [("joints", 100.0), ("tray", 1000.0)])
-def test_a_plan_in_four_digits_is_not_said_to_lose_its_load(of, rate):
+def test_a_plan_in_four_digits_is_not_said_to_lose_its_load(fastest, of, rate):
     """The plan uses all its margin; where it rests before and after, and moves slowly, rounding is no white noise."""
-    plan = plan_fastest(scenarios.load("ur5-bottle"))
+    plan = fastest("ur5-bottle")
     t = np.arange(-0.3, plan.duration + 0.3, 1 / rate)
     q = plan.joint.sample(np.clip(t, 0.0, plan.duration))[0]
     arm = load_arm(plan.scenario.arm, plan.scenario.tray)

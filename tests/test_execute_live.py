@@ -111,11 +111,11 @@ def whole(slow_cube, tmp_path_factory):
 
 
 def test_what_was_commanded_is_judged_along_all_of_it(cube, tmp_path):
-    """Between knots that are far apart the tray moves as the joints say; a jolt of 0.04 s in half a minute is seen."""
+    """Between knots that are far apart the tray moves as the joints say; a jolt of 0.04 s in ten seconds is seen."""
     arm, q = Live(cube).problem.arm, Live(cube).command(0.0)[0]
     turn = np.eye(7)[0]
     jolt = 1e-3 * turn  # rad, there and back, 20 ms each: 14 rad/s^2, 7 m/s^2 at the tray
-    t = np.array([0.0, 1.2, 20.008, 20.028, 20.048, 30.0])
+    t = np.array([0.0, 1.2, 6.008, 6.028, 6.048, 10.0])
     there = np.array([q, *[q + 0.8 * turn] * 5])
     still = np.zeros_like(there)
     calm = commanded(cube, JointMotion(t, there, still, still))
@@ -135,7 +135,7 @@ def test_what_was_commanded_is_judged_along_all_of_it(cube, tmp_path):
     there[3] += jolt
     shaken = commanded(cube, JointMotion(t, there, still, still))
     assert not shaken.verification.ok
-    assert 20.0 < shaken.verification.time < 20.06
+    assert 6.0 < shaken.verification.time < 6.06
     assert not shaken.margins.verdict(worst=True).ok
 
 

@@ -297,8 +297,7 @@ def test_a_urscript_at_a_rate_that_no_controller_keeps_is_refused(stoppable: Pat
         write_export(stoppable, "urscript", tmp_path / "n.script", rate=rate)
 
 
-@pytest.mark.parametrize("form", ["yaml", "moveit"])
-@pytest.mark.parametrize("rate", [None, 100.0])
+@pytest.mark.parametrize(("form", "rate"), [("yaml", 100.0), ("moveit", None)])
 def test_stops_are_trajectories_by_name_with_a_table_of_times(
     stoppable: Path, tmp_path: Path, form: str, rate: float | None
 ) -> None:

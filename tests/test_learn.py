@@ -78,9 +78,10 @@ def test_friction_is_looked_for_unless_it_is_not_to_be(monkeypatch: pytest.Monke
     assert not_tilted.tilts == ()
 
 
+@pytest.mark.slow
 def test_a_plan_that_is_slower_is_not_taken(cube: Scenario, monkeypatch: pytest.MonkeyPatch) -> None:
     """The one before was safe for wider ranges; one that is quicker is taken."""
-    case = cube.with_changes(objects__0__uncertainty={"mass": "10%"})
+    case = cube.with_changes(objects__0__uncertainty={"mass": "10%"}, motion__speeds="full")
     plan = plan_fastest(case.with_changes(contact__margin=0.02))
     monkeypatch.setattr(_Hidden, "excite", lambda hidden: None)
     monkeypatch.setattr(_Hidden, "climb", lambda hidden, level: pytest.fail("a tilt that was not to be"))

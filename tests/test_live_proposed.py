@@ -210,6 +210,7 @@ def test_a_stop_is_sought_only_where_it_would_come_sooner(cube, monkeypatch):
     assert len(sought) == 1
 
 
+@pytest.mark.slow
 def test_a_motion_that_is_a_little_too_quick_between_the_nodes_is_made_longer_once(bottle, monkeypatch):
     """By what would do from rest, one that begins moving is not mended: then three looks in a row were in vain."""
     bottle = bottle.with_changes(motion__speeds="full")  # which is what time mends

@@ -61,7 +61,14 @@ def test_a_goal_is_gone_to_at_a_share_of_the_speed_along_the_same_path(cube, ful
     check(live, told)
 
 
-@pytest.mark.parametrize(("factor", "to", "at"), [(0.3, 1.0, 0.8), (0.8, 0.3, 0.3), (0.1, 0.5, 1.5)])
+@pytest.mark.parametrize(
+    ("factor", "to", "at"),
+    [
+        (0.8, 0.3, 0.3),
+        pytest.param(0.3, 1.0, 0.8, marks=pytest.mark.slow),
+        pytest.param(0.1, 0.5, 1.5, marks=pytest.mark.slow),
+    ],
+)
 def test_the_speed_changes_on_the_way_and_every_limit_is_kept(cube, full, factor, to, at):
     """On the path of full speed, that is; and no sooner or later than the factors say."""
     live, fast = Live(cube, lead=LEAD), full[0].motion
@@ -89,7 +96,7 @@ def test_a_speed_that_is_none_is_refused_in_a_sentence(cube):
     assert live.state.speed == ""
 
 
-@pytest.mark.parametrize("at", [0.25, 0.35])
+@pytest.mark.parametrize("at", [pytest.param(0.25, marks=pytest.mark.slow), 0.35])
 def test_a_hold_brings_the_arm_to_rest_and_what_was_requested_is_gone_on_with(cube, at):
     live = Live(cube, lead=LEAD)
     wishes = [(0.0, place(*FIRST)), (0.0, lambda live: live.goto(SECOND, queued=True)), (at, hold)]
@@ -162,7 +169,7 @@ def test_a_stop_while_it_slows_down_is_a_stop(cube):
     check(live, told)
 
 
-@pytest.mark.parametrize("factor", [0.15, 0.3])
+@pytest.mark.parametrize("factor", [pytest.param(0.15, marks=pytest.mark.slow), 0.3])
 def test_a_slow_motion_stops_on_its_path_at_once(cube, full, factor):
     """Where a search for another stop takes half a second, and finds none at the lowest speeds."""
     live = Live(cube, lead=LEAD)
@@ -203,11 +210,15 @@ def test_a_goal_that_comes_while_it_is_too_fast_is_begun_at_rest(cube):
     check(live, told)
 
 
-def test_twists_and_chunks_are_slower_by_as_much(cube):
+def test_a_twist_is_slower_by_as_much(cube):
     live = Live(cube, lead=LEAD)
     live.override(0.5)
     told = drive(live, 0.6, [(0.01 * k, lambda live: live.twist((0.2, 0.0, 0.0))) for k in range(60)])
     assert where_speed(live, told, 0.5) == pytest.approx(0.1, rel=0.05)
+
+
+@pytest.mark.slow
+def test_a_chunk_is_slower_by_as_much(cube):
     live = Live(cube, lead=LEAD)
     live.override(0.5)
     live.command(0.0)
@@ -216,6 +227,7 @@ def test_twists_and_chunks_are_slower_by_as_much(cube):
     assert where(live)[0] - p[0] == pytest.approx(0.05, abs=0.005)  # half of it, in half of 1.2 s, and 0.1 s
 
 
+@pytest.mark.slow
 def test_a_chunk_that_was_held_is_followed_with_what_is_left_of_it(cube):
     """There and back: it is held on its way there."""
     live = Live(cube, lead=LEAD)
@@ -238,6 +250,7 @@ def where_speed(live, told, t):
     return float(np.linalg.norm((live.problem.arm.body_jacobian(q[0]) @ dq[0])[:3]))
 
 
+@pytest.mark.slow
 def test_a_slower_motion_is_not_taken_where_it_would_meet_what_passes(cube):
     """A ball crosses the path where the arm would be if it went slower, and long after it is gone as it goes."""
     live = Live(cube, lead=LEAD)
@@ -319,6 +332,7 @@ def test_a_goal_is_gone_on_with_after_a_hold_that_ends_before_anything_is_planne
     np.testing.assert_allclose(where(live), FIRST, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_a_chunk_that_comes_while_the_arm_is_held_is_put_off_by_the_rest_of_the_hold(cube):
     live = Live(cube, lead=LEAD)
     drive(live, 0.5, [(0.0, hold)])

@@ -156,6 +156,7 @@ def test_a_chunk_says_what_of_its_end_cannot_be(cube):
     assert "no posture of the arm within its limits reaches it" in live.refused
 
 
+@pytest.mark.slow
 def test_between_its_poses_a_chunk_turns_evenly(cube):
     """A turn by 0.4 rad about the vertical within a second, told by its two ends."""
     live = Live(cube, lead=TICK)
@@ -195,6 +196,7 @@ def test_what_cannot_be_followed_is_refused_in_a_sentence(cube):
     assert live.idle
 
 
+@pytest.mark.slow
 def test_a_hand_that_becomes_gentle_is_followed_soon_after(cube):
     """What was learnt of wild steps is forgotten within .2 s of calm: 1 cm/s and less is left of what is wanted."""
     live = Live(cube, lead=TICK)

@@ -45,8 +45,22 @@ def frames(message: Any) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     return out
 
 
-def test_a_plan_is_where_it_is_planned_at_each_instant(cube_plans: Path, tmp_path: Path) -> None:
-    plan, found = load_plan(cube_plans), content(write_mcap(cube_plans, tmp_path / "cube.mcap"))
+@pytest.fixture(scope="module")
+def planned(cube_plans: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[tuple[int, Any]]]:
+    """What a recording of a plan holds."""
+    return content(write_mcap(cube_plans, tmp_path_factory.mktemp("mcap") / "cube.mcap"))
+
+
+@pytest.fixture(scope="module")
+def recording(cube_run: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A recording of a run."""
+    return write_mcap(cube_run, tmp_path_factory.mktemp("mcap") / "run.mcap")
+
+
+def test_a_plan_is_where_it_is_planned_at_each_instant(
+    cube_plans: Path, planned: dict[str, list[tuple[int, Any]]]
+) -> None:
+    plan, found = load_plan(cube_plans), planned
     assert plan.scenario.arm is not None
     assert plan.joint is not None
     arm = load_arm(plan.scenario.arm, plan.scenario.tray)
@@ -67,8 +81,8 @@ def test_a_plan_is_where_it_is_planned_at_each_instant(cube_plans: Path, tmp_pat
     assert verdict.data == plan.verdict
 
 
-def test_shapes_are_in_their_frames_and_the_cube_stands_on_the_tray(cube_plans: Path, tmp_path: Path) -> None:
-    found = content(write_mcap(cube_plans, tmp_path / "cube.mcap"))
+def test_shapes_are_in_their_frames_and_the_cube_stands_on_the_tray(planned: dict[str, list[tuple[int, Any]]]) -> None:
+    found = planned
     ((ns, markers),) = found["/salver/markers"]
     at = {"world": (np.zeros(3), np.eye(3)), **frames(found["/tf"][0][1])}
     assert ns == 0
@@ -85,8 +99,8 @@ def test_shapes_are_in_their_frames_and_the_cube_stands_on_the_tray(cube_plans: 
     assert {f"panda_link{k}" for k in range(1, 8)} < set(corners)
 
 
-def test_a_run_is_as_the_engine_saw_it(cube_run: Path, tmp_path: Path) -> None:
-    found = content(write_mcap(cube_run, tmp_path / "run.mcap"))
+def test_a_run_is_as_the_engine_saw_it(cube_run: Path, recording: Path) -> None:
+    found = content(recording)
     arrays, _ = read_result(cube_run / "simulation" / "plan.npz", ("t",))
     assert len(found["/tf"]) == len(arrays["t"])
     for k in range(0, len(arrays["t"]), 100):
@@ -97,11 +111,10 @@ def test_a_run_is_as_the_engine_saw_it(cube_run: Path, tmp_path: Path) -> None:
         assert np.array_equal(state.effort, arrays["tau"][k])
 
 
-def test_its_joints_are_read_as_a_motion(cube_run: Path, tmp_path: Path) -> None:
+def test_its_joints_are_read_as_a_motion(cube_run: Path, recording: Path) -> None:
     """By `salver audit` and `report` too."""
-    path = write_mcap(cube_run, tmp_path / "run.mcap")
     arrays, _ = read_result(cube_run / "simulation" / "plan.npz", ("t",))
-    samples = read(path, lambda: ())
+    samples = read(recording, lambda: ())
     assert np.array_equal(samples.q, arrays["q"])
     assert samples.names[0] == "panda_joint1"
 

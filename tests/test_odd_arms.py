@@ -92,7 +92,7 @@ def test_a_joint_that_slides_is_told_in_metres(tmp_path: Path) -> None:
             start_posture(arm, beyond, PoseTarget(*arm.tray_pose(middle)))
         said = Watchdog(0.1).astray(arm, ArmState(beyond, 0 * beyond), middle, 0.1)
         assert said.endswith(f" {unit} off its reference at t = 0.100 s; 0.1 {unit} are allowed.")
-    plan = make_plan(case)
+    plan = make_plan(case, "baseline")
     assert plan.joint is not None
     t = np.arange(-0.3, plan.duration + 0.5, 2e-3)
     q = plan.joint.sample(t)[0]

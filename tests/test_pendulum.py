@@ -288,6 +288,7 @@ def test_a_plan_holds_in_the_engine_and_one_that_takes_it_for_a_solid_does_not(l
     assert Experiment(told).run({}).outcome in ("swings", "slides", "tips")
 
 
+@pytest.mark.slow
 def test_a_cup_of_coffee_and_a_lamp_are_carried_together(coffee):
     """Two kinds side by side: each keeps its own limits, and the engine holds both at the ends of their ranges."""
     cup = coffee.objects[0].model_dump(exclude_unset=True) | {"at": [-0.045, 0.0]}

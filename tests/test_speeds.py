@@ -42,6 +42,12 @@ def plan(run: Path) -> Plan:
     return load_plan(run)
 
 
+@pytest.fixture(scope="module")
+def level() -> Plan:
+    """The paper's cube on a tray that stays level."""
+    return plan_fastest(scenario.load("panda-cube").with_changes(motion__orientation="fixed"))
+
+
 def checks_of(plan: Plan, **options: bool) -> list[str]:
     """Names of the checks that fail and are required."""
     arm = load_arm(plan.scenario.arm, plan.scenario.tray)  # type: ignore[arg-type]
@@ -72,7 +78,7 @@ def test_the_command_says_it_before_the_table_of_margins(tmp_path: Path) -> None
 
 
 def test_an_audit_of_the_planned_motion_says_the_same(run: Path, tmp_path: Path, plan: Plan) -> None:
-    file = write_export(run, "csv", tmp_path / "bottle.csv", rate=1000.0)[0]
+    file = write_export(run, "csv", tmp_path / "bottle.csv", rate=400.0)[0]
     audit = sv.audit(file, sv.load_scenario("panda-tall-bottle"))
     assert audit.speeds_worst.sentence.startswith("Only at ")
     assert audit.speeds_worst.intervals[0][0] == pytest.approx(plan.speeds.intervals[0][0], abs=5e-3)
@@ -92,11 +98,10 @@ def test_every_format_says_it_in_its_heading(run: Path, tmp_path: Path, file_for
         assert read(files[0]).verdict.startswith(ONLY)
 
 
-def test_the_table_of_a_motion_that_holds_at_every_speed_begins_with_its_heading(tmp_path: Path) -> None:
-    still = plan_fastest(scenario.load("panda-cube").with_changes(motion__orientation="fixed"))
-    assert still.speeds.every
-    assert "Holds at every speed from 0 to 100 %" in still.verdict
-    still.save(tmp_path / "run")
+def test_the_table_of_a_motion_that_holds_at_every_speed_begins_with_its_heading(level: Plan, tmp_path: Path) -> None:
+    assert level.speeds.every
+    assert "Holds at every speed from 0 to 100 %" in level.verdict
+    level.save(tmp_path / "run")
     assert write_export(tmp_path / "run", "csv", tmp_path / "cube.csv")[0].read_text().startswith("t,")
 
 
@@ -152,11 +157,11 @@ def test_the_page_of_a_plan_shows_the_bar(run: Path) -> None:
     assert load_plan(run).speeds.verdict in sv.report(run).html.split('class="speeds"')[1]
 
 
-def test_what_a_planner_looked_at_at_other_speeds_is_not_said_to_be_unchecked(plan: Plan) -> None:
+def test_what_a_planner_looked_at_at_other_speeds_is_not_said_to_be_unchecked(
+    plan: Plan, level: Plan, coffee_plan: Plan
+) -> None:
     """It allows for an arm that strays at every speed that was asked for; not for sloshing while the speed changes."""
-    every = plan_fastest(scenario.load("panda-tall-bottle"))
-    assert every.speeds.sentence == "Holds at every speed from 0 to 100 %."
-    nominal = plan_fastest(scenario.load("panda-tall-bottle"), robust=False)
+    assert level.speeds.sentence == "Holds at every speed from 0 to 100 %."
+    nominal = plan_fastest(level.scenario, robust=False)
     assert nominal.speeds.unchecked == plan.speeds.unchecked == "how far the arm strays from the motion"
-    coffee = plan_fastest(scenario.load("panda-coffee").with_changes(motion__speeds="full"))
-    assert coffee.speeds.unchecked.endswith("how loads swing inside while the speed changes")
+    assert coffee_plan.speeds.unchecked.endswith("how loads swing inside while the speed changes")

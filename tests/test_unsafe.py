@@ -15,7 +15,7 @@ from salver.errors import Status, UnsafeError
 from salver.export import FORMATS, OF_PLANS, convert, write_export
 from salver.files import load_npz, read_json
 from salver.motion_files import read
-from salver.planning.make import plan_pair
+from salver.planning.make import make_plan, plan_pair
 from salver.planning.plan import load_plan
 
 # Stem of a run directory to what fails there.
@@ -54,8 +54,9 @@ def test_a_verdict_gives_each_reason_once(run: Path) -> None:
     assert load_plan(run, "baseline").verdict.count(FAILING["baseline"]) == 1
 
 
-@pytest.mark.parametrize("stem", FAILING)
-@pytest.mark.parametrize("file_format", FORMATS)
+@pytest.mark.parametrize(
+    ("file_format", "stem"), [*((name, "plan") for name in FORMATS), ("csv", "baseline"), ("csv", "nominal")]
+)
 def test_no_format_is_written_unless_its_name_and_its_first_line_say_so(
     run: Path, tmp_path: Path, file_format: str, stem: str
 ) -> None:
@@ -111,8 +112,8 @@ def test_export_ends_with_3_and_one_sentence(run: Path, tmp_path: Path) -> None:
 def test_retime_writes_no_program_of_what_does_not_hold(tmp_path: Path) -> None:
     """At the pace given the arm is too fast; along the path given no timing is safe."""
     case = scenario.load("ur5-bottle")
-    plan_pair(case, "robust")[0].save(tmp_path / "run")
-    (path,) = write_export(tmp_path / "run", "csv", tmp_path / "motion.csv", rate=500.0)
+    make_plan(case, "baseline").save(tmp_path / "run")
+    (path,) = write_export(tmp_path / "run", "csv", tmp_path / "motion.csv", rate=200.0)
     before = set(tmp_path.iterdir())
     words = ("retime", path, "-s", "ur5-bottle", "--pace", "0.3")
     code, said = called(*words)
@@ -129,7 +130,7 @@ def test_retime_writes_no_program_of_what_does_not_hold(tmp_path: Path) -> None:
 
 def test_of_a_paced_file_that_called_itself_unsafe_the_mark_stays(run: Path, tmp_path: Path) -> None:
     """An audit knows no obstacles: that it holds at another pace does not take back what a plan said."""
-    (path,) = write_export(run, "csv", tmp_path / "motion.csv", rate=1000.0, unsafe=True)
+    (path,) = write_export(run, "csv", tmp_path / "motion.csv", rate=500.0, unsafe=True)
     code, said = called("retime", path, "-s", "ur5-bottle", "--pace", "4", "--json", "--unsafe")
     found = json.loads(said)
     assert code == 0

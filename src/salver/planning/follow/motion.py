@@ -128,17 +128,17 @@ def _sampled(
 
 
 def _unreachable(arm: ArmModel, path: TrayPath, index: int) -> Status:
-    p = path.p_SE[index]
+    p = np.round(path.p_SE[index], 3) + 0.0  # no "-0.000"
     where = f"({p[0]:.3f}, {p[1]:.3f}, {p[2]:.3f}) m"
     when = "where the motion starts" if index == 0 else f"which it should reach at t = {path.t[index]:.2f} s"
-    distance = float(np.linalg.norm(p - arm.base_position))
+    distance = float(np.linalg.norm(path.p_SE[index] - arm.base_position))
     joints = "" if arm.n >= 6 else f", and {arm.n} joints do not turn and tilt a tray every way"
     return Status(
         "unreachable",
         f"{arm.name} cannot put its tray at {where}, {when}; that is {distance:.2f} m from its base{joints}: move the "
         "task or the base (arm.base_position), or choose another arm.",
         False,
-        {"time": float(path.t[index]), "p_SE": p.tolist(), "distance_from_base": distance},
+        {"time": float(path.t[index]), "p_SE": path.p_SE[index].tolist(), "distance_from_base": distance},
     )
 
 
