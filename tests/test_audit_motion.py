@@ -5,7 +5,7 @@ import pytest
 
 from recordings import AT_B, GOAL, HEADER, JOINTS, NO_TURN, START, joint_motion, line, write_csv
 from salver import scenario as scenarios
-from salver.auditing.motion import forward, tray_motion
+from salver.auditing.motion import tray_motion
 from salver.auditing.options import DEFAULT, AuditOptions
 from salver.auditing.recorded import LEVER, read_motion, sensor_of
 from salver.auditing.spline import fit
@@ -14,7 +14,8 @@ from salver.geometry import exp, log, quat_wxyz_from_matrix
 from salver.models.arm.arm import load_arm
 from salver.motion_files.readers import read
 from salver.motion_files.samples import JointSamples, TraySamples, tray_samples
-from salver.trajectory import min_jerk_line
+from salver.planning.follow import forward
+from salver.trajectory import JointMotion, min_jerk_line
 
 GIBBS = 0.135  # of a step of the acceleration, by which a least-squares quintic overshoots it: tested below
 
@@ -221,7 +222,7 @@ def test_the_tray_of_a_moving_arm_against_differences_of_its_pose(arm):
     direction = np.array([0.5, 0.1, -0.1, 0.1, 0.1, 0.0, 0.2])
     dq = np.outer((30 * u**2 - 60 * u**3 + 30 * u**4) / 2, direction)
     ddq = np.outer((60 * u - 180 * u**2 + 120 * u**3) / 4, direction)
-    motion = forward(arm, t[k : k + 1], q[k : k + 1], dq[k : k + 1], ddq[k : k + 1])
+    motion = forward.tray_motion(arm, JointMotion(t[k : k + 1], q[k : k + 1], dq[k : k + 1], ddq[k : k + 1]))
 
     def pose(step):
         return arm.tray_pose(q[k] + step * dq[k] + 0.5 * step**2 * ddq[k])

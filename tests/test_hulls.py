@@ -11,14 +11,7 @@ from scipy.spatial import ConvexHull
 from salver.geometry import exp
 from salver.models.contact.contact import cone_edges
 from salver.models.shapes import hulls, shapes
-from salver.models.shapes.hulls import (
-    MOST,
-    _double_description,
-    _interior_direction,
-    _qhull_cone,
-    cone_facets,
-    polytope,
-)
+from salver.models.shapes.hulls import _interior_direction, cone_facets, polytope
 from salver.models.shapes.polygons import convex_hull
 
 
@@ -85,8 +78,6 @@ def test_facets_and_corners_are_those_of_qhull_whatever_size_and_place(seed: int
         unit = unit @ np.linalg.qr(rng.normal(size=(d, d)))[0]
         scale, middle = 10 ** rng.uniform(-4, 3), rng.choice([0.0, 1.0, 10.0]) * rng.normal(size=d)
         points = scale * (unit + middle)
-        rays = np.column_stack([unit, np.ones(len(unit))])
-        assert _double_description(rays / np.linalg.norm(rays, axis=1)[:, None]) is not None  # no need of Qhull
         found, known = polytope(points), ConvexHull(unit)
         rows = np.column_stack([found.normal, found.normal @ middle - found.offset / scale])
         assert same_rows(rows, merged(known.equations))
@@ -120,26 +111,6 @@ def test_a_cyclic_polytope_has_the_facets_that_gales_evenness_says() -> None:
     assert len(found.corners) == 10
 
 
-def polygons() -> list[tuple[str, np.ndarray]]:
-    rng = np.random.default_rng(4)
-    angle = [np.sort(rng.uniform(0, 2 * np.pi, n)) for n in (5, 6, 8)]
-    drawn = [(f"{len(a)} at random", np.column_stack([np.cos(a), np.sin(a)])) for a in angle]
-    rectangles = [(f"{w} to 1", around(4) @ np.array([[w, -1.0], [w, 1.0]]) / np.hypot(w, 1)) for w in (1, 3, 10)]
-    return [*rectangles, ("octagon", around(8)), *drawn]
-
-
-@pytest.mark.parametrize("edges", [4, 8, pytest.param(16, marks=pytest.mark.slow)])
-@pytest.mark.parametrize(("name", "polygon"), polygons())
-def test_contact_wrench_cones_have_the_facets_that_qhull_finds(name: str, polygon: np.ndarray, edges: int) -> None:
-    rays = wrench_rays(polygon, edges if edges * len(polygon) <= MOST else 3)
-    found = _double_description(rays)
-    assert found is not None
-    rows, active = found
-    assert same_rows(rows, _qhull_cone(rays)[0])
-    assert np.array_equal(np.abs(rows @ rays.T) < 1e-9, active)
-    assert same_rows(rows, cone_facets(rays), 1e-12)  # found in axes of their own
-
-
 def test_facets_of_a_small_cone_are_all_planes_through_its_rays_that_none_is_beyond() -> None:
     """Independent of any hull: a plane through five of the wrenches is a facet where the others are below."""
     rays = wrench_rays(around(4) * [1.0, 0.6], 4)
@@ -151,7 +122,7 @@ def test_facets_of_a_small_cone_are_all_planes_through_its_rays_that_none_is_bey
     assert same_rows(cone_facets(rays), merged(plane), 1e-9)
 
 
-@pytest.mark.parametrize("count", [5, MOST, MOST + 1, 300])
+@pytest.mark.parametrize("count", [5, 64, 300])
 @pytest.mark.parametrize("rank", [1, 2, 3])
 def test_rays_within_a_cone_change_nothing_however_many_and_long(rank: int, count: int) -> None:
     """In three dimensions: a ray, all between two, and a corner of a box; each with its missing directions."""
@@ -174,9 +145,9 @@ def test_rays_within_a_cone_change_nothing_however_many_and_long(rank: int, coun
         assert_allclose(across.sum(axis=0), 0.0, atol=1e-12)  # each with its opposite
 
 
-@pytest.mark.parametrize("count", [12, MOST + 16])
+@pytest.mark.parametrize("count", [12, 80])
 def test_facets_come_in_the_order_of_the_rays_that_lie_in_them(count: int) -> None:
-    """Whoever found them, and however the cone is turned; the first ray counts most."""
+    """However the cone is turned; the first ray counts most."""
     rays = wrench_rays(around(count // 4), 4)
     turn = np.linalg.qr(np.random.default_rng(2).normal(size=(6, 6)))[0]
     rows = cone_facets(rays)
@@ -187,12 +158,10 @@ def test_facets_come_in_the_order_of_the_rays_that_lie_in_them(count: int) -> No
 
 
 def test_points_that_are_nearly_in_a_plane_are_still_held() -> None:
-    """A corner of a box raised by less than bits could tell: found by Qhull, which all points bear out."""
+    """A corner of a box raised by less than bits could tell: which all points bear out."""
     for raised in (1e-10, 1e-9, 1e-8):
         points = sums(np.eye(3))
         points[-1, 2] += raised
-        rays = np.column_stack([points, np.ones(8)]) / 2
-        assert _double_description(rays) is None
         found = polytope(points)
         assert (points @ found.normal.T - found.offset).max() < 1e-12
         assert found.holds(np.array([0.9, 0.9, 0.9]))
@@ -203,7 +172,7 @@ def test_what_has_no_facets_is_refused() -> None:
     with pytest.raises(ValueError, match="contains a line"):
         cone_facets(np.vstack([np.eye(6), -np.eye(6)]))
     with pytest.raises(ValueError, match="contains a line"):
-        cone_facets(np.vstack([around(5), [[0.0, 1.0]] * MOST]))
+        cone_facets(np.vstack([around(5), [[0.0, 1.0]] * 64]))
     for flat, why in (
         (np.zeros((5, 3)), "all points are one"),
         (np.eye(3)[:2], "no hull"),
@@ -213,13 +182,12 @@ def test_what_has_no_facets_is_refused() -> None:
             polytope(flat)
 
 
-def test_a_line_in_a_cone_is_found_by_whichever_method() -> None:
+def test_a_line_in_a_cone_is_found() -> None:
     """A half space of dimension three: a half plane's rays, and one across."""
     half = np.column_stack([np.cos(np.linspace(0, np.pi, 7)), np.sin(np.linspace(0, np.pi, 7)), np.zeros(7)])
     rays = np.vstack([half, [[0.0, 0.0, 1.0]]])
-    for again in (1, MOST):
-        with pytest.raises(ValueError, match="contains a line"):
-            cone_facets(np.vstack([rays] * again))
+    with pytest.raises(ValueError, match="contains a line"):
+        cone_facets(rays)
 
 
 def test_triangles_cover_the_hull_and_look_outward() -> None:
@@ -296,13 +264,6 @@ def test_a_direction_within_a_cone_is_found_though_most_of_its_rays_lie_on_one_s
     assert np.linalg.norm(axis) == pytest.approx(1.0)
     assert (rays @ rays.mean(axis=0)).min() < 0
     assert (rays @ axis).min() > 0.01
-
-
-def test_hull_of_points_on_a_line_is_between_its_two_ends():
-    points = np.array([[0.3], [-1.2], [0.9], [0.0]])
-    found = polytope(points)
-    assert sorted(points[found.corners, 0]) == [-1.2, 0.9]
-    assert [found.holds(np.array([x])) for x in (-1.21, -1.19, 0.89, 0.91)] == [False, True, True, False]
 
 
 def test_a_direction_within_a_cone_has_length_one_also_where_its_rays_mean_nothing() -> None:

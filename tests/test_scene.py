@@ -10,9 +10,10 @@ from salver import scenario as scenarios
 from salver.errors import ScenarioError
 from salver.geometry import exp, matrix_from_quat_wxyz, matrix_from_rpy
 from salver.models.arm.arm import load_arm
+from salver.models.shapes.polygons import intersection
 from salver.scenario import parse
 from salver.simulation.scene.elements import FOOT_RADIUS, hull_name
-from salver.simulation.scene.loads import ROUND_POINTS, clip, true_world
+from salver.simulation.scene.loads import ROUND_POINTS, true_world
 from salver.simulation.scene.scene import build
 from salver.simulation.trace import Recorder, net_contact_wrench
 
@@ -173,7 +174,7 @@ def test_contact_forces_at_rest_by_hand():
     a, c, m = 0.005, 0.02, 0.25
     scene, trace = settled(paper(), {"mass": m, "com_x": a})
     corners = scene.loads[0].outline_B
-    np.testing.assert_allclose(corners[:, :2], c * np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]))
+    np.testing.assert_allclose(corners[:, :2], c * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]))
     forces = trace.foot_force_B[0]
     np.testing.assert_allclose(forces[:, 2], m * G / 4 * (1 + a * corners[:, 0] / c**2), rtol=1e-4)
     np.testing.assert_allclose(forces[:, :2], 0, atol=1e-4)  # the feet sink unevenly: B tilts by some 1e-5 rad
@@ -312,15 +313,15 @@ def test_a_block_across_two_others_has_feet_on_both():
     np.testing.assert_allclose(trace.force_X[0][:, 2], [1.5 * 0.18 * G, 1.5 * 0.18 * G, 0.18 * G], atol=1e-4)
 
 
-def test_clip_by_hand():
+def test_common_part_of_two_polygons_by_hand():
     square = np.array([[0.0, 0], [2, 0], [2, 2], [0, 2]])
-    corner = clip(square, square + 1)
+    corner = intersection(square, square + 1)
     assert {tuple(p) for p in corner} == {(1, 1), (2, 1), (2, 2), (1, 2)}
-    np.testing.assert_array_equal(clip(square, square), square)
-    assert len(clip(square, square + 5)) == 0
+    np.testing.assert_array_equal(intersection(square, square), square)
+    assert len(intersection(square, square + 5)) == 0
     # a diamond cut by a square: eight corners
     diamond = 1.5 * np.array([[1.0, 0], [0, 1], [-1, 0], [0, -1]])
-    assert len(clip(diamond, square - 1)) == 8
+    assert len(intersection(diamond, square - 1)) == 8
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,9 +14,10 @@ from salver.auditing.options import DEFAULT, AuditOptions
 from salver.auditing.recorded import LEVER, Sensor, read_motion, sensor_of
 from salver.display import Outlined
 from salver.errors import FileFormatError, SalverError
-from salver.geometry import Array, continuous, hat, quat_wxyz_from_matrix
+from salver.geometry import Array, continuous, quat_wxyz_from_matrix
 from salver.motion_files.samples import Samples, TraySamples, reordered
-from salver.trajectory import MotionSamples
+from salver.planning.follow import forward
+from salver.trajectory import JointMotion, MotionSamples
 
 if TYPE_CHECKING:
     from salver.models.arm.arm import ArmModel
@@ -88,7 +89,7 @@ def tray_motion(
         kind = "quintics" if samples.ddq is not None else "cubics"
         note = f"{len(samples.t)} waypoints with velocities, joined by {kind} as ros2_control's controller joins them."
         return AuditedMotion(
-            forward(arm, *commanded_motion(samples)),
+            forward.tray_motion(arm, JointMotion(*commanded_motion(samples))),
             doubts=tuple(open_questions(samples)),
             notes=(*samples.notes, note),
             options=options,
@@ -214,23 +215,3 @@ def _slowest(speed: Array) -> tuple[float, float]:
     before = int(np.flatnonzero(speed >= 0.95 * speed[0])[-1])
     after = int(np.flatnonzero(speed >= 0.95 * speed[-1])[0])
     return float(speed[: before + 1].min()), float(speed[after:].min())
-
-
-def forward(arm: ArmModel, t: Array, q: Array, dq: Array, ddq: Array) -> MotionSamples:
-    """Motion of the tray E at joint positions, velocities and accelerations (T, n)."""
-    import pinocchio as pin
-
-    model, data, frame = arm.pin_model, arm.data, arm.tray_id
-    p, rotation = np.empty((len(t), 3)), np.empty((len(t), 3, 3))
-    twist, rate = np.empty((len(t), 6)), np.empty((len(t), 6))
-    local: Any = pin.LOCAL
-    for k in range(len(t)):
-        pin.forwardKinematics(model, data, q[k], dq[k], ddq[k])
-        placement = pin.updateFramePlacement(model, data, frame)
-        p[k], rotation[k] = placement.translation, placement.rotation
-        twist[k] = pin.getFrameVelocity(model, data, frame, local).vector
-        rate[k] = pin.getFrameAcceleration(model, data, frame, local).vector
-    v_S = np.einsum("tij,tj->ti", rotation, twist[:, :3])
-    # The rate of the body twist is not the acceleration of the point: omega x v is missing.
-    a_E = rate[:, :3] + np.einsum("tij,tj->ti", hat(twist[:, 3:]), twist[:, :3])
-    return MotionSamples(t, p, v_S, np.einsum("tij,tj->ti", rotation, a_E), rotation, twist[:, 3:], rate[:, 3:])

@@ -1,12 +1,7 @@
-"""Convex hulls of points and cones over rays: facets and corners, the one place that asks for them.
+"""Convex hulls of points and cones over rays: facets and corners by Qhull, the one place that asks for them.
 
-Few rays, as contacts and boxes have: the double description method (Motzkin, Raiffa, Thompson, Thrall 1953; Fukuda and
-Prodon 1996) finds the extreme rays of the polar cone, which are the facets, one ray after the other. Which rays lie in
-a facet is kept as bits, so that what lies in one plane is one facet and two facets are neighbours by their bits alone.
-Many points, as meshes have, and rays that are nearly but not quite in a plane with others: Qhull, of which the import
-alone takes a tenth of a second. Facets come in the order of the rays that lie in them, whoever found them.
-
-The hull of polygons: `salver.models.shapes.polygons.convex_hull`.
+Qhull triangulates facets and knows their planes to some digits. Here each plane comes once, put through the points or
+rays that lie in it. The hull of polygons: `salver.models.shapes.polygons.convex_hull`.
 """
 
 from __future__ import annotations
@@ -14,18 +9,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from salver.geometry import Array, Indices, Mask
 
-MOST = 64  # rays with a bit each; up to there Qhull takes longer, even when it is loaded
-_IN = 1e-11  # a ray this close to a facet's plane (both of unit size) lies in it,
-_OUT = 1e-7  # and one this far does not; between the two, bits are not to be trusted
-_ACTIVE = 1e-8  # the same for Qhull's planes, where there is no between
-_PLANE = 1e-12  # square of the width of rays that lie in less than a plane
+_IN_PLANE = 1e-8  # a ray this close to a facet's plane (both of unit size) lies in it
+_NEAR_PLANE = 1e-7  # and through all that are so near the plane is first put
+_WIDTH = 1e-12  # square of the width of rays that lie in less than a plane
 _POINTED = 1e-9  # cosine that the direction inside the polar cone has to every ray of a cone without a line
-
-Bits = npt.NDArray[np.uint64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,13 +38,7 @@ def polytope(points: Array) -> Polytope:
     if not size > 0:
         raise ValueError("all points are one: it has no facets")
     scaled = (points - centre) / size
-    rays = np.column_stack([scaled, np.ones(len(points))])
-    found = _double_description(rays / np.linalg.norm(rays, axis=1)[:, None]) if len(points) <= MOST else None
-    if found is None:
-        rows, corners = _qhull(scaled)
-    else:
-        rows, active = found
-        corners = _corners(active)
+    rows, corners = _qhull(scaled)
     length = np.linalg.norm(rows[:, :-1], axis=1)
     normal = rows[:, :-1] / length[:, None]
     return Polytope(normal, normal @ centre - size * rows[:, -1] / length, corners)
@@ -83,78 +67,8 @@ def cone_facets(rays: Array) -> Array:
     _, singular, basis = np.linalg.svd(rays, full_matrices=True)
     rank = int(np.sum(singular > 1e-9 * singular[0]))
     missing, basis = basis[rank:], basis[:rank]
-    flat = rays @ basis.T
-    found = _double_description(flat) if len(rays) <= MOST else None
-    if found is None:
-        found = _qhull_cone(flat)
-    rows = found[0] @ basis
+    rows = _qhull_cone(rays @ basis.T) @ basis
     return np.vstack([rows, missing, -missing])
-
-
-def _double_description(rays: Array) -> tuple[Array, Mask] | None:
-    """Rows (m, d) of the facets of the cone over unit rays (n, d), n <= MOST, that span the space, and which rays lie
-    in each (m, n); None where that is too close to say. Raises ValueError if the cone contains a line.
-    """
-    n, d = rays.shape
-    first = _spanning(rays)
-    if first is None:
-        return None
-    bit = np.uint64(1) << np.arange(n - 1, -1, -1, dtype=np.uint64)
-    rows = np.array(-np.linalg.inv(rays[first]).T, dtype=np.float64)
-    rows /= np.linalg.norm(rows, axis=1)[:, None]
-    bits: Bits = np.bitwise_or.reduce(bit[first]) & ~bit[first]
-    for k in range(n):
-        if k in first:
-            continue
-        value = rows @ rays[k]
-        if np.any((np.abs(value) > _IN) & (np.abs(value) < _OUT)):
-            return None
-        beyond, within = value >= _OUT, value <= -_OUT
-        bits[~(beyond | within)] |= bit[k]
-        if not beyond.any():
-            continue
-        # A facet between each two neighbours of which the ray is beyond one: no third holds all rays that both hold.
-        i, j = np.flatnonzero(beyond), np.flatnonzero(within)
-        shared = bits[i, None] & bits[j]
-        p, q = np.nonzero(np.bitwise_count(shared) >= d - 2)
-        common = shared[p, q]
-        neighbours = ((bits & common[:, None]) == common[:, None]).sum(axis=1) == 2
-        i, j, common = i[p[neighbours]], j[q[neighbours]], common[neighbours]
-        fresh = value[i, None] * rows[j] - value[j, None] * rows[i]
-        fresh /= np.linalg.norm(fresh, axis=1)[:, None]
-        rows = np.vstack([rows[~beyond], fresh])
-        bits = np.concatenate([bits[~beyond], common | bit[k]])
-    if not len(rows) or (rays @ rows.sum(axis=0)).max() > -_POINTED * len(rows):
-        raise ValueError("the cone contains a line and has no facets")
-    order = np.argsort(bits)
-    active = (bits[order, None] & bit) != 0
-    rows = _through(rays, rows[order], active)[0]
-    value = rows @ rays.T
-    sure = np.all(np.abs(value[active]) <= _IN) and np.array_equal(value > -_OUT, active)
-    return (rows, active) if sure else None
-
-
-def _spanning(rays: Array) -> Indices | None:
-    """Which d of the rays (n, d) span the space best, one after the other; None when they hardly do."""
-    left, chosen = rays.copy(), []
-    for _ in range(rays.shape[1]):
-        size = np.einsum("ij,ij->i", left, left)
-        k = int(np.argmax(size))
-        if size[k] < _OUT**2:
-            return None
-        chosen.append(k)
-        along = left[k] / np.sqrt(size[k])
-        left = left - np.outer(left @ along, along)
-    return np.array(chosen)
-
-
-def _corners(active: Mask) -> Indices:
-    """Which points are corners, from those in each facet (m, n): no other lies in all the facets of one."""
-    held = active.T.astype(float)
-    count = held.sum(axis=1)
-    covered = held @ held.T == count[:, None]  # (n, n): the second lies in all the facets of the first
-    inner = covered & ~(covered.T & np.triu(np.ones(covered.shape, dtype=bool)))  # of equal points, the first stays
-    return np.flatnonzero(~inner.any(axis=1))
 
 
 def _through(rays: Array, rows: Array, active: Mask) -> tuple[Array, Array]:
@@ -165,7 +79,7 @@ def _through(rays: Array, rows: Array, active: Mask) -> tuple[Array, Array]:
     fitted = vectors[:, :, 0]
     # The scatter has squares of widths; what is left of the rays' products brings the digits back that they cost.
     left = (np.where(active, fitted @ rays.T, 0.0) @ rays)[:, None] @ vectors[:, :, 1:]
-    fitted = fitted - (vectors[:, :, 1:] @ (left[:, 0] / np.maximum(values[:, 1:], _PLANE))[:, :, None])[:, :, 0]
+    fitted = fitted - (vectors[:, :, 1:] @ (left[:, 0] / np.maximum(values[:, 1:], _WIDTH))[:, :, None])[:, :, 0]
     fitted /= np.linalg.norm(fitted, axis=1)[:, None]
     return fitted * np.where(np.sum(fitted * rows, axis=1) > 0, 1.0, -1.0)[:, None], values
 
@@ -186,8 +100,9 @@ def _each_once(equations: Array) -> Array:
     return np.asarray(equations[np.unique(np.round(equations, 9), axis=0, return_index=True)[1]])
 
 
-def _qhull_cone(rays: Array) -> tuple[Array, Mask]:
-    """What `_double_description` gives, by the hull of the points in which a plane cuts the unit rays (n, d)."""
+def _qhull_cone(rays: Array) -> Array:
+    """Unit rows (m, d) of the facets of the cone over unit rays (n, d) that span the space, by the hull of the points
+    in which a plane cuts them. Raises ValueError if the cone contains a line."""
     from scipy.spatial import ConvexHull, QhullError
 
     axis = _interior_direction(rays)
@@ -227,18 +142,18 @@ def _interior_direction(rays: Array) -> Array:
     return result.x[:-1] / np.linalg.norm(result.x[:-1])
 
 
-def _refit(rays: Array, rows: Array) -> tuple[Array, Mask]:
-    """Facets (m, d), unit rows, each once, and the rays (n, d) in each: planes put through the rays that lie in them.
+def _refit(rays: Array, rows: Array) -> Array:
+    """Facets (m, d), unit rows, each once, in the order of the rays (n, d) that they are put through.
 
     Planes that a ray is beyond, or that too few rays lie in to be a facet, are dropped.
     """
-    fitted, _ = _through(rays, rows, np.abs(rows @ rays.T) < 1e-7)
+    fitted, _ = _through(rays, rows, np.abs(rows @ rays.T) < _NEAR_PLANE)
     # Neighbouring facets of a round cone can be so close that their rays were mixed: then it is not an improvement.
     better = (fitted @ rays.T).max(axis=1) <= (rows @ rays.T).max(axis=1) + 1e-12
     rows = np.where(better[:, None], fitted, rows)
-    active = np.abs(rows @ rays.T) < _ACTIVE
+    active = np.abs(rows @ rays.T) < _IN_PLANE
     _, values = _through(rays, rows, active)
-    spanned = values[:, 1] > _PLANE if rays.shape[1] > 1 else np.ones(len(rows), dtype=bool)
-    kept = np.flatnonzero(spanned & ((rows @ rays.T).max(axis=1) <= _ACTIVE))
+    spanned = values[:, 1] > _WIDTH if rays.shape[1] > 1 else np.ones(len(rows), dtype=bool)
+    kept = np.flatnonzero(spanned & ((rows @ rays.T).max(axis=1) <= _IN_PLANE))
     kept = kept[np.unique(np.packbits(active[kept], axis=1), axis=0, return_index=True)[1]]
-    return np.asarray(rows[kept]), active[kept]
+    return np.asarray(rows[kept])

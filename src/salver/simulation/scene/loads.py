@@ -15,6 +15,7 @@ from salver.geometry import Array, exp
 from salver.models.bodies import TRAY, Body
 from salver.models.load_dynamics import THICKEST, Drawn, LoadDynamics, Modes
 from salver.models.rigid_body import RigidBody, inertia_matrix
+from salver.models.shapes.polygons import intersection
 from salver.models.shapes.shapes import Solid, cylinder
 from salver.models.uncertain.parameters import (
     INNER_QUANTITIES,
@@ -258,7 +259,7 @@ def _supports(body: Body, solid: Solid, p_EB: Array, scenario: Scenario, below: 
             lower = next(load for load in below if load.name == name)
             top_B = lower.solid.top_polygon - lower.com_G[:2]
             surface = (lower.p_EB + np.column_stack([top_B, np.zeros(len(top_B))]) @ lower.R_EB.T)[:, :2]
-        overlap = clip(base_E, surface)
+        overlap = intersection(base_E, surface)
         if len(overlap) >= 3:
             points = np.column_stack([overlap - p_EB[:2], np.zeros(len(overlap))]) @ R_EB
             points[:, 2] = base_z
@@ -266,21 +267,3 @@ def _supports(body: Body, solid: Solid, p_EB: Array, scenario: Scenario, below: 
     if not supports:
         raise ScenarioError(f"{body.name} stands beside {' and '.join(body.supports)}; its base must overlap with it.")
     return supports
-
-
-def clip(polygon: Array, window: Array) -> Array:
-    """Intersection (k, 2) of two convex counter-clockwise polygons (n, 2), (m, 2): Sutherland and Hodgman 1974."""
-    points = list(polygon)
-    for a, b in zip(window, np.roll(window, -1, axis=0), strict=True):
-        normal = np.array([a[1] - b[1], b[0] - a[0]]) / np.linalg.norm(b - a)  # points inside
-        depth = [float(normal @ (p - a)) for p in points]
-        kept: list[Array] = []
-        for i, (p, d) in enumerate(zip(points, depth, strict=True)):
-            q, e = points[i - 1], depth[i - 1]
-            if (d >= -1e-12) != (e >= -1e-12):
-                kept.append(q + (p - q) * e / (e - d))
-            if d >= -1e-12:
-                kept.append(p)
-        points = kept
-    corners = np.array(points).reshape(-1, 2)
-    return corners[np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1) > 1e-9]
