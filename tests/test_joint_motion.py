@@ -12,6 +12,7 @@ from salver.errors import ScenarioError
 from salver.geometry import GRAVITY_S, exp, log
 from salver.models.arm.arm import load_arm
 from salver.models.arm.arm_geometry import arm_geometry
+from salver.models.arm.arm_limits import VelocityByPosition
 from salver.planning.follow.limits import peaks, torques, verdict
 from salver.planning.follow.motion import follow, follow_scenario
 from salver.planning.follow.redundancy import Usage, first_choice, solve_path, tray_path
@@ -124,17 +125,33 @@ def test_redundancy_brings_speeds_down(cube):
 
 EVENLY = {"sharpness": 2}  # every share counts, not only the largest
 SINGULAR = {"singular": 10.0}
+BY_POSITION: dict[str, float] = {"sharpness": 4}  # with velocity limits that fall towards the ends of the range
 
 
 @pytest.mark.parametrize(
     ("duration", "order", "weights"),
-    [(0.6, 0, {}), (0.6, 1, {}), (0.6, 2, {}), (2.0, 0, {}), (0.6, 0, SINGULAR), (0.6, 1, EVENLY), (0.6, 2, EVENLY)],
+    [
+        *(
+            (0.6, 0, {}),
+            (0.6, 1, {}),
+            (0.6, 2, {}),
+            (2.0, 0, {}),
+            (0.6, 0, SINGULAR),
+            (0.6, 1, EVENLY),
+            (0.6, 2, EVENLY),
+        ),
+        *((0.6, 0, BY_POSITION), (0.6, 1, BY_POSITION)),
+    ],
 )
 def test_how_the_use_of_the_redundancy_changes_what_is_used_of_the_limits(panda, duration, order, weights):
     """The derivative by s, s', s'' of C q = s(t), where the tray's motion stays, against differences: of a motion near
     the limits of speed and torque, of a slow one with a ball behind the elbow, where singular postures are what matters
     most, and where everything matters."""
-    arm, path = panda, tray_path(tumbling(duration), *PLACES[1], np.linspace(0, duration, 31))
+    arm = panda
+    if weights is BY_POSITION:
+        ends = VelocityByPosition(arm.limits.q_min - 0.1, arm.limits.q_max + 0.1, np.full(7, 2.0), np.full(7, 0.1))
+        arm = replace(arm, planning_limits=replace(arm.planning_limits, velocity_by_position=ends))
+    path = tray_path(tumbling(duration), *PLACES[1], np.linspace(0, duration, 31))
     postures, reached = postures_along(arm, path.p_SE, path.R_SE, start_posture_of(arm, path))
     assert reached == 31
     behind = arm.link_pose(postures[15], "panda_link4")[0] - [0.15, 0, 0]

@@ -147,9 +147,11 @@ def _slowest_joint(samples: Samples, scenario: Scenario) -> tuple[float, str]:
     order = [samples.names.index(name) for name in known] or list(range(len(samples.names)))
     if len(order) != arm.n:
         raise ScenarioError(f"{samples.source} has {len(order)} joints of {arm.name}, which has {arm.n}.")
-    steps = np.diff(samples.q[:, order], axis=0) / np.diff(samples.t)[:, None]
-    speed = np.abs(steps if samples.dq is None else np.concatenate([samples.dq[:, order], steps])).max(axis=0)
-    share = speed / arm.planning_limits.velocity
+    q = samples.q[:, order]
+    at, speed = 0.5 * (q[1:] + q[:-1]), np.diff(q, axis=0) / np.diff(samples.t)[:, None]
+    if samples.dq is not None:
+        at, speed = np.concatenate([q, at]), np.concatenate([samples.dq[:, order], speed])
+    share = np.abs(speed / arm.planning_limits.velocity_at(at, speed)[0]).max(axis=0)
     return float(share.max()), arm.joint_names[int(np.argmax(share))]
 
 

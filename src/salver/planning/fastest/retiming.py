@@ -298,9 +298,10 @@ def reachable_law(problem: TransportProblem, path: SplinePath, count: int = 201)
     left = np.repeat(np.arange(n), m)
     values = np.concatenate([(-a / (2 * du) + b / 2).ravel(), (a / (2 * du) + b / 2).ravel()])
     matrix = coo_matrix((values, (np.r_[row, row], np.r_[left, left + 1])), shape=(n * m, count)).tocsr()
-    speed = np.abs(path.derivatives(u, 1)[1])
+    postures, first = path.derivatives(u, 1)
+    speed, allowed = np.abs(first), limits.velocity_at(postures, first)[0]
     with np.errstate(divide="ignore"):
-        highest = np.min(np.where(speed > 1e-12, limits.velocity / np.maximum(speed, 1e-12), 1e6), axis=1) ** 2
+        highest = np.min(np.where(speed > 1e-12, allowed / np.maximum(speed, 1e-12), 1e6), axis=1) ** 2
     highest[0] = highest[-1] = 0.0
     result = linprog(-np.ones(count), A_ub=matrix, b_ub=-c.ravel(), bounds=np.column_stack([0 * highest, highest]))
     if result.x is None:

@@ -65,6 +65,8 @@ def peaks(arm: ArmModel, motion: JointMotion, bodies: Sequence[Body] = ()) -> li
         k, i = (int(x) for x in np.unravel_index(int(np.argmax(np.abs(share))), share.shape))
         value, time = float(values[k, i]), float(times[kind.of][k])
         bound = limits.bound(kind, i, value)
+        if kind.key == "velocity" and limits.velocity_by_position is not None:
+            bound = float(limits.velocity_at(curves["position"], curves["velocity"])[0][k, i])
         unit = kind.unit_of(arm.linear[i])
         found.append(Peak(kind.name, float(abs(share[k, i])), arm.joint_names[i], time, value, bound, unit))
     return found

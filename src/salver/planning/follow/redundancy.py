@@ -214,7 +214,10 @@ class Usage:
             for key, shares in self._shares.items()
         }
         by_value = {kind.key: by[kind.key] / arm.planning_limits.range(kind)[1] for kind in LIMITS if kind.key in by}
+        limit, limit_by_q = arm.planning_limits.velocity_at(joints.q, joints.dq)
+        by_value["velocity"] = by["velocity"] / limit
         by_q, by_dq, by_ddq = (by_value[key].copy() for key in ("position", "velocity", "acceleration"))
+        by_q -= by_value["velocity"] * self._shares["velocity"] * limit_by_q
         model, data, frame = arm.pin_model, arm.data, arm.tray_id
         smallest, left, right = self._singular_values
         velocity_by_q, masses = np.empty_like(joints.jacobian), np.empty((len(joints.q), arm.n, arm.n))

@@ -11,7 +11,7 @@ import numpy as np
 
 from salver.geometry import Array, Indices
 from salver.models.arm.arm_geometry import ArmGeometry
-from salver.models.arm.arm_limits import LIMITS
+from salver.models.arm.arm_limits import LIMITS, JointLimits
 from salver.planning.trajopt.constraints.constraints import (
     FINEST,
     Block,
@@ -182,7 +182,26 @@ class Judged:
                 beyond += np.tile(np.maximum(radius[:-1], radius[1:]), 2)
             slows = 1.5 if order == 0 else 1.0 / order + 0.02
             row = Block(kind.name, beyond, no_gradient, self.along.nodes[:-1], (0.0, FINEST), order > 0, slows=slows)
-            yield from self.rows(constraint, [row.having(inherits=order < 3)])
+            rows = [row.having(inherits=order < 3)]
+            if order == 1 and constraint.limits.velocity_by_position is not None:
+                rows.append(row.having(values=self._velocity_by_position(constraint.limits)))
+            yield from self.rows(constraint, rows)
+
+    def _velocity_by_position(self, limits: JointLimits) -> Array:
+        """(N - 1, 2 n) dq + its radius <= v(q + its radius) towards either end: v is concave, so v of a motion between
+        two instants is at least what the Bernstein coefficients of v at those of q make."""
+        by_position, n = limits.velocity_by_position, self.problem.n
+        assert by_position is not None
+        stray = extra = np.zeros((len(self.t) - 1, n))
+        if self.along.response is not None:
+            radii = (self.along.joint_radius(order) for order in (0, 1))
+            stray, extra = (np.maximum(radius[:-1], radius[1:]) for radius in radii)
+        allowed = by_position.towards_ends(self._hulls[0], stray)[0]
+        share = np.arange(6)[:, None, None] / 5
+        quartic = np.pad(self._hulls[1], ((1, 1), (0, 0), (0, 0)))
+        dq = share * quartic[:-1] + (1 - share) * quartic[1:]  # as coefficients of a quintic
+        beyond = np.concatenate([dq + extra, extra - dq], axis=2) - allowed
+        return np.asarray(beyond.max(axis=0) / np.tile(limits.velocity, 2))
 
     @property
     def last(self) -> int:

@@ -245,9 +245,11 @@ def joint_charts(run: ReportedRun, limits: JointLimits) -> list[Spec]:
     """Joint velocity and torque as a share of their limits, one curve a joint."""
     charts = []
     for m in run.motions:
-        curves = {what: m.arrays[key] for what, key in (("velocity", "dq"), ("torque", "tau")) if key in m.arrays}
-        for what, share in limits.shares(curves).items():
-            if not np.all(np.isfinite(getattr(limits, what))):
+        names = {"position": "q", "velocity": "dq", "torque": "tau"}
+        shares = limits.shares({what: m.arrays[key] for what, key in names.items() if key in m.arrays})
+        for what in ("velocity", "torque"):
+            share = shares.get(what)
+            if share is None or not np.all(np.isfinite(getattr(limits, what))):
                 continue
             joints = [
                 curve(f"joint {j + 1}", CYCLE[j % len(CYCLE)], m.t, column, width=1.4)

@@ -183,7 +183,8 @@ def both_sides(scaled: Array, extra: Array | float = -1.0) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class JointLimit(Constraint):
-    """Position, velocity, acceleration, jerk: two rows for each joint with a finite limit.
+    """Position, velocity, acceleration, jerk: two rows for each joint with a finite limit; and two of the velocity by
+    position, where the arm has such limits.
 
     To position and velocity a parameter error, the zero-order hold and loads add what the arm strays; acceleration
     and jerk are those of the reference, as makers state their limits. orders: of the derivatives that are checked.
@@ -226,6 +227,28 @@ class JointLimit(Constraint):
             # A derivative of order k goes with T^-k; a little more, for what else is nonlinear.
             slows = 1.5 if order == 0 else 1.0 / order + 0.02
             yield Block(kind.name, values, gradient, points, scales=order > 0, slows=slows, inherits=order < 3)
+        if self.limits.velocity_by_position is not None and 1 in self.orders:
+            yield self._velocity_by_position(motion)
+
+    def _velocity_by_position(self, motion: MotionEvaluation) -> Block:
+        """dq + its radius <= v(q + its radius) towards the upper end, and likewise towards the lower one."""
+        by_position, whole, n = self.limits.velocity_by_position, self.limits.velocity, motion.n
+        assert by_position is not None
+        stray: Array | float = 0.0
+        extra: Array | float = 0.0
+        if motion.response is not None:
+            stray, extra = (motion.between_nodes(motion.joint_radius(order)) for order in (0, 1))
+        allowed, by_distance = by_position.towards_ends(motion.z[0], stray)
+        values = both_sides(motion.z[1] / whole, extra / whole) - allowed / np.tile(whole, 2)
+
+        def gradient(i: Indices, f: Indices) -> Array:
+            k, row, sign = f % n, np.arange(len(i)), np.where(f < n, 1.0, -1.0)
+            rows = np.zeros((len(i), 4 * n))
+            rows[row, k] = sign * by_distance[i, f] / whole[k]
+            rows[row, n + k] = sign / whole[k]
+            return rows
+
+        return Block("velocity", values, gradient, np.arange(len(motion.s)), slows=1.02)
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,193 @@
+"""Velocity limits that fall towards the ends of a joint's range, as the Franka Research 3 has them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import salver as sv
+from salver.driver.preflight import check_plan
+from salver.driver.robots.franka import check_franka
+from salver.geometry import Array
+from salver.models.arm.arm import load_arm
+from salver.planning.fastest import transport_problem
+from salver.planning.make import make_plan
+from salver.planning.plan import Plan
+from salver.planning.stops import with_stops
+from salver.planning.trajopt.constraints.constraints import JointLimit
+from salver.planning.verdict.judged import PLANNED, Judged
+from salver.planning.verdict.verify import verify
+from salver.scenario import Scenario, load
+from salver.trajectory import JointMotion
+
+
+def cube(**changes: object) -> Scenario:
+    """The Panda's cube on an FR3: at its start posture joint 6 is 0.3 rad from the end of its range, and the fastest
+    motion without these limits turned it at 186 % of them."""
+    return load("panda-cube").with_changes(arm__model="fr3", **changes)
+
+
+def upwards(q: Array) -> Array:
+    """libfranka, include/franka/rate_limiting.h, computeUpperLimitsJointVelocity, without its tolerance."""
+    q1, q2, q3, q4, q5, q6, q7 = np.moveaxis(q, -1, 0)
+    return np.stack(
+        [
+            np.minimum(2.62, np.maximum(0.0, -0.30 + np.sqrt(np.maximum(0.0, 12.0 * (2.75010 - q1))))),
+            np.minimum(2.62, np.maximum(0.0, -0.20 + np.sqrt(np.maximum(0.0, 5.17 * (1.79180 - q2))))),
+            np.minimum(2.62, np.maximum(0.0, -0.20 + np.sqrt(np.maximum(0.0, 7.00 * (2.90650 - q3))))),
+            np.minimum(2.62, np.maximum(0.0, -0.30 + np.sqrt(np.maximum(0.0, 8.00 * (-0.1458 - q4))))),
+            np.minimum(5.26, np.maximum(0.0, -0.35 + np.sqrt(np.maximum(0.0, 34.0 * (2.81010 - q5))))),
+            np.minimum(4.18, np.maximum(0.0, -0.35 + np.sqrt(np.maximum(0.0, 11.0 * (4.52050 - q6))))),
+            np.minimum(5.26, np.maximum(0.0, -0.35 + np.sqrt(np.maximum(0.0, 34.0 * (3.01960 - q7))))),
+        ],
+        axis=-1,
+    )
+
+
+def downwards(q: Array) -> Array:
+    """The same header, computeLowerLimitsJointVelocity."""
+    q1, q2, q3, q4, q5, q6, q7 = np.moveaxis(q, -1, 0)
+    return np.stack(
+        [
+            np.maximum(-2.62, np.minimum(0.0, 0.30 - np.sqrt(np.maximum(0.0, 12.0 * (2.750100 + q1))))),
+            np.maximum(-2.62, np.minimum(0.0, 0.20 - np.sqrt(np.maximum(0.0, 5.17 * (1.791800 + q2))))),
+            np.maximum(-2.62, np.minimum(0.0, 0.20 - np.sqrt(np.maximum(0.0, 7.00 * (2.906500 + q3))))),
+            np.maximum(-2.62, np.minimum(0.0, 0.30 - np.sqrt(np.maximum(0.0, 8.00 * (3.048100 + q4))))),
+            np.maximum(-5.26, np.minimum(0.0, 0.35 - np.sqrt(np.maximum(0.0, 34.0 * (2.810100 + q5))))),
+            np.maximum(-4.18, np.minimum(0.0, 0.35 - np.sqrt(np.maximum(0.0, 11.0 * (-0.54092 + q6))))),
+            np.maximum(-5.26, np.minimum(0.0, 0.35 - np.sqrt(np.maximum(0.0, 34.0 * (3.019600 + q7))))),
+        ],
+        axis=-1,
+    )
+
+
+def largest_share(motion: JointMotion) -> float:
+    """Of libfranka's limits, at every 0.1 ms."""
+    q, dq, _ = motion.sample(np.arange(0.0, motion.duration, 1e-4))
+    return float(np.max(np.where(dq > 0, dq / np.maximum(upwards(q), 1e-9), dq / np.minimum(downwards(q), -1e-9))))
+
+
+@pytest.fixture(scope="module")
+def fastest() -> Plan:
+    return make_plan(cube(), "fastest")
+
+
+def test_limits_are_libfrankas() -> None:
+    limits = load_arm(cube().arm, cube().tray).limits  # type: ignore[arg-type]
+    q = np.random.default_rng(1).uniform(limits.q_min, limits.q_max, (4000, 7))
+    q[:1000], q[1000:2000] = limits.q_max - 0.02 * q[:1000] ** 2, limits.q_min + 0.02 * q[1000:2000] ** 2
+    one = np.ones_like(q)
+    assert limits.velocity_at(q, one)[0] == pytest.approx(np.maximum(upwards(q), 1e-9), rel=1e-12)
+    assert limits.velocity_at(q, -one)[0] == pytest.approx(np.maximum(-downwards(q), 1e-9), rel=1e-12)
+    half = limits.scaled({"velocity": 0.5}).velocity_at(q, one)[0]
+    assert half == pytest.approx(np.maximum(0.5 * upwards(q), 1e-9), rel=1e-9)
+
+
+def test_a_share_of_the_velocity_is_of_the_limit_where_the_joint_is() -> None:
+    """12 rad/s^2 and .3 rad/s of joint 1, .19 rad from its end: sqrt(2.28) - .3 = 1.21 rad/s towards it."""
+    limits = load_arm(cube().arm, cube().tray).limits  # type: ignore[arg-type]
+    q = 0.5 * (limits.q_min + limits.q_max)
+    q[0], dq = 2.7501 - 0.19, np.eye(7)[0]
+    for sign, share in ((1.0, 1 / (np.sqrt(2.28) - 0.3)), (-1.0, -1 / 2.62)):
+        assert limits.shares({"position": q, "velocity": sign * dq})["velocity"][0] == pytest.approx(share)
+    assert limits.shares({"velocity": dq})["velocity"][0] == pytest.approx(1 / 2.62)  # nobody knows where
+
+
+def test_derivatives_of_the_rows_are_those_of_differences() -> None:
+    """At random states near either end of the range and beyond it, with what the arm strays."""
+    problem = transport_problem(cube())
+    limits, rng, n = problem.limits, np.random.default_rng(3), problem.n
+    nodes = 9
+    z = rng.normal(size=(4, nodes, n))
+    away = rng.uniform(-0.002, 0.6, (nodes, n))
+    z[0] = np.where(rng.random((nodes, n)) < 0.5, limits.q_max - away, limits.q_min + away)
+    s = np.linspace(0.0, 1.0, nodes)
+    here = problem.at(s, z, 1.0)
+    assert here.response is not None
+
+    def block(z: Array) -> tuple[Array, object]:
+        moved = replace(here, z=z)
+        vars(moved)["response"] = here.response  # the radii are not part of the derivative
+        made = list(JointLimit(limits, (1,)).blocks(moved))
+        assert [one.name for one in made] == ["velocity", "velocity"]
+        return made[1].values, made[1].gradient
+
+    values, gradient = block(z)
+    plain = (z[1] / limits.velocity)[:, :1] - limits.velocity_by_position.towards_ends(z[0])[0][:, :1] / 2.62 / 0.98
+    assert np.all(values[:, :1] > plain)  # with the radii
+    node, row = (each.ravel() for each in np.indices(values.shape))
+    slopes, h = gradient(node, row).reshape(nodes, 2 * n, 4, n), 1e-6
+    for order in range(4):
+        for joint in range(n):
+            moved = [z.copy(), z.copy()]
+            moved[0][order, :, joint] += h
+            moved[1][order, :, joint] -= h
+            difference = (block(moved[0])[0] - block(moved[1])[0]) / (2 * h)
+            assert slopes[:, :, order, joint] == pytest.approx(difference, abs=1e-5)
+    assert np.abs(slopes[:, :, 0]).max() > 1.0
+
+
+def test_the_fastest_motion_keeps_libfrankas_limits_and_is_at_one(fastest: Plan) -> None:
+    assert fastest.ok, fastest.verdict
+    assert fastest.joint is not None
+    assert 0.95 < largest_share(fastest.joint) <= 0.985  # 98 % are planned with
+    arm = load_arm(fastest.scenario.arm, fastest.scenario.tray)  # type: ignore[arg-type]
+    checks = check_plan(fastest, arm, fastest.scenario.payload.bodies) + check_franka(fastest, arm)
+    assert [check.sentence for check in checks if check.required and not check.ok] == []
+
+
+def test_the_verdict_refuses_what_is_too_fast_near_an_end(fastest: Plan) -> None:
+    """The same motion in nine tenths of its time, which all but these limits would allow."""
+    problem = replace(transport_problem(fastest.scenario), tracking=None, contacts=())
+    assert fastest.joint is not None
+    others = ("velocity", "acceleration", "jerk", "torque", "torque_rate")
+    limits = {key: 2.0 * getattr(problem.limits, key) for key in others}
+    free = replace(problem, limits=replace(problem.limits, **limits))
+    assert verify(free, fastest.joint, options=PLANNED).ok
+    joint = fastest.joint
+    hurried = JointMotion(0.9 * joint.t, joint.q, joint.dq / 0.9, joint.ddq / 0.81)
+    said = verify(free, hurried, options=PLANNED).sentence
+    assert said.startswith("velocity of fr3_joint6 would be exceeded by "), said
+    without = replace(free, limits=replace(free.limits, velocity_by_position=None))
+    assert verify(without, hurried, options=PLANNED).ok
+
+
+def test_between_instants_the_verdict_bounds_what_a_fine_scan_finds(fastest: Plan) -> None:
+    problem = replace(transport_problem(fastest.scenario), tracking=None)
+    assert fastest.joint is not None
+    judged = Judged.of(problem, fastest.joint, PLANNED)
+    row = list(judged.joints(1))[1]
+    q, dq, _ = fastest.joint.sample(np.linspace(judged.t[:-1], judged.t[1:], 41).ravel())
+    allowed = problem.limits.velocity_by_position.towards_ends(q)[0]  # type: ignore[union-attr]
+    seen = (np.concatenate([dq, -dq], axis=1) - allowed) / np.tile(problem.limits.velocity, 2)
+    seen = seen.reshape(41, len(judged.t) - 1, 14).max(axis=0)
+    assert np.all(row.values >= seen - 1e-10)
+    near = seen > -0.2
+    assert np.max((row.values - seen)[near]) < 1e-3
+
+
+@pytest.mark.slow
+def test_safest_retimed_and_stopped_motions_keep_them_too(fastest: Plan) -> None:
+    assert fastest.joint is not None
+    safest = make_plan(cube(motion__duration=1.0), "safest")
+    retimed = sv.retime(fastest.joint.q[::20], cube())
+    stopping = with_stops(fastest)
+    for plan in (safest, retimed, stopping):
+        assert plan.ok, plan.verdict
+        assert largest_share(plan.joint) <= 0.985
+    assert stopping.stops is not None
+    for now in (0.2, 0.4, 0.6):
+        assert largest_share(stopping.stops.stopped(stopping.joint, now)) <= 1.0
+
+
+@pytest.mark.slow
+def test_a_live_motion_keeps_them_too() -> None:
+    live = sv.Live(cube(), lead=0.1)
+    assert live.goto((0.444272, 0.100574, 0.4)).ok
+    live.plan(60.0)
+    for k in range(40):
+        live.command(0.05 * k)
+    assert np.abs(live.committed.motion.q[-1] - live.problem.start_posture).max() > 0.1
+    assert largest_share(live.committed.motion) <= 1.0
