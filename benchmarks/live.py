@@ -29,7 +29,7 @@ from live_arrivals import HIGHEST, LOWEST, arrival, arrived
 from live_page import faster, row
 from live_runs import EVERY, drive, executed, halted, in_turn, rows_of
 from live_streams import SECONDS, STREAMS, clipped, stream
-from salver.campaigns.summary import DROPPED, FAR
+from salver.campaigns.summary import DROPPED, LARGEST_SLIP
 from salver.errors import Status
 from salver.files import read_json, write_atomic
 from salver.live import Live
@@ -73,7 +73,7 @@ def lost(problem: TransportProblem, motion: JointMotion, rng: np.random.Generato
     uncertain = plan.uncertain
     corner = uncertain.nominal + uncertain.half_range * rng.choice([-1, 1], len(uncertain.names))
     run = sv.simulate(plan, parameters=dict(zip(map(str, uncertain.names), corner.tolist(), strict=True)))
-    return run.outcome in LOST or max(item["peak_slip"] for item in run.summary["objects"]) > FAR
+    return run.outcome in LOST or max(item["peak_slip"] for item in run.summary["objects"]) > LARGEST_SLIP
 
 
 def goals(scenario: sv.Scenario, rng: np.random.Generator) -> tuple[Planned, tuple, dict[str, float]]:

@@ -26,7 +26,7 @@ import numpy as np
 
 from fastest import scenarios as loads
 from salver.campaigns import instant_of_run, parameters_of_run, run_campaign
-from salver.campaigns.summary import DROPPED, FAR
+from salver.campaigns.summary import DROPPED, LARGEST_SLIP
 from salver.control.arm import ArmState
 from salver.driver.stops import CoolStop
 from salver.files import read_json, write_json
@@ -165,7 +165,7 @@ def cool(place: Path, plan: Plan, n: int) -> dict[str, int]:
         now = instant_of_run(0, run, plan.duration)
         record = simulate(cooled(plan, now), parameters=parameters, seed=seed, stop_at=now)
         slip = max(item["peak_slip"] for item in record.summary["objects"])
-        lost += record.outcome in DROPPED or slip > FAR
+        lost += record.outcome in DROPPED or slip > LARGEST_SLIP
     return {"runs": n, "lost": lost}
 
 

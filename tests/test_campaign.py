@@ -307,7 +307,7 @@ def test_a_campaign_is_not_finished_by_other_versions(run_dir):
     actual = summary["provenance"]["versions"]["mujoco"]
     summary["provenance"]["versions"]["mujoco"] = "3.0.0"
     path.write_text(json.dumps(summary))
-    with pytest.raises(SalverError, match=f"was begun with mujoco 3.0.0 .now {actual}.; go on with those versions"):
+    with pytest.raises(SalverError, match=f"was begun with mujoco 3.0.0 .now {actual}.; continue with those versions"):
         run_campaign(run_dir, n=6, engine="closed-loop", jobs=1)
     assert json.loads(path.read_text()) == summary
 
@@ -328,12 +328,12 @@ def test_two_campaigns_at_once_in_one_directory_are_refused(run_dir):
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
-        ({"n": 0}, "A campaign of 0 runs"),
+        ({"n": 0}, "The number of runs is 0"),
         ({"method": "random"}, 'no sampling method "random"'),
         ({"engine": "gazebo"}, 'no engine "gazebo"; known are physics, closed-loop'),
         ({"stems": ["fast"]}, 'has no plan "fast" .*; it has plan, baseline'),
         ({"seed": -1}, "The seed is -1"),
-        ({"jobs": 0}, "0 jobs"),
+        ({"jobs": 0}, "The number of jobs is 0"),
     ],
 )
 def test_wrong_use_is_one_sentence_and_leaves_nothing(run_dir, options, sentence):

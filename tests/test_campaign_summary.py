@@ -204,7 +204,7 @@ def test_a_table_is_what_another_reader_of_parquet_reads(tmp_path):
 @pytest.mark.parametrize("content", [b"", b"PAR1", b"stem,run\nplan,0\n", b"PAR1" + bytes(40)])
 def test_what_is_no_table_is_refused(tmp_path, content):
     (tmp_path / "runs.parquet").write_bytes(content)
-    with pytest.raises(FileFormatError, match=r"runs\.parquet is no Parquet file, or was cut off\."):
+    with pytest.raises(FileFormatError, match=r"runs\.parquet is not a Parquet file, or is truncated\."):
         read_table(tmp_path / "runs.parquet")
 
 

@@ -303,7 +303,7 @@ def test_a_damaged_line_costs_one_run_and_a_sentence(run, damage):
     damaged = journal.read_bytes()
     with Journal(run / "campaign") as opened:
         assert len(opened.records) == 7
-        assert opened.notes == [f"{journal}: line 3 is damaged; what was lost is made again, the damaged file is kept."]
+        assert opened.notes == [f"{journal}: line 3 is damaged; those runs are repeated, the damaged file is kept."]
     assert (run / "campaign" / "journal-1.jsonl").read_bytes() == damaged
 
 

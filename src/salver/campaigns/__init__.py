@@ -1,7 +1,7 @@
-"""Many perturbed runs of several plans on the same samples, in parallel, resumable, each reproducible alone.
+"""Campaigns: many perturbed runs of several plans on the same samples, in parallel, resumable, each reproducible.
 
-`run_campaign(directory, ...)` does it; `parameters_of_run(directory, k)` and `seed_of_run` say what run k was, so that
-`salver simulate DIR --run k` repeats it.
+`run_campaign(directory, ...)` runs one; `parameters_of_run(directory, k)` and `seed_of_run` give the parameters and the
+seed of run k, so that `salver simulate DIR --run k` repeats it.
 """
 
 from salver.campaigns.definition import (

@@ -1,4 +1,4 @@
-"""The definition of a campaign: plans, number of runs, samples. Everything a run depends on is in here."""
+"""The definition of a campaign: everything that its runs depend on, such as plans, number of runs and samples."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ Engine = Literal["physics", "closed-loop"]
 ENGINES: tuple[str, ...] = get_args(Engine)
 SUMMARY = "campaign.json"
 DEFAULT_FOLDER = "campaign"
-STOPS_FOLDER = "stops"  # of a campaign of stopped runs
-MOST_RUNS = 200_000  # of all plans together: records of some 5 kB each
+STOPS_FOLDER = "stops"  # default folder of a campaign with stops
+MOST_RUNS = 200_000  # of all plans together, about 5 kB each
 
 
 @dataclass(frozen=True)
 class Definition:
-    """n runs with the samples of (method, seed) for every plan.
+    """A campaign: n runs of each plan, with the samples that method and seed give.
 
-    plans: stem of the plan's file -> digest of its content. scenario: digest of the resolved scenario.
+    plans: name of the plan -> its digest. scenario: digest of the resolved scenario.
     engine: "physics" (arm, tray and objects with contact) or "closed-loop" (eqs 18 and 19 alone, no contact).
-    stops: whether each run is stopped at an instant of its own.
+    stops: whether each run is stopped at a random instant.
     """
 
     scenario: str
@@ -47,21 +47,20 @@ class Definition:
     def in_words(self) -> str:
         return (
             f"{self.n} runs of {' and '.join(self.plans)} (scenario {self.scenario}), method {self.method}, "
-            f"seed {self.seed}, engine {self.engine}{', each stopped on its way' if self.stops else ''}"
+            f"seed {self.seed}, engine {self.engine}{', with stops' if self.stops else ''}"
         )
 
 
 def define(
     directory: Path, stems: Sequence[str], n: int, seed: int, method: str, engine: str, folder: str, stops: bool
 ) -> Definition:
-    """Definition of a campaign in a run directory. Raises SalverError, one sentence for each mistake."""
+    """Check and make the definition of a campaign in a run directory. Raises SalverError for a mistake."""
     if n < 1:
-        raise SalverError(f"A campaign of {n} runs was asked for; it needs at least 1.")
+        raise SalverError(f"The number of runs is {n}; it must be at least 1.")
     if n * len(stems) > MOST_RUNS:
         raise SalverError(
-            f"{n} runs of {len(stems)} plans were asked for; a campaign has at most {MOST_RUNS} in all, whose "
-            f"records fit "
-            "into the memory: use several folders with other seeds."
+            f"{n} runs of {len(stems)} plans are more than the {MOST_RUNS} that fit into the memory; use several "
+            "folders with other seeds."
         )
     if seed < 0:
         raise SalverError(f"The seed is {seed}; it must be 0 or more.")
@@ -79,11 +78,11 @@ def define(
         )
     inner = [body.inside for body in case.bodies if body.inner is not None]
     if engine == "closed-loop" and inner:
-        raise SalverError(f"The engine closed-loop does not know {inner[0]}; use physics.")
+        raise SalverError(f"The engine closed-loop does not model {inner[0]}; use physics.")
     if stops and engine != "physics":
-        raise SalverError(f"Stops are motions of an arm; the engine {engine} has none: use --engine physics.")
+        raise SalverError(f"Stops are motions of the arm, which the engine {engine} lacks; use --engine physics.")
     if not case.uncertain.size and not stops:
-        raise SalverError(f"Nothing is uncertain in {case.name}: all runs would be the same; use simulate for one run.")
+        raise SalverError(f"{case.name} has no uncertain parameters, so that all runs are equal; use salver simulate.")
     return Definition(
         case.digest, {stem: plan_digest(directory, stem) for stem in stems}, n, seed, method, engine, stops
     )
@@ -95,12 +94,12 @@ def load_scenario(directory: Path) -> scenario.Scenario:
 
 
 def samples(directory: Path, definition: Definition) -> tuple[tuple[str, ...], Array]:
-    """Names of the uncertain parameters and their values (n, n_p), absolute, in each parameter's unit."""
+    """Names of the uncertain parameters, and their true values (n, n_p) in SI units."""
     case = load_scenario(directory)
     if case.digest != definition.scenario:
         raise SalverError(
-            f"{directory / 'scenario.toml'} has the digest {case.digest}, but the campaign was made for "
-            f"{definition.scenario}; the scenario was changed afterwards."
+            f"{directory / 'scenario.toml'} has the digest {case.digest}, the campaign {definition.scenario}; the "
+            "scenario was changed since the campaign."
         )
     method: Any = definition.method
     drawn = sampling.draw(case.uncertain, definition.n, definition.seed, method, case.bodies)
@@ -108,17 +107,17 @@ def samples(directory: Path, definition: Definition) -> tuple[tuple[str, ...], A
 
 
 def seed_of_run(seed: int, run: int) -> int:
-    """Seed of the sensor noise of run number `run`, the same for every plan."""
+    """Seed of the sensor noise of run number `run`, equal for all plans."""
     return int(np.random.default_rng([seed, run, 1]).integers(2**31))
 
 
 def instant_of_run(seed: int, run: int, duration: float) -> float:
-    """Instant of the stop request of run number `run` of a campaign of stops, s, within the plan's duration."""
+    """Time of the stop request of run number `run` of a campaign with stops, s, between 0 and the plan's duration."""
     return float(np.random.default_rng([seed, run, 2]).uniform(0.0, duration))
 
 
 def read_definition(directory: str | Path, folder: str = DEFAULT_FOLDER) -> Definition:
-    """Definition of the campaign that a run directory holds. Raises SalverError when there is none."""
+    """Read the definition of a campaign from a run directory. Raises SalverError when there is none."""
     path = Path(directory) / folder / SUMMARY
     if not path.is_file():
         raise SalverError(f"{Path(directory)} holds no campaign ({folder}/{SUMMARY}); make one with `salver campaign`.")
@@ -126,20 +125,18 @@ def read_definition(directory: str | Path, folder: str = DEFAULT_FOLDER) -> Defi
 
 
 def definition_in(summary: Any, path: Path) -> Definition:
-    """The definition that a campaign.json holds. Raises FileFormatError when it is not one of salver's."""
+    """The definition in the content of a campaign.json. Raises FileFormatError when there is none."""
     found = summary.get("definition") if isinstance(summary, dict) else None
     kinds = {"scenario": str, "plans": dict, "n": int, "seed": int, "method": str, "engine": str, "stops": bool}
     if isinstance(found, dict):
-        found = {"stops": False, **found}  # of before there were any
+        found = {"stops": False, **found}  # campaigns of older versions
     if not isinstance(found, dict) or {key: type(value) for key, value in found.items()} != kinds:
-        raise FileFormatError(
-            f"{path} is not a campaign that salver wrote: it has no definition; move it away or use another --folder."
-        )
+        raise FileFormatError(f"{path} has no definition of a campaign; move it away, or use another --folder.")
     return Definition(**found)
 
 
 def parameters_of_run(directory: str | Path, run: int, folder: str = DEFAULT_FOLDER) -> tuple[dict[str, float], int]:
-    """Parameters (absolute values, by name) and seed of run number `run` (0-based) of a directory's campaign."""
+    """True parameters by name, in SI units, and seed of run number `run`, from 0, of a directory's campaign."""
     definition = read_definition(directory, folder)
     if not 0 <= run < definition.n:
         raise SalverError(f"There is no run {run}; the campaign has the runs 0 to {definition.n - 1}.")
@@ -148,6 +145,6 @@ def parameters_of_run(directory: str | Path, run: int, folder: str = DEFAULT_FOL
 
 
 def stop_of_run(directory: str | Path, run: int, duration: float, folder: str = DEFAULT_FOLDER) -> float | None:
-    """Instant at which run number `run` of a directory's campaign stops a plan of that duration, s, or None."""
+    """Time of the stop request of run number `run` of a directory's campaign, s, or None without stops."""
     definition = read_definition(directory, folder)
     return instant_of_run(definition.seed, run, duration) if definition.stops else None

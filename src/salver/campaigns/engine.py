@@ -1,4 +1,4 @@
-"""The campaign itself: what is left to do, done in parallel, journaled, put together into a table and a summary."""
+"""Run a campaign: the missing runs in parallel, with a journal, then a table and a summary."""
 
 from __future__ import annotations
 
@@ -35,15 +35,16 @@ if TYPE_CHECKING:
     import pandas
 
 TABLE = "runs.parquet"
-FEW = 4  # runs, or blocks of them, that are made in this process: to load the engine in others takes as long
+MOST_SERIAL = 4  # batches that run in this process, because loading the engine in others takes as long
 Progress = Callable[[int, int, Counter[tuple[str, str]]], None]
 
 
 @dataclass(frozen=True, repr=False)
 class Campaign(Shown):
-    """A finished campaign. summary: what campaign.json holds. folder: where it and runs.parquet are.
+    """A finished campaign.
 
-    notes: what was found damaged and made again, as sentences.
+    folder: holds campaign.json and runs.parquet. summary: content of campaign.json. notes: sentences about damaged
+    records that were made again.
     """
 
     folder: Path
@@ -78,28 +79,32 @@ def run_campaign(
     *,
     stops: bool = False,
 ) -> Campaign:
-    """n runs of each plan of a run directory, all plans on the same samples; goes on where an earlier one stopped.
+    """Run each plan of a run directory n times, all plans on the same samples; an interrupted campaign resumes.
 
-    stems: plans to run (default: plan and baseline). jobs: processes (default: all cores, but one for FEW runs).
-    progress(done, total, outcomes by (stem, outcome)) is called after
-    each run. folder: in the run directory, "campaign" or with stops "stops" unless given. stops: stop each run by the
-    plan's own stops, at a random instant of its own; of plans that have stops.
-    Raises SalverError when the folder holds another campaign: nothing is overwritten.
+    Args:
+        stems: names of the plans to run; default: the first two of "plan", "baseline" and "nominal" that exist.
+        jobs: processes; default: one for each core, or this process for at most `MOST_SERIAL` batches.
+        folder: in the run directory; default: "campaign", or "stops" with stops.
+        progress: called as progress(done, total, counts by (stem, outcome)) after each run.
+        stops: stop each run at a random instant by the plan's own stops; only for plans with stops.
+
+    Raises:
+        SalverError: a mistake, or another campaign in the folder, which is not overwritten.
     """
     directory = Path(directory)
     folder = (STOPS_FOLDER if stops else DEFAULT_FOLDER) if folder is None else folder
     stems = _chosen(directory, stems or (), stops)
     if jobs is not None and jobs < 1:
-        raise SalverError(f"{jobs} jobs were asked for; it needs at least 1.")
+        raise SalverError(f"The number of jobs is {jobs}; it must be at least 1.")
     definition = define(directory, stems, n, seed, method, engine, folder, stops)
     for stem in stems:
-        load(directory, stem)  # raises when it was edited since, also when no run is left to be made
+        load(directory, stem)  # raises when it was edited, even if no run is missing
     place = directory / folder
     _claim(place, definition)
     with Journal(place) as journal:
-        previous = _claim(place, definition)  # again: another process may have come first
+        previous = _claim(place, definition)  # again, because another process may have been faster
         if previous is None and journal.records:
-            raise SalverError(f"{place} holds runs but no {SUMMARY} that says what they are; use another --folder.")
+            raise SalverError(f"{place} holds runs but no {SUMMARY} that describes them; use another --folder.")
         wanted = {(stem, run) for stem in stems for run in range(n)}
         journal.records = {item: record for item, record in journal.records.items() if item in wanted}
         counts = Counter((r["stem"], r["outcome"]) for r in journal.records.values())
@@ -112,7 +117,7 @@ def run_campaign(
         if batches:
             head = {"complete": False, "definition": asdict(definition), "provenance": _provenance(directory)}
             write_json(place / SUMMARY, head)
-        with closing(_results(context, batches, jobs or (_cores() if len(batches) > FEW else 1))) as results:
+        with closing(_results(context, batches, jobs or (_cores() if len(batches) > MOST_SERIAL else 1))) as results:
             for records in results:
                 for record in records:
                     journal.append(record)
@@ -132,8 +137,8 @@ def run_campaign(
 
 
 def _chosen(directory: Path, stems: Sequence[str], stops: bool) -> list[str]:
-    """Whose runs are made: of the plans named, or of the plan and what stands beside it. Raises SalverError."""
-    load_scenario(directory)  # raises where there is none
+    """Names of the plans to run: `stems`, or the first two in the directory. Raises SalverError."""
+    load_scenario(directory)  # raises without a scenario
     known = known_stems(directory)
     if stops:
         known = [stem for stem in known if _has_stops(load(directory, stem))]
@@ -153,7 +158,7 @@ def _has_stops(plan: Plan | MultiLegPlan) -> bool:
 
 
 def _claim(place: Path, definition: Definition) -> dict[str, Any] | None:
-    """The content of campaign.json, if this campaign may continue it; SalverError if not."""
+    """The content of an existing campaign.json. Raises SalverError unless this campaign continues that one."""
     path = place / SUMMARY
     if not path.is_file():
         return None
@@ -161,21 +166,21 @@ def _claim(place: Path, definition: Definition) -> dict[str, Any] | None:
     existing = definition_in(previous, path)
     if not definition.extends(existing):
         raise SalverError(
-            f"{place} holds another campaign: {existing.in_words()}; asked for were {definition.in_words()}. "
+            f"{place} holds another campaign: {existing.in_words()}; the new one is {definition.in_words()}. "
             "Use another --folder to keep both."
         )
     return dict(previous)
 
 
 def _same_versions(place: Path, before: Any, now: dict[str, Any]) -> None:
-    """A table must not be made half by one engine and half by another."""
+    """Raise SalverError when other versions began the campaign, because all its runs must use the same."""
     if not isinstance(before, dict) or not isinstance(before.get("versions"), dict):
         raise FileFormatError(f"{place / SUMMARY} does not say which versions made it; use another --folder.")
     old, new = ({"salver": p.get("salver"), **p["versions"]} for p in (before, now))
     changed = [f"{name} {old.get(name)} (now {new[name]})" for name in new if old.get(name) != new[name]]
     if changed:
         raise SalverError(
-            f"{place} was begun with {', '.join(changed)}; go on with those versions, or use another --folder."
+            f"{place} was begun with {', '.join(changed)}; continue with those versions, or use another --folder."
         )
 
 
@@ -188,7 +193,7 @@ def _cores() -> int:
 
 
 def _batches(items: set[Item], stems: Sequence[str], engine: str) -> list[workers.Batch]:
-    """Work in the order of the runs, all plans of a run next to each other, so that a stopped campaign is paired."""
+    """Batches in the order of the runs, run k of all plans together, so that an interrupted campaign has pairs."""
     size = BLOCK if engine == "closed-loop" else 1
     blocks: dict[tuple[int, int], list[int]] = {}
     for stem, run in items:

@@ -1,8 +1,8 @@
-"""The journal: one line for each finished run, appended at once, so that a kill at any moment loses nothing finished.
+"""The journal of a campaign: one line for each finished run, written at once, so that an interruption loses none.
 
-A line that was cut off by the kill is dropped on reading, and that run is done again. So is a line that was damaged
-since (each carries a checksum); the journal is then kept as it was, numbered, beside the repaired one. One process
-writes; a lock that the operating system gives up when the process dies keeps a second one out.
+When a journal is read, an incomplete last line is dropped, and that run is repeated; so are damaged lines (each has a
+checksum), and the damaged journal is kept, numbered, beside the repaired one. A lock, which the operating system
+releases when the process ends, admits only one process.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ Item = tuple[str, int]  # (stem, run)
 
 
 class Journal:
-    """Records of finished runs by (stem, run); `with` holds the lock."""
+    """Records of finished runs by (stem, run); a context manager that holds the lock."""
 
     def __init__(self, folder: Path) -> None:
         self.path = folder / "journal.jsonl"
         self._lock_path = folder / "lock"
         self.records: dict[Item, Record] = {}
-        self.notes: list[str] = []  # what was found damaged, as sentences
+        self.notes: list[str] = []  # sentences about damaged lines
 
     def __enter__(self) -> Journal:
         try:
@@ -60,7 +60,7 @@ class Journal:
         os.close(self._lock)
 
     def append(self, record: Record) -> None:
-        """Add a finished run, to the disk before the next one. Raises SalverError when the disk is full or gone."""
+        """Write a finished run to the disk. Raises SalverError when the disk is full or missing."""
         left = memoryview(_line(record))
         try:
             while left:
@@ -68,12 +68,13 @@ class Journal:
             os.fsync(self._file)
         except OSError as error:
             raise SalverError(
-                f"{self.path} cannot be written ({error.strerror}); finished runs are kept; the same command goes on."
+                f"{self.path} cannot be written ({error.strerror}); finished runs are kept: repeat the command to "
+                "continue."
             ) from None
         self.records[record["stem"], record["run"]] = record
 
     def _repair(self) -> None:
-        """Take in all sound lines; what is between them is set aside, with a note, and what was cut off is dropped."""
+        """Read all valid lines; if others are damaged, keep the old file with a note; drop an incomplete last one."""
         if not self.path.is_file():
             return
         *lines, cut = self.path.read_bytes().split(b"\n")
@@ -89,13 +90,13 @@ class Journal:
             set_aside(self.path)
             shown = ", ".join(map(str, damaged[:5])) + (", ..." if len(damaged) > 5 else "")
             what = f"line {shown} is" if len(damaged) == 1 else f"{len(damaged)} lines ({shown}) are"
-            self.notes.append(f"{self.path}: {what} damaged; what was lost is made again, the damaged file is kept.")
+            self.notes.append(f"{self.path}: {what} damaged; those runs are repeated, the damaged file is kept.")
         if damaged or cut:
             write_atomic(self.path, b"".join(line + b"\n" for line in sound))
 
 
 def _line(record: Record) -> bytes:
-    """A record as a line, with the checksum of the rest."""
+    """A record as a line, with a checksum."""
     return _dumped({**record, "check": _check(record)}) + b"\n"
 
 
@@ -108,7 +109,7 @@ def _check(record: Record) -> int:
 
 
 def _record(line: bytes) -> dict[str, Any] | None:
-    """The record of a line, or None when it is not what was written."""
+    """The record of a line, or None if it is damaged."""
     try:
         record = json.loads(line)
         if record.pop("check") != _check(record):

@@ -1,4 +1,4 @@
-"""One run: a plan, true parameters, an engine; a flat record of scalars comes back."""
+"""Single runs of a campaign, from plan, true parameters and engine to a flat record of scalars."""
 
 from __future__ import annotations
 
@@ -22,20 +22,20 @@ if TYPE_CHECKING:
     from salver.simulation.physics import Experiment
     from salver.simulation.round import RoundExperiment, RoundRecord
 
-# Runs that the engine-free rollout integrates side by side. Always as many, at the same places: linear algebra on
-# fewer rows may round differently, and a resumed campaign must give the very same table.
+# Runs that the closed-loop engine integrates together. The block of a run is always complete and in the same order,
+# because linear algebra on fewer rows may round differently, and a resumed campaign must give an equal table.
 BLOCK = 16
-SPACING = 0.01  # s between the instants at which the engine-free rollout is looked at
+SPACING = 0.01  # s between the instants at which the closed-loop engine checks the tube
 
 Scalars = dict[str, float | str | bool | None]
 
-# Of the machine or the plan, not of the run: the table must not depend on them.
+# Entries of a summary that depend on the machine or the plan; the table leaves them out.
 NOT_OF_THE_RUN = ("wall_time", "provenance", "thresholds", "method", "with_arm", "duration", "tube")
 
 
 @dataclass(frozen=True)
 class Context:
-    """The input of a worker; it reads the rest from the run directory, once."""
+    """The input of a worker, which reads plans and samples from the run directory once."""
 
     directory: Path
     definition: Definition
@@ -70,7 +70,7 @@ class Context:
         return dict(zip(names, map(float, values[run]), strict=True))
 
     def execute(self, stem: str, runs: Sequence[int]) -> list[dict[str, Any]]:
-        """Records of some runs of one plan. A run that cannot be made says why, as its outcome."""
+        """Records of some runs of one plan; a run that fails has the outcome "error" and a sentence."""
         begin = time.perf_counter()
         drawn = [self.parameters(run) for run in runs]
         seeds = [seed_of_run(self.definition.seed, run) for run in runs]
@@ -96,7 +96,7 @@ def _physics(
     seeds: Sequence[int],
     stops: Sequence[float | None],
 ) -> list[Scalars]:
-    """Arm, tray and objects in the physics engine; each run is stopped at an instant, s, or not."""
+    """Scalars of runs in the physics engine. stops: s, time of the stop request of each run, or None."""
     from salver.simulation.round import RoundExperiment
 
     results: list[Scalars] = []
@@ -118,7 +118,7 @@ def _physics(
 
 
 def _closed_loop(plan: Plan, runs: Sequence[int], drawn: Sequence[Mapping[str, float]]) -> list[Scalars]:
-    """The object under its controller alone (eqs 18, 19): what the tubes are tubes of, no contact, no arm."""
+    """Scalars of runs of the object under its controller alone (eqs 18, 19), without contact and arm, as for tubes."""
     from salver.control.object import Gains
     from salver.simulation.closed_loop import rollout
 
@@ -146,20 +146,20 @@ def _closed_loop(plan: Plan, runs: Sequence[int], drawn: Sequence[Mapping[str, f
 
 
 def _stride(t: Array) -> int:
-    """Every how many instants (a divisor of their number) the rollout is checked: about every SPACING."""
+    """Number of instants from one check of a rollout to the next, about SPACING; a divisor of len(t) - 1."""
     count = len(t) - 1
     wanted = max(1, int(SPACING / (t[-1] - t[0]) * count))
     return next(k for k in range(wanted, 0, -1) if count % k == 0)
 
 
 def tube_scalars(plan: Plan, t: Array, coefficients: Array) -> Scalars:
-    """Least cone coefficient of a run, and how far the coefficients left the plan's tube (negative: stayed within).
+    """Least cone coefficient of a run, and the excess of its coefficients over the plan's tube (negative: inside).
 
-    coefficients: (T, n_lambda) at t (T,); only the time of the motion counts. tube_excess: largest of
-    |Lambda - nominal| - radius, N; tube_excess_relative: the same as a share of the largest radius;
-    tube_excess_settled: that share once the controller's start-up has died away (to 2 %, at 8 / kd). Until then the two
-    differ in kind: a tube of eq (19) starts with no width, because the controller starts with the nominal wrench, while
-    an object that rests on a real tray presses with its true weight from the first instant.
+    coefficients: (T, n_lambda) at t (T,); only those during the motion count. tube_excess: largest
+    |Lambda - nominal| - radius, N. tube_excess_relative: as a share of the largest radius. tube_excess_settled: that
+    share from 8 / kd on, when the controller's transient has decayed to 2 %. Before, run and tube are not comparable:
+    the tube of eq (19) starts with zero width, because the controller starts with the nominal wrench, whereas an object
+    on a real tray presses with its true weight from the start.
     """
     if coefficients is None or not len(plan.cone_radius):
         return {}
@@ -188,8 +188,8 @@ def _largest(excess: Array, radius: float) -> float | None:
 
 
 def run_scalars(summary: Mapping[str, Any]) -> Scalars:
-    """The figures of a run, flat: the object's own by their names; with several objects theirs with `object.` in
-    front, and the largest of each peak_ over all without."""
+    """The scalars of a run's summary. With several objects their entries have the prefix `object.`, and each peak_
+    without a prefix is the largest over all objects."""
     scalars: Scalars = {}
     for key, value in summary.items():
         if isinstance(value, Mapping) and key not in NOT_OF_THE_RUN:
@@ -203,13 +203,13 @@ def run_scalars(summary: Mapping[str, Any]) -> Scalars:
         scalars |= {prefix + key: value for key, value in own.items() if prefix or key != "outcome"}
     if len(objects) > 1:
         for key in dict.fromkeys(key for item in objects for key in item if key.startswith("peak_")):
-            scalars[key] = max(float(item[key]) for item in objects if key in item)  # not all have what moves inside
+            scalars[key] = max(float(item[key]) for item in objects if key in item)  # liquids have more keys
     return scalars
 
 
 def round_scalars(record: RoundRecord) -> Scalars:
-    """The figures of a run of several legs, flat: the worst of all legs, which leg the outcome is of, its stop, and the
-    outcome and the slip on each."""
+    """The scalars of a run of several legs: the worst values of all legs, the leg with the outcome, the stop, and
+    outcome and slip on each leg."""
     from salver.simulation.round import OF_A_STOP
 
     legs = [run_scalars(leg.summary) for leg in record.legs]

@@ -1,4 +1,4 @@
-"""From finished runs to a table (Parquet) and to what can be said of them, with intervals."""
+"""The table of finished runs (Parquet), and their summary with confidence intervals."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from salver.errors import FileFormatError
 from salver.files import write_atomic
 from salver.statistics import clopper_pearson, mcnemar, quantiles
 
-DROPPED = ("tips", "lifts", "lost")  # outcomes of a load that did not stay, and
-FAR = 5e-3  # m of slip from where on it counts as lost too
+DROPPED = ("tips", "lifts", "lost")  # outcomes of a stopped run that count as a loss of the load
+LARGEST_SLIP = 5e-3  # m; a larger slip counts as a loss too
 MAGIC = b"PAR1"  # at both ends of a Parquet file
-TUBE_TOLERANCE = 0.01  # of the largest radius: what first order may miss before a run counts as outside
+TUBE_TOLERANCE = 0.01  # excess, as a share of the largest radius, up to which a run counts as inside its tube
 
-# From what was wanted to what must not be; an outcome that is not listed is worst.
+# From best to worst; an outcome that is not listed is worst.
 SEVERITY = ("holds", "leaves cone", "limit", "slides", "swings", "spills", "lifts", "tips", "lost", "crashed", "error")
 SUMMARISED = (
     "peak_slip",
@@ -39,7 +39,7 @@ Row = dict[str, Any]
 
 
 def table(records: Mapping[Item, Record], stems: Sequence[str]) -> list[Row]:
-    """One row per run and plan: stem, run, outcome, parameters by name, scalars; by run, then in the order of plans."""
+    """One row for each run and plan, sorted by run, then by plan: stem, run, outcome, parameters by name, scalars."""
     order = {stem: rank for rank, stem in enumerate(stems)}
     rows = [
         {"stem": r["stem"], "run": r["run"], "outcome": r["outcome"], **r["parameters"], **r["scalars"]}
@@ -49,7 +49,7 @@ def table(records: Mapping[Item, Record], stems: Sequence[str]) -> list[Row]:
 
 
 def write_table(path: Path, rows: Sequence[Row]) -> str:
-    """Parquet, columns in the order of first appearance; returns its digest. The same rows give the same bytes."""
+    """Write rows as Parquet, columns in order of first appearance; returns the digest. Equal rows give equal bytes."""
     from arro3.core import Array, DataType, Table
     from arro3.io import write_parquet
 
@@ -72,16 +72,16 @@ def write_table(path: Path, rows: Sequence[Row]) -> str:
 
 
 def read_table(path: str | Path) -> dict[str, list[Any]]:
-    """Columns of a runs.parquet, None where a run has no such value. Raises FileFormatError."""
+    """Read the columns of a runs.parquet, None if a run has no such value. Raises FileFormatError."""
     return columns_of(Path(path).read_bytes(), Path(path))
 
 
 def columns_of(content: bytes, path: Path) -> dict[str, list[Any]]:
-    """The columns of what a runs.parquet holds."""
+    """The columns of a runs.parquet from its content. Raises FileFormatError, naming `path`."""
     from arro3.io import read_parquet
 
     if len(content) < 2 * len(MAGIC) or {content[: len(MAGIC)], content[-len(MAGIC) :]} != {MAGIC}:
-        raise FileFormatError(f"{path} is no Parquet file, or was cut off.")
+        raise FileFormatError(f"{path} is not a Parquet file, or is truncated.")
     found = read_parquet(io.BytesIO(content)).read_all()
     return {name: [value.as_py() for value in found[name]] for name in found.column_names}
 
@@ -89,7 +89,7 @@ def columns_of(content: bytes, path: Path) -> dict[str, list[Any]]:
 def summarise(
     rows: Sequence[Row], stems: Sequence[str], directory: Path, folder: str = DEFAULT_FOLDER
 ) -> dict[str, Any]:
-    """Outcome rates with 95 % Clopper-Pearson intervals, quantiles, tube coverage, worst runs, and plans in pairs."""
+    """Outcome rates with 95 % Clopper-Pearson intervals, quantiles, tube coverage, worst runs, comparison of plans."""
     by_stem = {stem: [row for row in rows if row["stem"] == stem] for stem in stems}
     return {
         "plans": {stem: _plan_summary(own, stem, directory, folder) for stem, own in by_stem.items()},
@@ -124,12 +124,12 @@ def _plan_summary(rows: Sequence[Row], stem: str, directory: Path, folder: str) 
 
 
 def _stops(rows: Sequence[Row]) -> dict[str, Any] | None:
-    """Counts of stopped runs: loads lost (tipped, lifted, off the tray, slipped over 5 mm), kept beyond a limit of
-    the arm, finished instead; times of the stops, s. None for runs that were not stopped."""
+    """Summary of stopped runs: number of lost loads (tipped, lifted, off the tray, slipped over 5 mm), of runs beyond
+    a limit of the arm, of runs that finished instead; times of the stops, s. None without stops."""
     stopped = [row for row in rows if _is_number(row.get("stop_at"))]
     if not stopped:
         return None
-    lost = sum(row["outcome"] in DROPPED or row.get("peak_slip", 0.0) > FAR for row in stopped)
+    lost = sum(row["outcome"] in DROPPED or row.get("peak_slip", 0.0) > LARGEST_SLIP for row in stopped)
     return {
         "lost": clopper_pearson(lost, len(stopped)).as_dict(),
         "beyond_a_limit": clopper_pearson(sum(row["outcome"] == "limit" for row in stopped), len(stopped)).as_dict(),
@@ -139,16 +139,16 @@ def _stops(rows: Sequence[Row]) -> dict[str, Any] | None:
 
 
 LEFT_TUBES = (
-    "A contact coefficient that leaves its tube does not mean that the load moved: the outcomes say that. A tube "
-    "bounds the paper's coefficients to first order for an arm that starts without error; the simulated arm starts "
-    "sagged under the true load."
+    "A contact coefficient outside its tube does not mean that the load moved; the outcomes show whether it did. A "
+    "tube bounds the paper's coefficients to first order for an arm that starts without error; the simulated arm "
+    "starts with a static deflection under the true load."
 )
 
 
 def _tube(rows: Sequence[Row]) -> dict[str, Any] | None:
     """Number of runs with a cone coefficient outside the plan's first-order tube, and the largest excess.
 
-    "left" counts excesses over TUBE_TOLERANCE of the tube's largest radius.
+    "left": runs with an excess over TUBE_TOLERANCE of the tube's largest radius.
     """
     excess = [
         (row["tube_excess_relative"], row["tube_excess"], row["run"])
@@ -170,7 +170,7 @@ def _tube(rows: Sequence[Row]) -> dict[str, Any] | None:
 
 
 def _pair(first: Sequence[Row], second: Sequence[Row], first_name: str, second_name: str) -> dict[str, Any]:
-    """Two plans on the runs that both have."""
+    """Comparison of two plans on the runs that both have."""
     a, b = ({row["run"]: row["outcome"] == "holds" for row in rows} for rows in (first, second))
     runs = sorted(a.keys() & b.keys())
     result = mcnemar([a[k] for k in runs], [b[k] for k in runs]).as_dict()
@@ -188,7 +188,7 @@ def severity(outcome: str) -> int:
 
 
 def badness(row: Row) -> tuple[int, float, float, int]:
-    """Orders runs: worst outcome first, then largest slip, then least cone coefficient; ties by the earlier run."""
+    """Sort key of runs: by outcome, then slip, then least cone coefficient, then number; the worst is largest."""
     slip = row.get("peak_slip")
     least = row.get("cone_least")
     return (

@@ -1,4 +1,4 @@
-"""Workers of a campaign: this process, or a pool of processes. Records come as runs finish."""
+"""Workers of a campaign: this process or a pool of processes, which yield records as runs finish."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ from salver.campaigns.runners import Context
 Batch = tuple[str, tuple[int, ...]]  # (stem, runs)
 Records = list[dict[str, Any]]
 
-ATTEMPTS = 3  # times that a batch is given to a worker that then dies, before its runs are called crashed
+ATTEMPTS = 3  # after so many workers have died on a batch, its runs have the outcome "crashed"
 
-# Linear algebra threads would fight over the cores with the other workers.
+# One thread of linear algebra for each worker, because all cores are in use.
 _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
-_context: Context | None = None  # of a pool's worker process
+_context: Context | None = None  # set in the worker processes of a pool
 
 
 def serial(context: Context, batches: Sequence[Batch]) -> Iterator[Records]:
-    """In this process, in order."""
+    """Run batches in this process, in order."""
     for stem, runs in batches:
         yield context.execute(stem, runs)
 
 
 def processes(context: Context, batches: Sequence[Batch], jobs: int) -> Iterator[Records]:
-    """In `jobs` processes. A worker that dies (killed, out of memory) costs its batch a second attempt."""
+    """Run batches in `jobs` processes. The batch of a worker that dies (killed, out of memory) is repeated."""
     attempts = dict.fromkeys(batches, 0)
     left = list(batches)
     while left:
@@ -61,7 +61,7 @@ def processes(context: Context, batches: Sequence[Batch], jobs: int) -> Iterator
 def _as_completed(
     pool: ProcessPoolExecutor, batches: Sequence[Batch], futures: dict[Future[Records], Batch], in_flight: int
 ) -> Iterator[tuple[Records, Batch]]:
-    """Results as they come, with few batches handed out at a time: an interrupted campaign has little to cancel."""
+    """Results as they finish; few batches are submitted at a time, so that an interrupt has little to cancel."""
     waiting = iter(batches)
     pending: set[Future[Records]] = set()
     while True:
@@ -72,14 +72,14 @@ def _as_completed(
         if not pending:
             return
         finished, pending = wait(pending, return_when=FIRST_COMPLETED)
-        # Results first: a pool that breaks fails all its pending futures at once.
+        # Results first, because all pending futures fail when a pool breaks.
         for future in sorted(finished, key=lambda f: f.exception() is not None):
             yield future.result(), futures[future]
 
 
 @contextmanager
 def _single_threaded() -> Iterator[None]:
-    """Processes started meanwhile inherit one thread each."""
+    """A context in which processes are started with one thread of linear algebra each."""
     before = {name: os.environ.get(name) for name in _ONE_THREAD}
     os.environ.update(dict.fromkeys(_ONE_THREAD, "1"))
     try:
@@ -101,7 +101,7 @@ def _initialise(context: Context) -> None:
 
 
 def _end_with(sentinel: int) -> None:
-    """A campaign that is killed leaves no worker behind."""
+    """End this worker when the campaign's process ends, even if that is killed."""
     connection.wait([sentinel])
     os._exit(1)
 

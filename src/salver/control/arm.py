@@ -2,11 +2,10 @@
 
     tau = J_b^T F_cmd + M_r u + C_r dq + N_r,        u = J_b^+ (V'_cmd - J_b' dq) + (1 - J_b^+ J_b) ddq_0
 
-F_cmd and V'_cmd are those of the object's controller, eq (19), with the errors of `salver.control.object`; closed
-on the pose, so that nothing drifts. J_b^T F_cmd is the paper's J_c^T F_c: while the object sticks, J_c = G^T J_b
-(eq 24). ddq_0 is an acceleration, where eq (25) prints a velocity: a posture task around the joint reference.
-
-One `ArmController` is stepped by the simulation and by a robot's driver alike, once per command period.
+F_cmd and V'_cmd are those of the object's controller, eq (19), with the errors of `salver.control.object`, which
+include the pose, so that there is no drift. J_b^T F_cmd is the paper's J_c^T F_c: while the object sticks,
+J_c = G^T J_b (eq 24). ddq_0 is the acceleration of a posture task around the joint reference; eq (25) prints a
+velocity. The simulation and a robot's driver both call `ArmController.step` once in each command period.
 """
 
 from __future__ import annotations
@@ -31,14 +30,14 @@ OBJECT_FRAME = "salver_object"
 POSTURE_GAINS = (100.0, 20.0)  # 1/s^2, 1/s: critically damped, slower than the object's own loop
 _ORIGIN = np.zeros(3)
 _GRAVITY = pin.Motion(GRAVITY_S, _ORIGIN)
-_SINGULAR = 1e-3  # smallest pivot of J J^T's Cholesky factor; below it the pseudo-inverse is damped by as much
+_SINGULAR = 1e-3  # with a smaller pivot of J J^T's Cholesky factor, the pseudo-inverse is damped by this amount
 
 
 @dataclass(slots=True)
 class ArmState:
-    """The measured state: joints q, dq (n,) in rad, rad/s; pose and twist of the object if it is seen.
+    """The measured state: joints q, dq (n,) in rad, rad/s; pose and twist of the object if they are measured.
 
-    p_SB (3,), R_SB (3, 3), v_S (3,), omega_B (3,) as in docs/conventions.md; needed with feedback = "object" only.
+    p_SB (3,), R_SB (3, 3), v_S (3,), omega_B (3,) as in docs/conventions.md; needed only with feedback = "object".
     """
 
     q: Array
@@ -51,10 +50,10 @@ class ArmState:
 
 @dataclass
 class Saturation:
-    """How often commanded torques were saturated, and how near they came to the limits.
+    """Statistics of the saturation of commanded torques.
 
-    steps: control periods so far. torque, torque_rate: periods in which some joint was cut back to its
-    limit. peak_share: largest demanded torque over its limit, before cutting.
+    steps: control periods so far. torque, torque_rate: periods in which the torque or the torque rate of a joint was
+    saturated. peak_share: largest demanded torque, before saturation, as a share of its limit.
     """
 
     steps: int = 0
@@ -64,7 +63,7 @@ class Saturation:
 
 
 class Course(Protocol):
-    """The reference of the joints as a loop reads it: `at(*instant(t))` is q, dq, ddq (n,) at time t, s."""
+    """A joint reference for a control loop: `at(*instant(t))` is q, dq, ddq (n,) at time t, s."""
 
     def instant(self, t: float) -> tuple[int, float]: ...
 
@@ -72,7 +71,7 @@ class Course(Protocol):
 
 
 class JointTable:
-    """A joint motion from time 0 at the multiples of a period, s; for a loop that has no time to evaluate splines."""
+    """A joint motion sampled at multiples of a period, s, for a control loop that has no time to evaluate splines."""
 
     def __init__(self, joint: JointMotion, period: float) -> None:
         self.period, self.duration = period, joint.duration
@@ -81,7 +80,7 @@ class JointTable:
         self._dddq = np.gradient(self.ddq, period, axis=0) if len(self.t) > 1 else np.zeros_like(self.ddq)
 
     def instant(self, t: float) -> tuple[int, float]:
-        """Nearest sample, and the time from there; 0 before the start and after the end."""
+        """Index of the nearest sample, and the time since it, s; that is 0 before the start and after the end."""
         if t <= 0.0:
             return 0, 0.0
         if t >= self.duration:
@@ -97,28 +96,31 @@ class JointTable:
 
 
 def wanted_acceleration(reference: tuple[Array, Array, Array], state: ArmState, gains: tuple[float, float]) -> Array:
-    """Commanded acceleration (n,) of the loop on the joints, from the reference q, dq, ddq and the tracking errors."""
+    """Commanded joint acceleration (n,) from the reference q, dq, ddq, the measured state, and gains (kp, kd)."""
     q, dq, ddq = reference
     kp, kd = gains
     return np.asarray(ddq + kp * (q - state.q) + kd * (dq - state.dq))
 
 
 class ArmController:
-    """Carries the first of `bodies` along `reference`; the others are a load that sticks to the tray.
+    """Computed-torque controller that moves the first of `bodies` along `reference`; the others stick to the tray.
 
-    arm: with its tray. bodies: nominal; all that the controller knows of what it carries.
-    joint: joint motion that follows the reference; posture of the null space, or all there is to follow. One that is
-    not known beforehand is a `Course`, with space = "joint".
-    reference: motion of the object; may be None with space = "joint".
-    gains: of the object's loop, eq (19); in joint space, kp[0] and kd[0] of every joint.
-    feedback: "joints": the object is where forward kinematics puts it, on its place on the tray; "object": its pose
-    and twist are measured.
-    space: "object" closes the loop on the object's pose; "joint" on the joints, for plans made in joint space.
-    period: s between calls of `step`; the reference is evaluated beforehand at its multiples.
-    limit_torque: cut torques and their rates to the maker's limits, as the robot does.
+    Args:
+        arm: the arm with its tray.
+        bodies: the nominal load; the controller uses no other parameters of it.
+        joint: joint motion that follows the reference: the posture in the null space, or with space = "joint" the only
+            reference. With space = "joint" it may be a `Course`, which is not known in advance.
+        reference: motion of the object; may be None with space = "joint".
+        gains: of the object's loop, eq (19); with space = "joint", kp[0] and kd[0] of every joint.
+        feedback: "joints": the pose of the object comes from forward kinematics, with the object at its place on the
+            tray; "object": its pose and twist are measured.
+        space: "object" closes the loop on the object's pose, "joint" on the joints, for plans made in joint space.
+        period: s between calls of `step`; the reference is sampled in advance at its multiples.
+        limit_torque: saturate torques and torque rates at the maker's limits, as the robot does.
+        posture_gains: kp, 1/s^2, and kd, 1/s, of the posture task.
 
-    Calls after the end hold the last posture, calls before t = 0 the first. The object has one work space: use one
-    controller per thread.
+    After the end `step` holds the last posture, before t = 0 the first. A controller has one work space: use one in
+    each thread.
     """
 
     def __init__(
@@ -155,7 +157,7 @@ class ArmController:
         self._joint = table = JointTable(joint, period) if isinstance(joint, JointMotion) else joint
         if reference is not None:
             if not isinstance(table, JointTable):
-                raise ValueError("a controller in object space needs a motion that is known beforehand")
+                raise ValueError("a controller in object space needs a JointMotion, not a Course")
             m = reference.sample(np.minimum(table.t, reference.duration))
             self._p, self._v, self._a = m.p_SB, m.v_S, m.a_S
             self._rotation, self._omega, self._alpha = m.R_SB, m.omega_B, m.alpha_B
@@ -164,12 +166,12 @@ class ArmController:
             self._at_samples = [_spatial(*sample) for sample in samples]
 
     def reset(self) -> None:
-        """Forget the last torque and the counts, before another run."""
+        """Clear the last torque and the counts of saturation, for another run."""
         self._previous = None
         self.saturation = Saturation()
 
     def take_over(self, other: ArmController) -> None:
-        """Go on where another controller stops: from its last torque, with its counts."""
+        """Continue from another controller's last torque and counts of saturation."""
         self._previous, self.saturation = other._previous, other.saturation
 
     def step(self, state: ArmState, t: float) -> Array:
@@ -197,9 +199,9 @@ class ArmController:
         return self._limited(pin.rnea(model, data, q, dq, ddq) + transposed.dot(wrench_B.vector))
 
     def _object_command(self, state: ArmState, index: int, offset: float, placement: Any) -> tuple[Any, Any]:
-        """Rate of the body twist that eq (19) asks for, and the wrench at B for it: spatial vectors in the axes of B.
+        """Commanded rate of the body twist, eq (19), and the wrench at B for it: spatial vectors in the axes of B.
 
-        Pinocchio's, because NumPy takes twice as long for vectors this short.
+        They are Pinocchio's, because NumPy takes twice as long for such short vectors.
         """
         target, target_twist, target_acceleration = self._reference_at(index, offset)
         if self.feedback == "object":
@@ -214,10 +216,10 @@ class ArmController:
         turn.rotation = error.rotation
         wanted_twist = turn.act(target_twist)
         wanted = turn.act(target_acceleration)
-        rate = wanted.vector  # a view: what is added changes `wanted`
+        rate = wanted.vector  # a view: additions change `wanted`
         rate += self._kd * (wanted_twist - twist).vector
         rate += self._kp * pin.Motion(error.translation, pin.log3(error.rotation)).vector
-        # The axes of B turn: a vector that stands still has the rate -omega x itself there.
+        # The axes of B turn: in them, a vector that is constant in S has the rate -omega x itself.
         turning.angular = twist.angular
         carried.linear, carried.angular = twist.linear, wanted_twist.angular
         acceleration = wanted - turning.cross(carried)
@@ -226,7 +228,7 @@ class ArmController:
         return acceleration, wrench_B
 
     def _reference_at(self, index: int, offset: float) -> tuple[Any, Any, Any]:
-        """The reference at an instant: pose in S, twist and acceleration (R*^T a*, alpha*) in its own axes."""
+        """The reference at an instant: pose in S, twist and acceleration (R*^T a*, alpha*) in the reference's axes."""
         if not offset:
             return self._at_samples[index]
         p, v, a = _ahead(offset, self._p[index], self._v[index], self._a[index], self._jerk[index])
@@ -234,7 +236,7 @@ class ArmController:
         return _spatial(p, self._rotation[index] @ pin.exp3(turn), v, omega, a, alpha)
 
     def _limited(self, torque: Array) -> Array:
-        """Cut to what the motors give, rate first; counted in `saturation`."""
+        """Saturate the torque's rate, then the torque, at the limits, and count it in `saturation`."""
         report = self.saturation
         report.steps += 1
         share = max((np.abs(torque) / self._torque_limit).tolist())
@@ -252,33 +254,32 @@ class ArmController:
 
 
 class PositionController(ArmController):
-    """A robot's own position control, as it looks from outside: each joint follows what it is told, `delay` s late,
-    like
+    """A model of a robot's internal position controller: each joint follows the commanded positions as
 
-        q'' + 2 damping rate q' + rate^2 q = rate^2 told(t - delay),
+        q'' + 2 damping rate q' + rate^2 q = rate^2 commanded(t - delay),
 
-    with a rate (n,) rad/s and a damping (n,) of critical of each joint. It knows the arm and `bodies`, nothing else.
-    Its motors give what they can at once: limits on the rate of a torque are those of the interface for torques.
+    with a rate (n,) in rad/s, a damping (n,) as a share of critical, and a delay in s. It uses the nominal arm and
+    `bodies`. Torque rates are not limited, because those limits are of a robot's torque interface.
     """
 
     def __init__(
-        self, arm: ArmModel, bodies: Sequence[Body], told: JointMotion, rate: Array, damping: Array, delay: float,
+        self, arm: ArmModel, bodies: Sequence[Body], commanded: JointMotion, rate: Array, damping: Array, delay: float,
         *, period: float = 1e-3,
     ) -> None:  # fmt: skip
-        super().__init__(arm, bodies, told, None, Gains((1.0, 1.0), (1.0, 1.0)), space="joint", period=period)
+        super().__init__(arm, bodies, commanded, None, Gains((1.0, 1.0), (1.0, 1.0)), space="joint", period=period)
         self._rate, self._damping, self._delay = rate, damping, delay
         self._torque_step = np.full_like(self._torque_limit, np.inf)
 
     def step(self, state: ArmState, t: float) -> Array:
         """Joint torques (n,), N m, for a state at time t, s."""
-        told = self._joint.at(*self._joint.instant(t - self._delay))[0]
-        ddq = self._rate * (self._rate * (told - state.q) - 2 * self._damping * state.dq)
+        commanded = self._joint.at(*self._joint.instant(t - self._delay))[0]
+        ddq = self._rate * (self._rate * (commanded - state.q) - 2 * self._damping * state.dq)
         return self._limited(pin.rnea(self._model, self._data, state.q, state.dq, ddq))
 
 
 @dataclass
 class Relay:
-    """One controller after another: `first` until the time `at`, s, then `second`, whose own time begins there."""
+    """Two controllers in sequence: `first` until the time `at`, s, then `second`, whose time starts at 0 there."""
 
     first: ArmController
     second: ArmController
@@ -293,7 +294,7 @@ class Relay:
         self.second.reset()
 
     def step(self, state: ArmState, t: float) -> Array:
-        """As that of a controller."""
+        """Joint torques (n,), N m, for a state at time t, s."""
         if t < self.at - 1e-9:
             return self.first.step(state, t)
         if self.second.saturation is not self.first.saturation:
@@ -310,10 +311,9 @@ def controller_for(
     space: Literal["object", "joint"] = "object",
     bodies: Sequence[Body] | None = None,
 ) -> ArmController:
-    """The controller of a scenario: its arm, objects, gains, feedback and command period.
+    """The controller of a scenario, with its arm, nominal load, gains, feedback and command period.
 
-    bodies: what it believes to carry, unless the scenario's nominal objects.
-    Raises ScenarioError when the scenario has no arm.
+    bodies: replaces the scenario's nominal load. Raises ScenarioError when the scenario has no arm.
     """
     if scenario.arm is None:
         raise ScenarioError(f"The scenario {scenario.name} has no arm; give it a table [arm] to control one.")
@@ -330,19 +330,19 @@ def controller_for(
 
 
 def _ahead(dt: float, x: Any, dx: Array, ddx: Array, dddx: Array) -> tuple[Any, Array, Array]:
-    """Value, rate and acceleration a time dt later, by Taylor's series."""
+    """Value, first and second derivative a time dt later, by Taylor's series."""
     rate = dx + dt * (ddx + (0.5 * dt) * dddx)
     return x + dt * (dx + (0.5 * dt) * (ddx + (dt / 3) * dddx)), rate, ddx + dt * dddx
 
 
 def _spatial(p: Array, rotation: Array, v: Array, omega: Array, a: Array, alpha: Array) -> tuple[Any, Any, Any]:
-    """A pose, and velocity and acceleration of its origin, linear in S, as spatial vectors in its own axes."""
+    """A pose with its velocity and acceleration, linear parts given in S, as spatial vectors in its own axes."""
     back = rotation.T
     return pin.SE3(rotation, p), pin.Motion(back @ v, omega), pin.Motion(back @ a, alpha)
 
 
 def _with_object_frame(arm: ArmModel, body: Body) -> Any:
-    """Pinocchio's model with the frame B of a body on the tray."""
+    """Pinocchio's model of the arm with the frame B of a body on the tray added."""
     model = arm.pin_model.copy()
     tray = model.frames[arm.tray_id]
     placement = tray.placement * pin.SE3(body.R_EB, body.p_EB)

@@ -1,10 +1,10 @@
 """The object's closed loop: plant (18) and wrench-feedback controller (19), vectorised over leading axes.
 
-One definition for the planner, the nonlinear rollouts and the tests. On SE(3) the paper's `q* - q` and
-`V* - V` are read as transported errors, E = R^T R*: e_p = p* - p and e_v = v* - v in S, e_R = Log(E) and
+The planner, the nonlinear rollouts and the tests share this definition. On SE(3) the paper's `q* - q` and
+`V* - V` are taken as transported errors, E = R^T R*: e_p = p* - p and e_v = v* - v in S, e_R = Log(E) and
 e_w = E omega* - omega in B. Then the nominal error obeys e_v' = -kd e_v - kp e_p and e_w' = -kd e_w - kp e_R
-exactly, along any reference; translation is linear in full, rotation up to e_R' = J_l(e_R)^-1 e_w, which is
-e_w for a rotation about a fixed axis and to first order always.
+exactly, along any reference. The translation is exactly linear; in the rotation, e_R' = J_l(e_R)^-1 e_w equals e_w to
+first order, and exactly for a rotation about a fixed axis.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ class Gains:
 
 @dataclass(frozen=True)
 class Errors:
-    """Tracking errors of eq (19) on SE(3), each (..., 3); the controller's e_p, e_R, e_v, e_w.
+    """Tracking errors e_p, e_R, e_v, e_w of eq (19) on SE(3), each (..., 3).
 
     position_S: m. rotation_B: rad, Log(R^T R*). velocity_S: m/s. omega_B: rad/s, E omega* - omega.
-    transport: (..., 3, 3) E = R^T R*, the reference's axes seen from the object's.
+    transport: (..., 3, 3) E = R^T R*, the rotation of the reference in the object's axes.
     """
 
     position_S: Array
@@ -43,9 +43,9 @@ class Errors:
 
 
 def errors(reference: MotionSamples, p_SB: Array, R_SB: Array, v_S: Array, omega_B: Array) -> Errors:
-    """Tracking errors of a state (..., 3), (..., 3, 3), (..., 3), (..., 3) against samples of the reference.
+    """Tracking errors of a state p_SB (..., 3), R_SB (..., 3, 3), v_S (..., 3), omega_B (..., 3).
 
-    Leading axes broadcast: one instant of the reference (1, 3) serves many states (n, 3).
+    Leading axes broadcast: one sample of the reference (1, 3) can be compared with many states (n, 3).
     """
     transport = np.swapaxes(R_SB, -1, -2) @ reference.R_SB
     return Errors(
@@ -60,7 +60,7 @@ def errors(reference: MotionSamples, p_SB: Array, R_SB: Array, v_S: Array, omega
 def command(gains: Gains, reference: MotionSamples, error: Errors) -> tuple[Array, Array]:
     """Commanded acceleration (a_cmd_S, alpha_cmd_B), each (..., 3): the bracket of eq (19).
 
-    The reference's angular acceleration seen from the object has a part -omega x (E omega*), because E turns.
+    In the object's axes, the reference's angular acceleration has the term -omega x (E omega*), because E turns.
     """
     (kp, kp_R), (kd, kd_R) = gains.kp, gains.kd
     a_cmd_S = reference.a_S + kd * error.velocity_S + kp * error.position_S
@@ -84,23 +84,23 @@ def wrench_command(
     v_S: Array,
     omega_B: Array,
 ) -> Array:
-    """Wrench (..., 6) at B that eq (19) asks for; phi_nominal (10,) is all that the controller knows."""
+    """Commanded wrench (..., 6) at B, eq (19), computed with the nominal inertial parameters phi_nominal (10,)."""
     a_cmd_S, alpha_cmd_B = command(gains, reference, errors(reference, p_SB, R_SB, v_S, omega_B))
     return wrench(phi_nominal, R_SB, a_cmd_S, omega_B, alpha_cmd_B)
 
 
 def distribute(grasp_map: Array, wrench_B: Array) -> Array:
-    """Cone coefficients Lambda (..., n_lambda) of least norm that produce a wrench (..., 6): eq (19)."""
+    """Cone coefficients Lambda (..., n_lambda) of least norm for a wrench (..., 6): eq (19)."""
     return wrench_B @ np.linalg.pinv(grasp_map).T
 
 
 def acceleration(
     phi: npt.ArrayLike, R_SB: Array, omega_B: Array, wrench_B: Array, inverse_inertia: Array | None = None
 ) -> tuple[Array, Array]:
-    """Plant: (a_S, alpha_B), each (..., 3), of a body with inertial parameters phi (..., 10) under a wrench at B.
+    """Accelerations a_S, alpha_B, each (..., 3), of a body with inertial parameters phi (..., 10) under a wrench at B.
 
-    Eq (18) with the full spatial inertia: B stays the origin when the true centre of mass lies elsewhere.
-    The inverse of `salver.models.rigid_body.wrench`. inverse_inertia: (..., 6, 6), to compute it only once.
+    This is the plant, eq (18), with the full spatial inertia, because the true centre of mass may differ from B; the
+    inverse of `salver.models.rigid_body.wrench`. inverse_inertia: (..., 6, 6), if it is known already.
     """
     phi = np.asarray(phi, dtype=float)
     if inverse_inertia is None:
@@ -118,5 +118,5 @@ def acceleration(
 
 
 def apply(matrix: Array, vector: Array) -> Array:
-    """Stacked product: (..., i, j) and (..., j) to (..., i)."""
+    """Matrix-vector products (..., i) of stacks (..., i, j) and (..., j)."""
     return np.einsum("...ij,...j->...i", matrix, vector)

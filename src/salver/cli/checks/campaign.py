@@ -54,7 +54,7 @@ def campaign(
     try:
         result = run_campaign(directory, n, seed, method, stem, engine, jobs, folder, told, stops=stops)
     except KeyboardInterrupt:
-        say("salver: stopped; the runs that were finished are kept, and the same command goes on from there.")
+        say("salver: stopped; finished runs are kept: repeat the command to continue.")
         raise typer.Exit(130) from None
     for note in result.notes:
         say(f"salver: {note}")
