@@ -141,9 +141,8 @@ class World:
 
     def say(self, message: Any) -> Status:
         """What the page says, as JSON: {"goto": [x, y, z]} of the first object, m; {"twist": [vx, vy, vz, turn]}, m/s
-        and rad/s about the vertical; {"stop": true}, which latches until {"resume": true}; {"hold": true} until
-        {"release": true}; {"override": 0.5} of full speed; {"protected": bool}; {"again": true}; {"record": bool};
-        {"throw": true}."""
+        and rad/s about the vertical; {"stop": true}, which latches until {"resume": true}; {"protected": bool};
+        {"again": true}; {"record": bool}; {"throw": true}."""
         if not isinstance(message, dict) or len(message) != 1:
             return Status("refused", "A message has one key.", False)
         ((key, value),) = message.items()
@@ -158,12 +157,6 @@ class World:
                     return self.live.stop()
                 case "resume":
                     return self.live.resume()
-                case "hold":
-                    return self.live.hold()
-                case "release":
-                    return self.live.release()
-                case "override":
-                    return self.live.override(value)
                 case "protected" if isinstance(value, bool):
                     return self._protect(value)
                 case "throw" if value is True:
@@ -303,11 +296,6 @@ class World:
             held[k] += contact.friction[0] * force[0]
         return [float(np.linalg.norm(x) / y) if y > 0 else np.inf for x, y in zip(pull, held, strict=True)]
 
-    def measure(self) -> None:
-        """Note how near the ball is to what moves of arm, tray and load."""
-        with self._lock:
-            self.ball.measure(self.plant.data, self.plant.q)
-
     def frame(self) -> dict[str, Any]:
         """What the page shows of this instant, ready for JSON."""
         from salver.reports.pages.replay import joint_poses
@@ -315,17 +303,11 @@ class World:
         with self._lock:
             data, scene, q = self.plant.data, self.plant.scene, self.plant.q
             p_SE, R_SE = scene.tray_pose(data)
-            v = (R_SE @ (self.arm.body_jacobian(q) @ self.plant.dq)[:3]).tolist()
-            inside = self.plant.inner.shown
+            v_E = (self.arm.body_jacobian(q) @ self.plant.dq)[:3]
             state, words = self.live.state, self._became()
-            used = self.friction_used()
-            self.measure()
+            self.ball.measure(data, q)
             live = (state.stopped, state.passing, state.refused) if self.protected else ()
-            ball = (
-                [{"p": np.round(self.ball.state(data)[0], 4).tolist(), "r": self.ball.radius}]
-                if self.ball.flies
-                else []
-            )
+            p_ball, r_ball = np.round(self.ball.state(data)[0], 4).tolist(), self.ball.radius
             return {
                 "t": round(self.t, 3),
                 "joints": np.round(joint_poses(q[None], self.arm)[0], 5).ravel().tolist(),
@@ -333,10 +315,10 @@ class World:
                 "objects": [np.round(data.qpos[i : i + 7], 5).tolist() for i in scene.qpos_ids],
                 "inside": [
                     x and {"moves": np.round(x.page(np.array([0]))["moves"][0], 4).tolist(), "beyond": x.beyond}
-                    for x in inside
+                    for x in self.plant.inner.shown
                 ],
-                "speed": round(float(np.linalg.norm(v)), 4),
-                "friction": [round(min(x, 9.99), 4) for x in used],
+                "speed": round(float(np.linalg.norm(v_E)), 4),
+                "friction": [round(min(x, 9.99), 4) for x in self.friction_used()],
                 "load": [{"name": load.name, "became": word} for load, word in zip(scene.loads, words, strict=True)],
                 "goal": None if self._goal is None else self._goal.tolist(),
                 "protected": self.protected,
@@ -351,7 +333,7 @@ class World:
                 "lead": round(state.lead, 3),
                 "recording": None if self._recording is None else round(self._recording.seconds, 2),
                 "path": self._path(),
-                "balls": ball,
+                "balls": [{"p": p_ball, "r": r_ball}] if self.ball.flies else [],
             }
 
     def _path(self) -> list[list[float]]:

@@ -13,7 +13,7 @@ from collections.abc import Callable, Generator
 from contextlib import closing
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from typing import Any
+from typing import Any, cast
 
 from salver.errors import SalverError
 
@@ -23,10 +23,13 @@ HTML = "text/html; charset=utf-8"
 Shown = tuple[bytes, str] | Generator[bytes] | None
 
 
-class LocalPage:
-    """The server of a page, on a thread for each request."""
+class LocalPage(ThreadingHTTPServer):
+    """The server of a page, on a thread for each request, from `start` to `close`."""
 
-    def __init__(self, show: Callable[[str], Shown], say: Callable[[Any], Any], port: int = 0, most: int = 10_000):
+    daemon_threads = True
+    block_on_close = False
+
+    def __init__(self, show: Callable[[str], Shown], say: Callable[[Any], Any], port: int, most: int):
         """show: what stands at an address below the token's: bytes and their kind, or events, or None. say: the answer,
         for JSON, to a message that was posted. port: 0 for one that is free. most: bytes of a message.
 
@@ -34,27 +37,22 @@ class LocalPage:
         """
         self.show, self.say, self.most, self.token = show, say, most, secrets.token_urlsafe(12)
         try:
-            self._server = _Server((HOST, port), type("Bound", (_Handler,), {"served": self}))
+            super().__init__((HOST, port), _Handler)
         except (OSError, OverflowError) as error:
             raise SalverError(f"Port {port} cannot be used: {getattr(error, 'strerror', None) or error}.") from None
-        self._thread = threading.Thread(target=self._server.serve_forever, name="page", daemon=True)
+        self._thread = threading.Thread(target=self.serve_forever, name="page", daemon=True)
 
     @property
     def url(self) -> str:
-        return f"http://{HOST}:{self._server.server_address[1]}/{self.token}/"
+        return f"http://{HOST}:{self.server_address[1]}/{self.token}/"
 
     def start(self) -> None:
         self._thread.start()
 
     def close(self) -> None:
-        self._server.shutdown()
-        self._server.server_close()
+        self.shutdown()
+        self.server_close()
         self._thread.join()
-
-
-class _Server(ThreadingHTTPServer):
-    daemon_threads = True
-    block_on_close = False
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         if not isinstance(sys.exception(), OSError):  # the page was closed while it was answered
@@ -62,69 +60,56 @@ class _Server(ThreadingHTTPServer):
 
 
 class _Handler(BaseHTTPRequestHandler):
-    served: LocalPage
     protocol_version = "HTTP/1.1"
+
+    @property
+    def page(self) -> LocalPage:
+        return cast(LocalPage, self.server)
 
     def do_GET(self) -> None:
         what = self._asked()
-        shown = None if what is None else self.served.show(what)
+        shown = None if what is None else self.page.show(what)
         if shown is None:
-            self._refuse(HTTPStatus.NOT_FOUND)
+            self.send_error(HTTPStatus.NOT_FOUND)
         elif isinstance(shown, tuple):
             self._send(*shown)
         else:
             self._stream(shown)
 
     def do_POST(self) -> None:
+        length = self.headers.get("Content-Length", "")
         if self._asked() != "say":
-            return self._refuse(HTTPStatus.NOT_FOUND)
+            return self.send_error(HTTPStatus.NOT_FOUND)
+        if not length.isdecimal() or int(length) > self.page.most:
+            return self.send_error(HTTPStatus.REQUEST_ENTITY_TOO_LARGE)
         try:
-            length = int(self.headers.get("Content-Length", ""))
-        except ValueError:
-            length = -1
-        if not 0 <= length <= self.served.most:
-            return self._refuse(HTTPStatus.REQUEST_ENTITY_TOO_LARGE)
-        try:
-            message = json.loads(self.rfile.read(length))
+            message = json.loads(self.rfile.read(int(length)))
         except (ValueError, RecursionError):
-            return self._refuse(HTTPStatus.BAD_REQUEST)
-        self._send(json.dumps(self.served.say(message)).encode(), "application/json")
+            return self.send_error(HTTPStatus.BAD_REQUEST)
+        self._send(json.dumps(self.page.say(message)).encode(), "application/json")
 
     def _asked(self) -> str | None:
         """What of ours, or None: a wrong token, or a page that came by another name of this machine."""
         host, _, _ = self.headers.get("Host", "").rpartition(":")
-        head = f"/{self.served.token}/"
+        head = f"/{self.page.token}/"
         mine = host in (HOST, "localhost") and secrets.compare_digest(self.path[: len(head)].encode(), head.encode())
         return self.path[len(head) :] if mine else None
 
     def _send(self, body: bytes, kind: str) -> None:
-        self.send_response(HTTPStatus.OK)
-        self._headers(kind)
-        self.send_header("Content-Length", str(len(body)))
-        self.end_headers()
+        self._begin(kind, ("Content-Length", str(len(body))))
         self.wfile.write(body)
 
-    def _headers(self, kind: str) -> None:
-        self.send_header("Content-Type", kind)
-        self.send_header("Cache-Control", "no-store")
-        self.send_header("X-Content-Type-Options", "nosniff")
-        self.send_header("Referrer-Policy", "no-referrer")
-
     def _stream(self, events: Generator[bytes]) -> None:
-        self.send_response(HTTPStatus.OK)
-        self._headers("text/event-stream")
-        self.send_header("Connection", "close")
-        self.end_headers()
-        self.close_connection = True
+        self._begin("text/event-stream", ("Connection", "close"))
         with closing(events):  # who makes them learns at once that nobody listens any more
             for event in events:
                 self.wfile.write(b"data: " + event + b"\n\n")
-                self.wfile.flush()
 
-    def _refuse(self, status: HTTPStatus) -> None:
-        self.close_connection = True
-        self.send_response(status)
-        self.send_header("Content-Length", "0")
+    def _begin(self, kind: str, *more: tuple[str, str]) -> None:
+        self.send_response(HTTPStatus.OK)
+        guarded = {"Cache-Control": "no-store", "X-Content-Type-Options": "nosniff", "Referrer-Policy": "no-referrer"}
+        for name, value in [("Content-Type", kind), *guarded.items(), *more]:
+            self.send_header(name, value)
         self.end_headers()
 
     def log_message(self, format: str, *args: Any) -> None:

@@ -38,22 +38,10 @@ function paint() {
   }));
 }
 
-function setPlaying(on) {
-  state.playing = on;
+const setPlaying = player(state, () => [data.replay.start, data.replay.duration], setTime, (on) => {
   byId("play").textContent = on ? "Pause" : "Play";
   byId("play").setAttribute("aria-pressed", on);
-  if (!on) return;
-  if (state.time >= data.replay.duration - 1e-6) setTime(data.replay.start);
-  let last = null;
-  const step = (now) => {
-    if (!state.playing) return;
-    if (last !== null) setTime(state.time + ((now - last) / 1000) * state.speed);
-    last = now;
-    if (state.time >= data.replay.duration) setPlaying(false);
-    else requestAnimationFrame(step);
-  };
-  requestAnimationFrame(step);
-}
+});
 
 // A strip above the scrubber: how near each motion is to its limit, so that the eye finds the critical moments.
 function drawTimeline() {
@@ -104,14 +92,7 @@ function buildReplay() {
     canvas.replaceWith(text);
   } else {
     state.viewer = viewer;
-    const darkness = window.matchMedia("screen and (prefers-color-scheme: dark)");
-    viewer.options.dark = darkness.matches;
-    darkness.addEventListener("change", () => {
-      viewer.options.dark = darkness.matches;
-      paint();
-    });
-    attachOrbit(canvas, viewer, paint);
-    new ResizeObserver(paint).observe(canvas);
+    attachView(canvas, viewer, paint);
     for (const name of ["forces", "cones", "path"])
       byId(name).addEventListener("change", (event) => {
         viewer.options[name] = event.target.checked;

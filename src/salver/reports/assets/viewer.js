@@ -555,9 +555,34 @@ function compile(gl) {
   return program;
 }
 
-// Drag turns, wheel zooms, shift-drag moves; changed() is called after each.
-function attachOrbit(canvas, viewer, changed) {
+// Returns what starts and ends that state.time runs from span()[0] to span()[1], state.speed times as fast as the clock:
+// show(t) draws it, told(on) says whether it runs.
+function player(state, span, show, told) {
+  return (on) => {
+    const mine = (state.playing = on && {});
+    told(on);
+    if (!on) return;
+    if (state.time >= span()[1] - 1e-6) show(span()[0]);
+    let last = null;
+    const step = (now) => {
+      if (state.playing !== mine) return;
+      if (last !== null) show(Math.min(span()[1], state.time + ((now - last) / 1000) * state.speed));
+      last = now;
+      if (state.time < span()[1]) return requestAnimationFrame(step);
+      state.playing = false;
+      told(false);
+    };
+    requestAnimationFrame(step);
+  };
+}
+
+// Drag turns, wheel zooms, shift-drag moves; changed() is called after each, and when the canvas or the light changes.
+function attachView(canvas, viewer, changed) {
   let last = null;
+  const darkness = window.matchMedia("screen and (prefers-color-scheme: dark)"), dark = () => ((viewer.options.dark = darkness.matches), changed());
+  viewer.options.dark = darkness.matches;
+  darkness.addEventListener("change", dark);
+  new ResizeObserver(changed).observe(canvas);
   canvas.addEventListener("pointerdown", (event) => {
     last = [event.clientX, event.clientY];
     canvas.setPointerCapture(event.pointerId);

@@ -8,7 +8,7 @@ const here = location.pathname.replace(/\/?$/, "/");
 const own = crypto.randomUUID();  // this window
 const COLOURS = { start: [0.0, 0.45, 0.7, 1], goal: [0.84, 0.37, 0.0, 1], objects: [0.9, 0.62, 0.0, 1], obstacles: [0.35, 0.38, 0.42, 1] };
 const RING = 0.04;  // m, within which a ring is taken hold of
-const state = { text: given.text, saved: null, mistakes: [], answer: null, verdict: null, plan: null, planning: null, said: "", done: [], undone: [], chosen: "goal", time: 0, playing: false, gesture: null, base: "", viewer: null, looks: 0, live: null, frames: 0, held: null, keys: new Set() };
+const state = { text: given.text, saved: null, mistakes: [], answer: null, verdict: null, plan: null, planning: null, said: "", done: [], undone: [], chosen: "goal", time: 0, speed: 1, playing: false, gesture: null, base: "", viewer: null, looks: 0, live: null, frames: 0, held: null, keys: new Set() };
 
 function post(does, more = {}) {
   return fetch(here + "say", { method: "POST", body: JSON.stringify({ do: does, window: own, ...more }) })
@@ -74,6 +74,7 @@ function designing() {
   if (state.planning !== null) post("end");
   [state.plan, state.planning] = [null, null];
   halt();
+  byId("clock").textContent = "";
   if (state.answer) state.viewer?.furnish({ variants: state.answer.scene.variants });
   byId("speeds").replaceChildren();
   tell();
@@ -99,7 +100,7 @@ async function plan() {
 function show3d(motions) {
   state.viewer?.furnish({ variants: motions.variants });
   state.time = motions.start;
-  play();
+  play(true);
 }
 
 // Plan and straight line in the physics engine.
@@ -190,12 +191,7 @@ function begin(scene) {
     dragged = null;
     paint();
   });
-  attachOrbit(canvas, viewer, paint);
-  new ResizeObserver(paint).observe(canvas);
-  const darkness = window.matchMedia("screen and (prefers-color-scheme: dark)");
-  const dark = () => ((viewer.options.dark = darkness.matches), paint());
-  darkness.addEventListener("change", dark);
-  dark();
+  attachView(canvas, viewer, paint);
 }
 
 const trayPose = () => Mat.pose(state.viewer.variants[0].tray);
@@ -238,32 +234,14 @@ function paint() {
 
 // --- playing
 
-function halt() {
-  state.playing = false;
-  byId("play").textContent = "Play";
-  byId("clock").textContent = "";
-}
+const play = player(state, () => [state.plan.start, state.plan.end], setTime, (on) => (byId("play").textContent = on ? "Pause" : "Play"));
+const halt = () => play(false);
 
 function setTime(t) {
   state.time = t;
   byId("scrub").value = (t - state.plan.start) / (state.plan.end - state.plan.start);
   byId("clock").textContent = `${t.toFixed(2)} of ${state.plan.end.toFixed(2)} s`;
   paint();
-}
-
-function play() {
-  if (state.time >= state.plan.end - 1e-6) state.time = state.plan.start;
-  state.playing = true;
-  byId("play").textContent = "Pause";
-  let last = null;
-  const step = (now) => {
-    if (!state.playing || !state.plan?.variants) return;
-    if (last !== null) setTime(Math.min(state.plan.end, state.time + (now - last) / 1000));
-    last = now;
-    if (state.time < state.plan.end) requestAnimationFrame(step);
-    else [state.playing, byId("play").textContent] = [false, "Play"];
-  };
-  requestAnimationFrame(step);
 }
 
 // --- the margin of the straight line, now and as it was before the change
@@ -399,7 +377,7 @@ byId("plan").addEventListener("click", plan);
 byId("follow").addEventListener("change", (event) => event.target.checked && !state.plan && plan());
 byId("beside").addEventListener("change", paint);
 byId("run").addEventListener("click", run);
-byId("play").addEventListener("click", () => (state.playing ? halt() : play()));
+byId("play").addEventListener("click", () => play(!state.playing));
 byId("scrub").addEventListener("input", (event) => {
   halt();
   setTime(state.plan.start + Number(event.target.value) * (state.plan.end - state.plan.start));
