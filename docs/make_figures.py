@@ -14,14 +14,17 @@ from typing import Any
 import numpy as np
 
 from salver import scenario as scenarios
+from salver.contact_margins import margins
 from salver.geometry import Array, exp, matrix_from_rpy
 from salver.models.contact.contact import cone_edges
-from salver.models.contact.wrench_cone import facets, margin
+from salver.models.contact.wrench_cone import facets, margin, zero_moment_point
 from salver.models.uncertain.parameters import INERTIAL, inertial_vector, phi_of
 from salver.reports import style
+from salver.trajectory import MotionSamples
 
 IMAGES = Path(__file__).parent / "images"
 DATA = Path(__file__).parent / "data"
+ARROW = {"arrowstyle": "-|>", "color": style.GREY, "linewidth": 1.2, "shrinkA": 0, "shrinkB": 0}
 
 
 def cone() -> Any:
@@ -172,8 +175,282 @@ def stops() -> Any:
     return _bars(list(loads), {label: [x[key] for x in loads.values()] for key, label in labels.items()})
 
 
+def tipping() -> Any:
+    """Where the force on a bottle's base acts (the zero-moment point) while a level tray accelerates."""
+    scenario = scenarios.load("panda-tall-bottle")
+    a = np.linspace(0.0, 4.0, 401)
+    along = _accelerating(scenario, a)
+    stays, tips, curve = _figure(6.9, 2.7).subplots(1, 3, width_ratios=(1, 1, 1.5))
+    for axes, value, title in ((stays, 1.5, "stays"), (tips, 3.2, "tips")):
+        _bottle_on_tray(axes, scenario.payload.first, value, 0.0)
+        axes.set_title(f"{value:g} m/s²: {title}")
+    for values, colour, dash, label, beside in (
+        (along.tip_over, style.BLUE, "-", "nominal", (4, 6)),
+        (along.tip_over_worst, style.VERMILION, (0, (5, 2)), "worst case of its ranges", (-46, -12)),
+    ):
+        curve.plot(a, 1e3 * values, color=colour, linestyle=dash, label=label)
+        zero = float(np.interp(0, -values, a))
+        curve.plot(zero, 0, "o", color=colour, markersize=4)
+        curve.annotate(f"{zero:.2f} m/s²", (zero, 0), beside, textcoords="offset points", color=colour, fontsize=8)
+    curve.axhline(0, color=style.BLACK, linewidth=0.6)
+    curve.set(xlabel="sideways acceleration, m/s²", ylabel="zero-moment point to edge, mm", xlim=(0, 4))
+    curve.legend(loc="upper right")
+    return _tight(curve.figure)
+
+
+def tilt() -> Any:
+    """The waiter's tilt: what leaning does to the zero-moment point at full speed, at less and at rest."""
+    scenario = scenarios.load("panda-tall-bottle")
+    full, lean = 3.5, np.linspace(0.0, np.deg2rad(35), 141)
+    best = float(np.arctan2(full, 9.81))
+    level, leaning, curve = _figure(6.9, 2.7).subplots(1, 3, width_ratios=(1, 1, 1.5))
+    for axes, angle, title in (
+        (level, 0.0, "level: tips"),
+        (leaning, best, f"leans by {np.rad2deg(best):.0f}°: stays"),
+    ):
+        _bottle_on_tray(axes, scenario.payload.first, full, angle)
+        axes.set_title(title)
+    cases = ((full, "full speed: 3.5 m/s²"), (full / 4, "half speed: 0.9 m/s²"), (0.0, "at rest"))
+    looks = ((style.BLUE, "-"), (style.VERMILION, (0, (5, 2))), (style.GREY, (0, (1, 1))))
+    for (value, label), (colour, dash) in zip(cases, looks, strict=True):
+        room = _accelerating(scenario, np.full(len(lean), value), lean).tip_over
+        curve.plot(np.rad2deg(lean), 1e3 * room, color=colour, linestyle=dash, label=label)
+    curve.axhline(0, color=style.BLACK, linewidth=0.6)
+    curve.set(xlabel="tray leans by, degrees", ylabel="zero-moment point to edge, mm", xlim=(0, 35), ylim=(-40, 60))
+    curve.legend(loc="upper right")
+    return _tight(curve.figure)
+
+
+def ranges() -> Any:
+    """The fastest motion for the ranges of a bottle beside the one for its nominal values."""
+    from salver.planning.fastest import plan_fastest
+
+    scenario = scenarios.load("panda-tall-bottle")
+    pace, left = _figure(6.4, 3.6).subplots(2, 1, sharex=True)
+    way = np.subtract(scenario.motion.goal.position, scenario.motion.start.position)
+    for role, robust in (("plan", True), ("nominal", False)):
+        plan = plan_fastest(scenario, robust=robust)
+        label = "planned for the ranges" if robust else "planned for the nominal values"
+        look = {"color": style.ROLE_COLOURS[role], "linestyle": style.ROLE_DASHES[role], "label": label}
+        samples = plan.evaluation.samples
+        pace.plot(samples.t, samples.a_S @ way / np.linalg.norm(way), **look)
+        left.plot(plan.margins.t, 100 * plan.margins.exact_worst, **look)
+    for axes in (pace, left):
+        axes.axhline(0, color=style.BLACK, linewidth=0.6)
+    pace.set(ylabel="acceleration along\nthe way, m/s²")
+    pace.legend(loc="upper right")
+    left.set(xlabel="time, s", ylabel="worst-case margin,\n% of the weight", xlim=(0, None))
+    left.annotate("below 0 the bottle may slide or tip", (0.2, -16), fontsize=8)
+    return _tight(pace.figure)
+
+
+def overview() -> Any:
+    """From scenario to robot, with the command of each step."""
+    axes = _figure(6.9, 2.2).add_axes((0, 0, 1, 1))
+    boxes = {
+        "Scenario": (0.0, "load and its ranges,\narm, tray,\nstart and goal", "salver new"),
+        "Plan": (2.55, "fastest or safest\nmotion, with stops\non the way", "salver plan"),
+        "Checks": (
+            5.1,
+            "tubes, exact margins,\nperturbed runs\nin MuJoCo",
+            "salver campaign",
+        ),
+        "Robot": (7.65, "driven, exported,\nor steered live", "salver execute"),
+    }
+    for name, (x, text, command) in boxes.items():
+        axes.add_patch(_rounded(x, 0.0, 2.0, 1.5, style.BLUE))
+        axes.text(x + 1.0, 1.28, name, ha="center", va="center", weight="bold", fontsize=10)
+        axes.text(x + 1.0, 0.76, text, ha="center", va="center", fontsize=7.5, linespacing=1.35)
+        axes.text(
+            x + 1.0, 0.2, command, ha="center", va="center", fontsize=8, family="DejaVu Sans Mono", color=style.BLUE
+        )
+        if x < 7:
+            axes.annotate("", (x + 2.52, 0.75), (x + 2.03, 0.75), arrowprops=ARROW)
+    axes.annotate("", (1.0, -0.03), (8.65, -0.03), arrowprops=ARROW | {"connectionstyle": "bar,fraction=-0.055"})
+    axes.text(
+        4.83,
+        -0.47,
+        "logs of the robot narrow the ranges: salver identify, calibrate, track",
+        ha="center",
+        va="top",
+        fontsize=8,
+    )
+    axes.annotate("", (3.55, 1.53), (6.1, 1.53), arrowprops=ARROW | {"connectionstyle": "bar,fraction=0.09"})
+    axes.text(
+        4.83, 1.8, "not safe: the constraint, the time and the amount are named", ha="center", va="bottom", fontsize=8
+    )
+    axes.set(xlim=(-0.05, 9.7), ylim=(-0.75, 2.1))
+    axes.set_axis_off()
+    return axes.figure
+
+
+def committed() -> Any:
+    """Every motion that is committed while twists come in, with the stop in which it ends."""
+    from salver.live import Live
+
+    moving = Live("panda-tall-bottle", lead=0.04)
+    arm, period, silent = moving.problem.arm, 1e-3, 1.5
+    now, wanted, told, stops, seen = [], [], [], [], None
+    for k in range(2300):
+        t = k * period
+        wish = 0.0 if t < 0.1 else 0.30 if t < 0.9 else -0.20
+        if k % 20 == 0 and t < silent:
+            moving.twist((0.0, wish, 0.0))
+            moving.plan()
+        q, dq, *_ = moving.command(t)
+        now.append(t)
+        wanted.append(wish if t < silent else np.nan)
+        told.append(_speed(arm, q, dq))
+        if moving.committed is not seen:
+            seen = moving.committed
+            own = np.linspace(0.0, seen.motion.duration, 60)
+            q, dq, _ = seen.motion.sample(own)
+            stops.append((seen.begins + own, [_speed(arm, *state) for state in zip(q, dq, strict=True)]))
+    axes = _figure(6.9, 2.9).add_subplot()
+    axes.plot(now, wanted, color=style.BLACK, linewidth=0.8, linestyle=(0, (1, 1)), label="twist requested")
+    for k, (t, speed) in enumerate(stops):
+        axes.plot(t, speed, color=style.SKY, linewidth=0.5, label="committed, and replaced later" if k == 1 else None)
+    t, speed = stops[-1]
+    axes.plot(now, told, color=style.BLUE, linewidth=1.8, label="carried out")
+    axes.plot(t, speed, color=style.VERMILION, linewidth=1.8, label="the last one, to rest")
+    axes.axvline(silent, color=style.GREY, linewidth=0.8)
+    axes.annotate(
+        "requests and planner\nare gone", (silent, 0.27), (4, 0), textcoords="offset points", fontsize=8, va="top"
+    )
+    axes.axhline(0, color=style.BLACK, linewidth=0.6)
+    axes.set(xlabel="time, s", ylabel="speed of the tray along y, m/s", xlim=(0, 2.2))
+    axes.legend(loc="lower left")
+    return axes.figure
+
+
+def sloshing() -> Any:
+    """The two modes of a cup that move, and the highest crest along two motions of the cup."""
+    from scipy.special import j1
+
+    from salver.planning.fastest import plan_fastest
+    from salver.planning.make import make_plan
+
+    scenario = scenarios.load("panda-coffee")
+    cup = scenario.payload.first.inner
+    radius, modes = cup.half[0], cup.modes(cup.fill)
+    *drawn, curve = _figure(6.9, 2.6).subplots(1, 3, width_ratios=(1, 1, 1.7))
+    x = np.linspace(-radius, radius, 121)
+    for n, axes in enumerate(drawn):
+        k = _root(modes.omega[n, 0], cup.fill, radius)
+        shape = 0.2 * radius * j1(k * x) / j1(k * radius) / (1 + n)
+        for sign, alpha in ((-1, 0.35), (1, 1.0)):
+            axes.plot(1e3 * x, 1e3 * (cup.fill + sign * shape), color=style.BLUE, alpha=alpha)
+        axes.fill_between(1e3 * x, 0, 1e3 * (cup.fill + shape), color=style.SKY, alpha=0.25, linewidth=0)
+        axes.axhline(1e3 * cup.fill, color=style.GREY, linewidth=0.6, linestyle=":")
+        wall = 1e3 * np.array([[-radius, -radius, radius, radius], [cup.brim, 0, 0, cup.brim]])
+        axes.plot(*wall, color=style.BLACK, linewidth=1.6)
+        share = modes.mass[n, 0] / modes.frozen.mass
+        axes.set_title(f"mode {n + 1}: {modes.omega[n, 0] / (2 * np.pi):.1f} Hz,\n{100 * share:.0f} % of the liquid")
+        axes.set(xlabel="across, mm", aspect="equal", xlim=(-46, 46), ylim=(-2, 84))
+        axes.grid(visible=False)
+    drawn[0].set_ylabel("height, mm")
+    plan = plan_fastest(scenario)
+    line = make_plan(scenario.with_changes(motion__duration=plan.duration), "baseline", arm=False)
+    for role, made, label in (("plan", plan, "planned with the liquid"), ("baseline", line, "straight line")):
+        (spill,) = made.margins.load_verdicts(worst=True)
+        curve.plot(
+            spill.t, 1e3 * spill.left, color=style.ROLE_COLOURS[role], linestyle=style.ROLE_DASHES[role], label=label
+        )
+    curve.axhline(0, color=style.BLACK, linewidth=0.8)
+    curve.set(xlabel="time, s", ylabel="highest crest to brim, mm", xlim=(0, plan.duration), ylim=(-28, 26))
+    curve.annotate("below 0 it may spill", (0.25, -9), fontsize=7)
+    curve.legend(loc="upper right")
+    return _tight(curve.figure)
+
+
+def _accelerating(scenario: Any, a: Array, lean: Array | float = 0.0) -> Any:
+    """Margins of the first object on a tray that accelerates by a (T,), m/s^2, along x and leans into it, rad."""
+    zero, lean = np.zeros((len(a), 3)), np.broadcast_to(lean, len(a))
+    R = np.stack([matrix_from_rpy(np.array([0.0, angle, 0.0])) for angle in lean])
+    samples = MotionSamples(np.linspace(0, 1, len(a)), zero, zero, np.column_stack([a, zero[:, :2]]), R, zero, zero)
+    return margins(scenario, samples, edges=32).interfaces[0]
+
+
+def _bottle_on_tray(axes: Any, bottle: Any, a: float, lean: float) -> None:
+    """A bottle from the side, mm: weight, inertial force of an acceleration a along x, their sum."""
+    turn = np.array([[np.cos(lean), np.sin(lean)], [-np.sin(lean), np.cos(lean)]])
+    radius, height = 1e3 * bottle.solid.bounding_points_G[:, 0].max(), 1e3 * bottle.solid.height
+    middle = turn @ [0.0, 0.5 * height]
+    base = turn @ np.array([[-95, 95], [0, 0]])
+    axes.plot(*base, color=style.TRAY_COLOUR, linewidth=3, solid_capstyle="butt")
+    sides = turn @ np.array([[-radius, -radius, radius, radius, -radius], [0, height, height, 0, 0]])
+    axes.fill(*sides, color=style.SKY, alpha=0.3, linewidth=0)
+    axes.plot(*sides, color=style.BLUE, linewidth=0.9)
+    down, back = np.array([0.0, -70.0]), np.array([-70.0 * a / 9.81, 0.0])  # 70 mm for the weight
+    total = down + back
+    reach = middle + total * float(middle @ turn[:, 1]) / -float(total @ turn[:, 1])
+    axes.plot(*np.stack([middle, reach], axis=1), color=style.VERMILION, linewidth=0.9, linestyle=(0, (4, 2)))
+    force = matrix_from_rpy(np.array([0.0, lean, 0.0])).T @ np.array([a, 0.0, 9.81])  # of a kilogram
+    zmp, _ = zero_moment_point(bottle.contacts, np.concatenate([force, np.zeros(3)]))[0]
+    axes.plot(*(turn @ [1e3 * zmp, 0.0]), "o", color=style.VERMILION, markersize=5)
+    axes.text(0, -60, "zero-moment point", color=style.VERMILION, fontsize=8, ha="center")
+    for arrow, colour, label, side in (
+        (down, style.BLACK, "$m g$", (6, -6)),
+        (back, style.BLACK, "$m a$", (-14, 3)),
+        (total, style.VERMILION, "", (0, 0)),
+    ):
+        axes.annotate("", middle + arrow, middle, arrowprops=ARROW | {"color": colour})
+        axes.annotate(label, middle + arrow, side, textcoords="offset points", fontsize=8)
+    axes.annotate("", (-20, 262), (-80, 262), arrowprops=ARROW | {"color": style.GREEN})
+    axes.annotate("$a$", (-55, 267), fontsize=9, color=style.GREEN)
+    axes.set(xlim=(-105, 130), ylim=(-62, 285), aspect="equal")
+    axes.set_axis_off()
+
+
+def _root(omega: float, depth: float, radius: float) -> float:
+    """Wave number, 1/m, of a mode with this frequency: omega^2 = g k tanh(k depth)."""
+    from scipy.optimize import brentq
+
+    return float(brentq(lambda k: 9.81 * k * np.tanh(k * depth) - omega**2, 0.1 / radius, 20 / radius))
+
+
+def _speed(arm: Any, q: Array, dq: Array) -> float:
+    """Velocity of the tray along y of the base, m/s."""
+    _, R = arm.tray_pose(q)
+    return float((R @ (arm.body_jacobian(q) @ dq)[:3])[1])
+
+
+def _rounded(x: float, y: float, width: float, height: float, colour: str) -> Any:
+    from matplotlib.patches import FancyBboxPatch
+
+    return FancyBboxPatch(
+        (x + 0.05, y),
+        width - 0.1,
+        height,
+        "round,pad=0.02,rounding_size=0.08",
+        facecolor="white",
+        edgecolor=colour,
+        linewidth=1.2,
+    )
+
+
+def _tight(figure: Any) -> Any:
+    figure.tight_layout()
+    return figure
+
+
 FIGURES: dict[str, Callable[[], Any]] = {
-    f.__name__: f for f in (cone, acceleration, tube, frames, shaped, speeds, stops)
+    f.__name__: f
+    for f in (
+        cone,
+        acceleration,
+        tube,
+        frames,
+        shaped,
+        speeds,
+        stops,
+        tipping,
+        tilt,
+        ranges,
+        overview,
+        committed,
+        sloshing,
+    )
 }
 
 
