@@ -229,9 +229,9 @@ TETRAHEDRON = b"v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\n"
         (b"hello", "holds no triangles"),
         (b"solid x\nendsolid x\n", "holds no triangles"),
         (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "has 3 corners"),
-        (b"v 0 0 0\nv nan 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\n", "no finite numbers"),
+        (b"v 0 0 0\nv nan 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\n", "not finite"),
         # A tetrahedron and a triangle more: without that the obstacle would be less than it is.
-        (TETRAHEDRON + b"v inf 0 0\nf 1 2 3\nf 1 2 4\nf 1 3 4\nf 2 3 4\nf 2 3 5\n", "no finite numbers"),
+        (TETRAHEDRON + b"v inf 0 0\nf 1 2 3\nf 1 2 4\nf 1 3 4\nf 2 3 4\nf 2 3 5\n", "not finite"),
     ],
 )
 def test_bad_meshes_of_obstacles(tmp_path: Path, content: bytes | None, words_: str) -> None:

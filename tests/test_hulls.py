@@ -174,7 +174,7 @@ def test_what_has_no_facets_is_refused() -> None:
     with pytest.raises(ValueError, match="contains a line"):
         cone_facets(np.vstack([around(5), [[0.0, 1.0]] * 64]))
     for flat, why in (
-        (np.zeros((5, 3)), "all points are one"),
+        (np.zeros((5, 3)), "all points are equal"),
         (np.eye(3)[:2], "no hull"),
         (prism(around(5), 0.0), "no hull"),
     ):

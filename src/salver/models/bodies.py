@@ -1,4 +1,4 @@
-"""Objects as bodies at rest on a tray, with checks that they can exist and stand there."""
+"""Objects as rigid bodies at rest on a tray, with checks that they can exist and stand there."""
 
 from __future__ import annotations
 
@@ -24,10 +24,11 @@ TRAY = "tray"
 class LooseObject:
     """An object before it is put on the tray.
 
-    inertial: in B. com: (3,) of the nominal centre of mass from the solid's, m. on: what it stands on, names of objects
-    or ("tray",). at: (2,) where the shape's centre stands from the tray's, m. yaw: rad. support_inset: m by which the
-    base that carries is smaller than the solid's. any_contents: whether its mass may be spread in any way in the solid.
-    inner: what moves inside it, with which it has its mass and centre of mass; empty: without that, in B.
+    inertial: nominal inertial parameters in B. com: (3,) nominal centre of mass from the solid's centroid, m. on: its
+    supports, names of objects or ("tray",). at: (2,) position of the shape's centre from the tray's centre, m. yaw:
+    rad. support_inset: m, distance of the supporting area's edge from the edge of the base. any_contents: whether the
+    mass distribution inside the solid is unknown. inner: its liquid or pendulum, included in `inertial` and `com`.
+    empty: inertial parameters without it, in B.
     """
 
     name: str
@@ -45,13 +46,12 @@ class LooseObject:
 
     @property
     def own(self) -> RigidBody:
-        """The body that mass, centre of mass and inertia are given for, in B: all of it, or without what moves
-        inside."""
+        """The body whose mass, centre of mass and inertia are given, in B: without its liquid or pendulum."""
         return self.inertial if self.empty is None else self.empty
 
     @property
     def com_G(self) -> Array:
-        """(3,) origin of B in the shape frame G."""
+        """Origin (3,) of B in the shape frame G, m."""
         return self.solid.centroid_G + self.com
 
 
@@ -59,11 +59,11 @@ class LooseObject:
 class Body:
     """One carried object at rest on the tray.
 
-    Its frame B has its origin at the nominal centre of mass and axes of the shape (z up).
+    Its frame B has its origin at the nominal centre of mass and the axes of the shape (z up).
     inertial: nominal inertial parameters in B (centre of mass at the origin).
     p_EB, R_EB: pose of B in the tray frame E. com_G: origin of B in the shape frame G.
-    supports: what it stands on: names of objects, or ("tray",). contacts: with all of them, in B, in the order
-    of supports; regions: how many contact points belong to each. any_contents: see `salver.models.uncertain.contents`.
+    supports: names of the objects that it stands on, or ("tray",). contacts: with all supports, in B, in their order.
+    regions: number of contact points with each support. any_contents: see `salver.models.uncertain.contents`.
     inner, empty: as in `LooseObject`.
     """
 
@@ -80,7 +80,7 @@ class Body:
 
     @property
     def points_B(self) -> Array:
-        """(k, 3) points in B whose convex hull contains the solid."""
+        """Points (k, 3) in B whose convex hull contains the solid, m."""
         return self.solid.bounding_points_G - self.com_G
 
     inner: LoadDynamics | None = None
@@ -88,12 +88,11 @@ class Body:
 
     @property
     def own(self) -> RigidBody:
-        """The body that mass, centre of mass and inertia are given for, in B: all of it, or without what moves
-        inside."""
+        """The body whose mass, centre of mass and inertia are given, in B: without its liquid or pendulum."""
         return self.inertial if self.empty is None else self.empty
 
     def inner_origin_B(self, value: float) -> Array:
-        """(3,) origin O of its inner dynamics in B."""
+        """Origin O (3,) in B, m, of its liquid or pendulum, at a fill height or pendulum length, m."""
         assert self.inner is not None
         return np.array([0.0, 0.0, self.inner.origin(self.solid.base_z, value)]) - self.com_G
 
@@ -103,20 +102,19 @@ class Body:
 
     @property
     def z_range_E(self) -> tuple[float, float]:
-        """Heights of base and top over the tray, m."""
+        """Heights of base and top above the tray, m."""
         centre = float(self.p_EB[2] - self.com_G[2])
         return centre + self.solid.base_z, centre - self.solid.base_z
 
     @cached_property
     def base_polygon_B(self) -> Array:
-        """(n, 3) contact points in B."""
+        """Contact points (n, 3) in B, m."""
         return self.contacts.p_BC
 
     def phi(self, inertial: Array, value: Array | float | None = None) -> Array:
-        """(..., 10) inertial parameters in B at values (..., 10) of `INERTIAL` and values (...) of the quantity of its
-        inner dynamics, m, exactly.
+        """Exact inertial parameters (..., 10) in B, with its liquid or pendulum at rest.
 
-        What moves inside counts as it is while it rests with the body.
+        inertial: (..., 10) values of `INERTIAL`. value: (...) fill height or pendulum length, m.
         """
         phi = phi_of(inertial)
         if self.inner is None:
@@ -132,23 +130,23 @@ class Body:
 
     @property
     def inside(self) -> str:
-        """What moves inside it, in words: "the liquid in cup"."""
+        """Its liquid or pendulum in words: "the liquid in cup"."""
         assert self.inner is not None
         return f"the {self.inner.noun} in {self.name}"
 
     @property
     def inner_parameter(self) -> Parameter | None:
-        """The parameter that is the quantity of its inner dynamics; None where nothing moves inside."""
+        """The uncertain parameter fill or length of its liquid or pendulum; None without one."""
         return None if self.inner is None else Parameter(self.name, self.inner.quantity)
 
     def inner_value(self, deviation: Mapping[Parameter, float]) -> float | None:
-        """Value of that, m; None where nothing moves inside."""
+        """Fill height or pendulum length, m, at a deviation from nominal; None without a liquid or pendulum."""
         if self.inner is None:
             return None
         return self.inner.value + deviation.get(Parameter(self.name, self.inner.quantity), 0.0)
 
     def phi_at(self, deviation: Mapping[Parameter, float]) -> Array:
-        """(10,) inertial parameters in B at parameters that deviate from nominal, exactly."""
+        """Exact inertial parameters (10,) in B at a deviation of the uncertain parameters from nominal."""
         inertial = inertial_vector(self.own)
         for parameter, value in deviation.items():
             if parameter.owner == self.name and parameter.entry is not None:
@@ -156,23 +154,23 @@ class Body:
         return self.phi(inertial, self.inner_value(deviation))
 
     def phi_jacobian(self, parameters: Sequence[Parameter]) -> Array:
-        """d phi / d p (10, n_p) at nominal parameters; zero for what is another's or does not act through phi."""
+        """d phi / d p (10, n_p) at nominal; zero for parameters of other objects and those that do not change phi."""
         if self.inner is None:
             return phi_jacobian(self.inertial, self.name, parameters)
-        step = 1e-3  # of phi, which is quadratic in mass and length and of third order in a fill
+        step = 1e-3  # relative; phi is quadratic in mass and length, and cubic in the fill
         moved = [(self.phi_at({p: step}) - self.phi_at({p: -step})) / (2 * step) for p in parameters]
         return np.array(moved).reshape(len(parameters), 10).T
 
     def place_at(self, deviation: Mapping[Parameter, float]) -> Array:
-        """(3,) origin of B in E at parameters that deviate from nominal, the tilt of the tray left out."""
+        """Origin (3,) of B in E, m, at a deviation of the uncertain parameters, without the tilt of the tray."""
         shift = [deviation.get(Parameter(self.name, "position", axis), 0.0) for axis in "xy"]
         return self.p_EB + np.array([*shift, 0.0])
 
 
 def bodies(objects: Sequence[LooseObject], edges: int = 4, phase: float = 0.0) -> tuple[Body, ...]:
-    """All objects at rest, in their order. edges, phase: of the linearised friction cones, rad.
+    """All objects at rest, in their order. edges, phase: number of edges of the friction cones, first angle in rad.
 
-    Raises ValueError when one stands on something that is not there before it.
+    Raises ValueError when an object's support does not come before it.
     """
     made: dict[str, Body] = {}
     top: dict[str, float] = {TRAY: 0.0}
@@ -214,14 +212,14 @@ def bodies(objects: Sequence[LooseObject], edges: int = 4, phase: float = 0.0) -
 
 
 def _standing_on(polygon: Array, centre_E: Array, R_EB: Array, surface_E: Array | None) -> Array:
-    """The part (n, 2), in the shape frame, of a base polygon that rests on a surface in E (None: the whole tray)."""
+    """The part (n, 2), in the shape frame G, of a base polygon that rests on a surface in E (None: the whole tray)."""
     if surface_E is None:
         return polygon
     return intersection(polygon, (surface_E - centre_E[:2]) @ R_EB[:2, :2])
 
 
 def check(item: LooseObject) -> None:
-    """Raise ValueError, one sentence with the value, if no such object can exist."""
+    """Raise ValueError, one sentence with the value, if such an object cannot exist."""
     principal = np.linalg.eigvalsh(item.inertial.inertia_com)
     if principal[0] <= 0:
         raise ValueError(
@@ -241,7 +239,7 @@ def check(item: LooseObject) -> None:
 
 
 def check_standing(items: Sequence[Body], tray_half: Array) -> None:
-    """Raise ValueError if bodies on a tray of half size (2,) stand askew, beside their supports or in each other."""
+    """Raise ValueError if bodies on a tray of half size (2,), m, are tilted, off their supports, or intersect."""
     made = {body.name: body for body in items}
     for body in items:
         for name, count in zip(body.supports, body.regions, strict=True):

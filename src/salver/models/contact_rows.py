@@ -2,10 +2,10 @@
 
 With w of `salver.models.tray_motion` at the tray frame E, each facet of each interface's contact wrench cone is
     c(p) . w <= 0,
-with c a polynomial of the uncertain parameters p; `salver.models.uncertain.worst_case` takes its worst case. That is
-exact for mass, centre of mass and inertia of a single object on a tray that does not turn. Friction enters through its
-least value (a smaller cone lies inside the larger), position through the area that every placement keeps, mass through
-its two extreme values, and contents that are not known through `salver.models.uncertain.contents`.
+with c a polynomial of the uncertain parameters p; `salver.models.uncertain.worst_case` computes its worst case. That is
+exact for mass, centre of mass and inertia of a single object on a tray that does not rotate. The least friction is used
+(its cone is inside all others), the contact area that is common to all positions, both extreme masses, and for unknown
+contents `salver.models.uncertain.contents`.
 """
 
 from __future__ import annotations
@@ -31,21 +31,20 @@ from salver.models.uncertain.contents import INERTIA_OF_MOMENTS, Filling, Hull, 
 from salver.models.uncertain.parameters import TILT, Parameter, UncertainSet, tilt_at
 from salver.models.uncertain.worst_case import UncertainRows
 
-MOST_GENERATORS = 256  # points times edges of one contact: at most some 12 000 facets
-_MOST_MASSES = 3  # so many uncertain masses in one network are taken at all their extreme values
+MOST_GENERATORS = 256  # largest product of points and edges of one contact; gives about 12 000 facets
+_MOST_MASSES = 3  # largest number of uncertain masses in a network that are enumerated at their extremes
 
 
 @dataclass(frozen=True)
 class ContactRows(UncertainRows):
     """Contact constraints of one network of touching bodies.
 
-    Rows are divided by the normal force that the interface carries at rest on a level tray: a value of -0.2 means
-    that a disturbance of a fifth of that weight leads out of the cone.
-    network: the bodies and interfaces. interface: (n,) index of each row's interface. label: (n,) what kind of
-    row it is; of the cone's facets, whether friction limits them.
-    internal: (n, n_w) effect of the network's internal wrenches on the rows, which are at zero in `worst`; zero
-    when positions are uncertain, because where those wrenches act is then unknown too.
-    wrench: (m, n, 6) effect on the rows of a wrench at E, in E, that each of the m bodies needs beyond its own.
+    Rows are divided by the normal force of the interface at rest on a level tray: at a value of -0.2, a disturbance of
+    a fifth of that weight leaves the cone. network: the bodies and interfaces. interface: (n,) index of each row's
+    interface. label: (n,) kind of each row; for the facets of a cone, whether friction limits them. internal: (n, n_w)
+    effect of the network's internal wrenches on the rows; `worst` takes these wrenches as zero. Without columns if
+    positions are uncertain, because the points where internal wrenches act are then unknown. wrench: (m, n, 6) effect
+    on the rows of an additional wrench at E, in E, that each of the m bodies needs.
     """
 
     network: ContactNetwork
@@ -57,18 +56,18 @@ class ContactRows(UncertainRows):
 
 @lru_cache(maxsize=8)
 def contact_rows(payload: Payload) -> tuple[ContactRows, ...]:
-    """The rows of every network, over w of the tray frame E and the payload's uncertain set; worked out once.
+    """The contact constraints of every network, linear in w of the tray frame E, over the payload's uncertain set.
 
-    A plan keeps `rows.worst(w) <= -margin`. `payload.nominal` and `payload.with_edges` answer other questions.
-    Raises ScenarioError when an object may stand beside its support (`Payload.check_places`), or when its contact has
-    so many points and edges that the cone's facets cannot be worked with.
+    A plan satisfies `rows.worst(w) <= -margin`. For the nominal load or other cones, pass `payload.nominal` or
+    `payload.with_edges`. Cached. Raises ScenarioError when an object may stand beside its support
+    (`Payload.check_places`), or when its contact has too many points and edges.
     """
     payload.check_places()
     for body in payload.bodies:
         most, edges = max(body.regions), body.contacts.edges
         if most * edges > MOST_GENERATORS:
             raise ScenarioError(
-                f"contact.edges = {edges} with the {most} contact points of {body.name} makes too many facets for the "
+                f"contact.edges = {edges} with the {most} contact points of {body.name} gives too many facets for the "
                 f"exact condition; their product must be at most {MOST_GENERATORS}."
             )
     return tuple(network_rows(network, payload.uncertain, payload.tray_half) for network in payload.networks)
@@ -94,8 +93,8 @@ def network_rows(
 ) -> ContactRows:
     """Contact constraints of one network.
 
-    rows_of: what is asked of each interface, linear in the wrench at B of the upper body; its facets, unless another
-    question is to be answered over the same uncertain set. per_weight: divided by the normal force at rest.
+    rows_of: constraints of each interface, linear in the wrench at B of the upper body, with their labels; default: the
+    facets of the cone. per_weight: divide rows by the normal force at rest.
     """
     half = uncertain.ranges
     shift = shift_ranges(network, uncertain)
@@ -154,13 +153,13 @@ def _of(parameter: Parameter, body: Body) -> bool:
 def _filling(
     model: _RowModel, body: Body, within: list[Parameter], half: Deviation, signs: Mapping[Parameter, int]
 ) -> Filling:
-    """What the contents of one body add to the rows at extreme masses."""
+    """The contribution of one body's unknown contents to the rows, for each combination of extreme masses."""
     deviation = {p: sign * half[p] for p, sign in signs.items()}
     mass = body.inertial.mass + sum(value for p, value in deviation.items() if _of(p, body))
     rows = mass * model.of_moments(body, deviation) / model.weights(deviation)[:, None]
     mean = np.array([half.get(Parameter(body.name, "com", axis), 0.0) for axis in "xyz"])
     nominal = np.concatenate([np.zeros(3), moments_of_inertia(body.inertial.inertia_com) / mass])
-    # In half-ranges: a centre of mass is the mean itself, an inertia (about B's origin) is linear in second moments.
+    # Derivatives in half-ranges: the centre of mass is the mean, the inertia (about B) is linear in second moments.
     per, less = np.zeros((len(within), 9)), np.zeros(len(within))
     for k, p in enumerate(within):
         entry = p.entry - 1 if p.entry is not None else 0
@@ -187,7 +186,7 @@ def _placed(
     half: Deviation,
     corners: list[dict[Parameter, int]],
 ) -> list[Array]:
-    """Products of a place and a moment of the contents (9, n, 12), one by one, each at the largest both can be."""
+    """Bounds (9, n, 12) of the products of a position or tilt and a moment of the contents, for each of the former."""
     found = []
     for p in places:
         blocks = []
@@ -201,7 +200,7 @@ def _placed(
 
 
 class _RowModel:
-    """c(p) of one network: its rows (n, 12) at any values of the uncertain parameters."""
+    """The function c(p) of one network: its rows (n, 12) at any values of the uncertain parameters."""
 
     def __init__(self, network: ContactNetwork, asked: list[tuple[Array, Labels]], per_weight: bool) -> None:
         self.network = network
@@ -213,8 +212,7 @@ class _RowModel:
         self._tilted: dict[tuple[object, ...], Array] = {}
 
     def _maps(self, body: Body, deviation: Deviation) -> tuple[Array, Array]:
-        """(6, 12) wrench at E that a body needs, and (6, 6) from wrenches at E to those at its B; by its own parameters
-        alone, of which few are apart from nominal at a time."""
+        """Maps of a body, cached: from w to its wrench at E (6, 12), and from wrenches at E to wrenches at B (6, 6)."""
         key = (body.name, *(each for each in deviation.items() if _of(each[0], body)))
         if key not in self._known:
             place = body.place_at(deviation)
@@ -224,22 +222,22 @@ class _RowModel:
         return self._known[key]
 
     def _tilt(self, deviation: Deviation) -> Array:
-        """(12, 12) what the tray feels as the real, tilted one does."""
+        """Map (12, 12) from w of the assumed tray frame to w of the real, tilted one."""
         key = tuple(deviation.get(tilt) for tilt in TILT)
         if key not in self._tilted:
             self._tilted[key] = frame_map(np.zeros(3), tilt_at(deviation))
         return self._tilted[key]
 
     def _required(self, deviation: Deviation) -> Array:
-        """(m, 6, 12) wrench at E that each body needs."""
+        """Maps (m, 6, 12) from w to the wrench at E that each body needs."""
         return np.array([self._maps(body, deviation)[0] for body in self.network.bodies])
 
     def _carried(self, deviation: Deviation) -> Array:
-        """(n_e, 6, 12) wrench at E that each interface carries."""
+        """Maps (n_e, 6, 12) from w to the wrench at E that each interface transmits."""
         return np.einsum("ejik,jkw->eiw", self.network.share, self._required(deviation))
 
     def of_moments(self, body: Body, deviation: Deviation) -> Array:
-        """(9, n, 12) rows per unit of each moment (E x, and six second ones, about B) of a unit mass in one body."""
+        """Rows (9, n, 12) for each moment of a unit mass in one body: E x, then six second moments, about B."""
         j, place = self.network.bodies.index(body), body.place_at(deviation)
         down, seen = to_tray(place, body.R_EB), frame_map(place, body.R_EB)
         facets = self.facets_at_tray(deviation)
@@ -257,13 +255,13 @@ class _RowModel:
         return out
 
     def weights(self, deviation: Deviation) -> Array:
-        """(n,) what rows are divided by: the normal force at rest on a level tray of each row's interface, N."""
+        """Divisor (n,) of each row: the normal force of its interface at rest on a level tray, N."""
         if not self.per_weight:
             return np.ones(len(self.interface))
         return (self._carried(deviation) @ at_rest())[self.interface, 2]
 
     def rows(self, deviation: Deviation) -> Array:
-        """c(p) (n, 12) at parameters that deviate from nominal, in N."""
+        """c(p) (n, 12), N, at a deviation of the uncertain parameters from nominal."""
         carried = self._carried(deviation)
         rows = np.concatenate([r @ carried[e] for e, r in enumerate(self.facets_at_tray(deviation))])
         return rows @ self._tilt(deviation)
@@ -272,10 +270,10 @@ class _RowModel:
 def _expand(
     model: _RowModel, acting: tuple[Parameter, ...], half: Deviation, signs: Mapping[Parameter, int]
 ) -> tuple[Array, Array, Array, Array, Array]:
-    """c_0, c_k, d_l, the internal columns and those of wrenches on the bodies, around the masses at their extremes.
+    """c_0, c_k, d_l, and the effects of internal wrenches and of wrenches on the bodies, at one set of extreme masses.
 
-    c is quadratic in all parameters but the tilt, so differences over the half-ranges give its terms exactly;
-    tilt is cut off after the second order (relative error below tilt^3 / 6).
+    c is quadratic in all parameters except the tilt, so that differences over the half-ranges give its terms exactly;
+    the tilt is expanded to second order (relative error below tilt^3 / 6).
     """
     base = {p: sign * half[p] for p, sign in signs.items()}
 
@@ -285,7 +283,7 @@ def _expand(
     centre = at()
     up, down = [at((p, 1)) for p in acting], [at((p, -1)) for p in acting]
     linear = [0.5 * (a - b) for a, b in zip(up, down, strict=True)]
-    # A square varies between nothing and its full value: its middle belongs to the centre.
+    # A square varies between 0 and its full value; the middle of that range is added to the centre.
     half_square = [0.5 * (0.5 * (a + b) - centre) for a, b in zip(up, down, strict=True)]
     mixed = [
         at((acting[i], 1), (acting[j], 1)) - up[i] - up[j] + centre
@@ -307,5 +305,5 @@ def _expand(
 
 
 def _interact(first: Parameter, second: Parameter) -> bool:
-    """Whether a product of two parameters can occur: of one body, or through positions and the tray's tilt."""
+    """Whether c can contain the product of two parameters: of one body, or with a position or the tray's tilt."""
     return first.owner == second.owner or first.places or second.places

@@ -1,4 +1,4 @@
-"""Interfaces of arm, tray and surroundings as the models need them; the tables of a scenario have them.
+"""Interfaces that the models require of arm, tray and obstacles; the tables of a scenario implement them.
 
 Units and frames are those of the scenario file (docs/scenario-file.md).
 """
@@ -28,7 +28,7 @@ class TrayDescription(Protocol):
 
 
 class ArmDescription(Protocol):
-    """An arm by name or URDF, where it stands, and what of it counts."""
+    """An arm by name or URDF, with its base pose, limits and collision settings."""
 
     @property
     def model(self) -> str: ...
@@ -53,7 +53,7 @@ class ArmDescription(Protocol):
 
 
 class ObstacleDescription(Protocol):
-    """A shape that stands still in the world; which of its sizes are given goes by its type."""
+    """A fixed shape in the world; its type determines which of its sizes are given."""
 
     @property
     def name(self) -> str: ...
@@ -77,7 +77,7 @@ class ObstacleDescription(Protocol):
 
 @dataclass(frozen=True)
 class Floor:
-    """All that is below a height in the world, m, as an obstacle; `clear` is what plans keep free above it, m."""
+    """The half-space below a height in the world, m, as an obstacle; clear: m, clearance that plans keep from it."""
 
     height: float
     clear: float = 0.01
@@ -92,5 +92,5 @@ class Floor:
 
     @property
     def position(self) -> tuple[float, float, float]:
-        """A point of its surface."""
+        """A point of its surface, m."""
         return (0.0, 0.0, self.height)

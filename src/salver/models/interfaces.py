@@ -1,10 +1,10 @@
-"""Objects on a tray, on each other, or bridging two: who presses on whom.
+"""Contact interfaces between the tray and objects, and between objects that stand on each other.
 
 Objects that touch each other form a network of interfaces. Each body's balance, written at the tray frame E,
-    sum of the wrenches from below - sum of the wrenches it passes on from above = W_body,
-fixes all interface wrenches when every body stands on one thing (a tree): an interface carries what stands
-above it. A body on two supports (an arch) leaves six unknowns: w = share W + internal w_0 with w_0 free, and the
-network holds if some w_0 puts every interface wrench in its own contact wrench cone.
+    sum of the wrenches from below - sum of the wrenches on its top = W_body,
+determines all interface wrenches if every body has one support (a tree): an interface carries everything above it. A
+body on two supports (an arch) leaves six unknowns: w = share W + internal w_0 with any w_0, and the network holds if
+some w_0 puts every interface wrench into its contact wrench cone.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ class Interface:
 class ContactNetwork:
     """Bodies that touch each other, directly or through others, and their interfaces.
 
-    share: (n_e, m, 6, 6) wrench at E that interface e carries of body j's required wrench at E.
-    internal: (n_e, 6, n_w) wrenches in balance with each other; n_w = 0 for a tree.
+    share: (n_e, m, 6, 6) part of body j's required wrench at E that interface e transmits, at E.
+    internal: (n_e, 6, n_w) self-balancing interface wrenches at E; n_w = 0 for a tree.
     """
 
     bodies: tuple[Body, ...]
@@ -51,7 +51,7 @@ class ContactNetwork:
 
 
 def networks(items: Sequence[Body]) -> tuple[ContactNetwork, ...]:
-    """The networks of bodies (in the scenario's order); a body alone on the tray is one of its own."""
+    """The networks of bodies, in the scenario's order; a single body on the tray is a network."""
     group = {body.name: {body.name} for body in items}
     for body in items:
         for support in body.supports:
@@ -91,7 +91,7 @@ def _network(items: tuple[Body, ...]) -> ContactNetwork:
 
 
 def _share(items: tuple[Body, ...], interfaces: list[Interface], incidence: Array) -> Array:
-    """Of all distributions, the one with the least sum of squared forces at the contact points."""
+    """`ContactNetwork.share` of the distribution with the least sum of squared forces at the contact points."""
     m, n_e = incidence.shape
     if m == n_e:
         return np.linalg.inv(incidence)[:, :, None, None] * np.eye(6)
@@ -116,7 +116,7 @@ def _internal(incidence: Array) -> Array:
 
 
 def to_tray(p_EB: Array, R_EB: Array) -> Array:
-    """(6, 6) wrench at B, in B, to the wrench at E, in E."""
+    """Map (6, 6) from a wrench at B, in B, to the wrench at E, in E."""
     matrix = np.zeros((6, 6))
     matrix[:3, :3] = matrix[3:, 3:] = R_EB
     matrix[3:, :3] = hat(p_EB) @ R_EB
@@ -124,12 +124,12 @@ def to_tray(p_EB: Array, R_EB: Array) -> Array:
 
 
 def needed_at_tray(body: Body, phi: Array) -> Array:
-    """(6, 12) w of E to the wrench at E that inertial parameters phi (10,) in the place of a body need."""
+    """Map (6, 12) from w of E to the wrench at E that a body with inertial parameters phi (10,) in its B needs."""
     return to_tray(body.p_EB, body.R_EB) @ wrench_map(phi) @ frame_map(body.p_EB, body.R_EB)
 
 
 def shift_ranges(network: ContactNetwork, uncertain: UncertainSet) -> dict[str, Array]:
-    """(2,) half-ranges of position_x, position_y by body, m."""
+    """Half-ranges (2,) of position_x, position_y, m, by name of the body."""
     ranges = uncertain.ranges
     return {
         body.name: np.array([ranges.get(Parameter(body.name, "position", axis), 0.0) for axis in "xy"])
@@ -138,10 +138,10 @@ def shift_ranges(network: ContactNetwork, uncertain: UncertainSet) -> dict[str, 
 
 
 def sure_contacts(network: ContactNetwork, tray_half: Array, uncertain: UncertainSet) -> list[ContactSet]:
-    """Contact sets that hold for all parameters: least friction, and the area common to all placements.
+    """Contact sets that are valid for all parameters: least friction, and the area common to all positions.
 
-    tray_half: (2,) half size of the tray. A region that can vanish altogether is left as it is, so that the verdict is
-    not about it: `regions_lost` names such interfaces.
+    tray_half: (2,) half size of the tray, m. A region that may vanish is returned unchanged; `regions_lost` names such
+    interfaces.
     """
     shift, ranges = shift_ranges(network, uncertain), uncertain.ranges
     kept = []
@@ -163,7 +163,7 @@ def sure_contacts(network: ContactNetwork, tray_half: Array, uncertain: Uncertai
 
 
 def regions_lost(network: ContactNetwork, tray_half: Array, uncertain: UncertainSet) -> list[str]:
-    """Interfaces whose contact region vanishes within the position uncertainty."""
+    """Names of the interfaces whose contact region may vanish within the position uncertainty."""
     shift = shift_ranges(network, uncertain)
     regions = [(f.name, _sure_region(network, f, tray_half, shift)) for f in network.interfaces]
     return [name for name, region in regions if region is not None and len(region) < 3]
@@ -172,7 +172,7 @@ def regions_lost(network: ContactNetwork, tray_half: Array, uncertain: Uncertain
 def _sure_region(
     network: ContactNetwork, interface: Interface, tray_half: Array, shift: dict[str, Array]
 ) -> Array | None:
-    """Region (n, 2) in B of the upper body that every placement keeps; None when it is all of it."""
+    """Part (n, 2) of a contact region common to all positions, in B of the upper body; None if it is all of it."""
     upper = network.bodies[interface.upper]
     range_E = shift.get(upper.name, np.zeros(2)).copy()
     if interface.lower is None:
@@ -186,7 +186,7 @@ def _sure_region(
     sure_E = eroded(surface_E, range_E)
     if len(sure_E) < 3:
         return np.empty((0, 2))
-    # The base itself moves with the upper body; only where it meets the surface's edge does it lose area.
+    # The base moves with the upper body; the region loses area only at the edge of the surface below.
     base_B = interface.contacts.p_BC[:, :2]
     sure_B = (sure_E - upper.p_EB[:2]) @ upper.R_EB[:2, :2]
     normal, offset = half_planes(sure_B)

@@ -1,7 +1,7 @@
 """The load: loose bodies on a tray, their contacts, and their uncertain parameters.
 
-Made once from a scenario (`Scenario.payload`) and passed on; everything that depends on the uncertain parameters is
-asked of it or of its bodies (`Body.phi_at`, `Body.place_at`).
+`Scenario.payload` makes it once. It and its bodies compute everything that depends on the uncertain parameters
+(`Body.phi_at`, `Body.place_at`).
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from salver.models.uncertain.parameters import NOTHING, Parameter, UncertainSet,
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Payload(Outlined):
-    """Bodies in the scenario's order; the first is the one whose motion is planned.
+    """The load. bodies: in the scenario's order; the motion of the first one is planned.
 
-    uncertain: about all of them and the tray's tilt. tray_half: (2,) half size of the tray, m.
+    uncertain: uncertain parameters of all bodies and of the tray. tray_half: (2,) half size of the tray, m.
     """
 
     bodies: tuple[Body, ...]
@@ -37,29 +37,29 @@ class Payload(Outlined):
 
     @property
     def dynamic(self) -> tuple[Body, ...]:
-        """The bodies in which something moves."""
+        """The bodies with a liquid or a pendulum."""
         return tuple(body for body in self.bodies if body.inner is not None)
 
     @property
     def slowest_period(self) -> float:
-        """s, the longest period of what moves inside its bodies, at nominal values; 0 where nothing does."""
+        """Longest period of the liquids and pendulums at nominal values, s; 0 without any."""
         each = (float(x.inner.modes(x.inner.value).omega.min()) for x in self.dynamic if x.inner is not None)
         return max((2 * np.pi / omega for omega in each), default=0.0)
 
     @property
     def unmodelled(self) -> tuple[str, ...]:
-        """Parts of its inner dynamics that are not modelled, in words, to stand before any verdict."""
+        """What the models of its liquids and pendulums leave out, in words; verdicts begin with it."""
         each = (body.inner.unmodelled(body.name) for body in self.dynamic if body.inner is not None)
         return tuple(words for words in each if words)
 
     @cached_property
     def networks(self) -> tuple[ContactNetwork, ...]:
-        """The bodies that touch each other, directly or through others."""
+        """The networks of bodies that touch each other, directly or through others."""
         return networks(self.bodies)
 
     @cached_property
     def nominal(self) -> Payload:
-        """The load with nothing uncertain."""
+        """The load without uncertain parameters."""
         return replace(self, uncertain=NOTHING)
 
     def with_only(self, parameters: Collection[Parameter]) -> Payload:
@@ -67,19 +67,19 @@ class Payload(Outlined):
         return replace(self, uncertain=self.uncertain.restricted(parameters))
 
     def with_edges(self, edges: int) -> Payload:
-        """The load with friction cones linearised by so many edges."""
+        """The load with friction cones linearised with `edges` edges."""
         return replace(self, bodies=tuple(replace(b, contacts=replace(b.contacts, edges=edges)) for b in self.bodies))
 
     def parameter(self, name: str) -> Parameter:
-        """The parameter that a user or a file calls so. Raises ValueError when there is none."""
+        """The parameter with a name from a user or a file. Raises ValueError when there is none."""
         return parse(name, [body.name for body in self.bodies])
 
     def least_friction(self, body: Body) -> float:
-        """The least coefficient within the uncertain set."""
+        """The least friction coefficient of a body within the uncertain set."""
         return body.friction - self.uncertain.ranges.get(Parameter(body.name, "friction"), 0.0)
 
     def phi(self, body: Body, values: Array) -> Array:
-        """(..., 10) inertial parameters of a body in B at values (..., n_p) of the uncertain parameters, exactly."""
+        """Exact inertial parameters (..., 10) of a body in B at values (..., n_p) of the uncertain parameters."""
         inertial, inner = np.broadcast_to(inertial_vector(body.own), (*values.shape[:-1], 10)).copy(), None
         for column, parameter in enumerate(self.uncertain.parameters):
             if parameter.owner == body.name and parameter.entry is not None:
@@ -89,14 +89,14 @@ class Payload(Outlined):
         return body.phi(inertial, inner)
 
     def check(self) -> None:
-        """Raise ValueError when the bodies cannot stand as they are said to: one sentence."""
+        """Raise ValueError, one sentence, when the bodies cannot stand at their positions."""
         check_standing(self.bodies, self.tray_half)
 
     def check_places(self) -> None:
-        """Raise ScenarioError when an uncertain position can leave nothing of a contact: nothing is safe then."""
+        """Raise ScenarioError when a contact area may vanish within the position uncertainty: nothing is safe then."""
         for network in self.networks:
             for name in regions_lost(network, self.tray_half, self.uncertain):
                 raise ScenarioError(
-                    f"With the uncertainty.position of its objects, one may stand beside its support ({name}); the "
-                    "half-ranges must leave a part of the contact region that is sure."
+                    f"With the uncertainty.position of its objects, one may stand beside its support ({name}); give "
+                    "smaller half-ranges, so that a part of the contact area remains at all positions."
                 )

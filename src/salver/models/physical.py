@@ -1,11 +1,11 @@
 """Inertial parameters that an object of a given shape can have.
 
-Mass, centre of mass and inertia are the moments of order 0, 1, 2 of a mass distribution. Any distribution at
-all needs mass > 0 and positive second moments (which contains the triangle inequality of the principal
-moments; Traversaro et al. 2016, Wensing et al. 2018). One that lies within the shape's convex hull needs
-more: for any two faces with distances h_i(x), h_j(x) >= 0 inside, the mean of h_i h_j is not negative (moment
-conditions of order one; Heins and Schoellig, "Robust Nonprehensile Object Transportation with Uncertain Inertial
-Parameters", 2025). These are necessary; the tests count how far they are from sufficient.
+Mass, centre of mass and inertia are the moments of order 0, 1, 2 of a mass distribution. Every distribution has
+mass > 0 and positive second moments (which implies the triangle inequality of the principal moments; Traversaro et
+al. 2016, Wensing et al. 2018). For one that lies within the shape's convex hull, and any two faces with distances
+h_i(x), h_j(x) >= 0 inside, also the mean of h_i h_j is not negative (moment conditions of order one; Heins and
+Schoellig, "Robust Nonprehensile Object Transportation with Uncertain Inertial Parameters", 2025). These conditions are
+necessary; the tests count how far they are from sufficient.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _ROUNDS = 60
 
 
 def _pseudo_inertia(phi: Array) -> Array:
-    """(4, 4) mass moments of order 0, 1, 2 of (x, 1), linear in phi (10,)."""
+    """Pseudo-inertia (4, 4), the mass moments of order 0, 1, 2 of (x, 1), linear in phi (10,)."""
     inertia = inertia_matrix(phi[4:])
     second = 0.5 * np.trace(inertia) * np.eye(3) - inertia
     return np.block([[second, phi[1:4, None]], [phi[None, 1:4], phi[:1, None]]])
@@ -37,13 +37,13 @@ _PSEUDO = np.stack([_pseudo_inertia(unit) for unit in np.eye(10)])
 
 
 def hull_faces(body: Body) -> Array:
-    """(k, 4) half-spaces n . x + d <= 0 of the shape's convex hull in B, each once; n are unit vectors."""
+    """Half-spaces (k, 4), n . x + d <= 0, of the shape's convex hull in B, with unit vectors n."""
     hull = polytope(body.points_B)
     return np.column_stack([hull.normal, -hull.offset])
 
 
 def second_moments(values: Array) -> Array:
-    """(n, 3, 3) second moments about the centre of mass, per mass, of values (n, 10) of `parameters.INERTIAL`."""
+    """Second moments (n, 3, 3) per mass about the centre of mass, from values (n, 10) of `parameters.INERTIAL`."""
     inertia = inertia_matrix(values[:, 4:]) / values[:, 0, None, None]
     return 0.5 * np.trace(inertia, axis1=1, axis2=2)[:, None, None] * np.eye(3) - inertia
 
@@ -51,8 +51,8 @@ def second_moments(values: Array) -> Array:
 def realisable(body: Body, values: npt.ArrayLike, *, within_shape: bool = True) -> Mask:
     """Whether a mass distribution can have each of the values (n, 10) of `parameters.INERTIAL`, in B.
 
-    within_shape: whether it lies within the shape's convex hull (necessary conditions, see above); otherwise the
-    centre of mass lies within the hull and the inertia is that of some distribution anywhere.
+    within_shape: the distribution must lie within the shape's convex hull (necessary conditions, see above); otherwise
+    only the centre of mass must, and the inertia must be that of some distribution.
     """
     values = np.atleast_2d(np.asarray(values, dtype=float))
     possible = values[:, 0] > 0
@@ -76,11 +76,11 @@ def realisable(body: Body, values: npt.ArrayLike, *, within_shape: bool = True) 
 
 
 def nearest(body: Body, phi: Array, covariance: Array, *, within_shape: bool = True) -> tuple[Array, float]:
-    """phi (10,) of a mass distribution (`realisable`) that lies nearest to a phi with a covariance (10, 10), both in B;
-    and how far away that is, in standard deviations.
+    """The phi (10,) nearest to a phi with a covariance (10, 10), in B, that a mass distribution can have
+    (`realisable`), and its distance in standard deviations.
 
-    The conditions are linear in phi but for the pseudo-inertia (Wensing, Kim and Slotine 2018), which is positive
-    semidefinite: v^T J v >= 0, for ever more v, of what is linear (least distance programming: Lawson and Hanson 1974).
+    All conditions are linear in phi except that the pseudo-inertia J (Wensing, Kim and Slotine 2018) is positive
+    semidefinite, which linear cuts v^T J v >= 0 impose (least distance programming: Lawson and Hanson 1974).
     """
     from scipy.optimize import nnls
 
@@ -110,7 +110,7 @@ def nearest(body: Body, phi: Array, covariance: Array, *, within_shape: bool = T
 def random_inertia(body: Body, com: Array, rng: np.random.Generator, points: int = 6) -> Array:
     """Inertia (6,) per mass of random point masses within the shape's hull, about their centre of mass com (3,).
 
-    com lies within the hull. The last of the masses stands where it brings the centre of mass to its place.
+    com must lie within the hull. The last mass is placed so that the centre of mass is com.
     """
     faces, corners = hull_faces(body), body.points_B
     x = rng.dirichlet(np.full(len(corners), 1.0 / len(corners)), points) @ corners  # often near a corner

@@ -1,4 +1,4 @@
-"""The object as a rigid body: eq (1) of the paper, and its form linear in the inertial parameters."""
+"""Rigid-body dynamics of the object: eq (1) of the paper, and its form linear in the inertial parameters."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class RigidBody:
 
     @property
     def spatial_inertia(self) -> Array:
-        """M_b (6, 6) of eq (1), twist (v, omega) of the origin of B, in B."""
+        """M_b (6, 6) of eq (1), for the twist (v, omega) of the origin of B, in B."""
         return spatial_inertia(self.phi)
 
 

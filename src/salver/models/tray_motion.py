@@ -26,20 +26,20 @@ _SPIN = _PRODUCT_MATRICES - np.trace(_PRODUCT_MATRICES, axis1=1, axis2=2)[:, Non
 
 
 def motion_vector(R_SX: Array, a_S: Array, omega_X: Array, alpha_X: Array) -> Array:
-    """Motion regressor w (T, 12) of a frame X: R_SX (T, 3, 3), a_S (T, 3) of its origin, omega and alpha in X."""
+    """Motion regressor w (T, 12) of a frame X from R_SX (T, 3, 3), a_S (T, 3) of its origin, omega and alpha in X."""
     force = np.einsum("tji,tj->ti", R_SX, a_S - GRAVITY_S)
     return np.hstack([force, alpha_X, inertia_entries(omega_X[:, :, None] * omega_X[:, None, :])])
 
 
 def at_rest(R_SX: Array | None = None) -> Array:
-    """w (12,) of a frame at rest, level unless its orientation is given."""
+    """w (12,) of a frame at rest; level by default."""
     w = np.zeros(N_MOTION)
     w[:3] = -GRAVITY_S if R_SX is None else -GRAVITY_S @ R_SX
     return w
 
 
 def frame_map(p_XY: Array, R_XY: Array) -> Array:
-    """(12, 12): w of a frame X to w of a frame Y fixed to it."""
+    """Map (12, 12) from w of a frame X to w of a frame Y fixed to it."""
     matrix = np.zeros((N_MOTION, N_MOTION))
     rotation = R_XY.T
     matrix[:3, :3] = matrix[3:6, 3:6] = rotation
@@ -50,7 +50,7 @@ def frame_map(p_XY: Array, R_XY: Array) -> Array:
 
 
 def wrench_map(phi: Array) -> Array:
-    """(6, 12): w of frame X to the wrench at X of a body with inertial parameters phi (10,) in X: eq (1)."""
+    """Map (6, 12) from w of a frame X to the wrench at X of a body with inertial parameters phi (10,) in X: eq (1)."""
     mass, moment, inertia = phi[0], phi[1:4], inertia_matrix(phi[4:])
     matrix = np.zeros((6, N_MOTION))
     matrix[:3, :3], matrix[3:, :3] = mass * np.eye(3), hat(moment)
@@ -65,7 +65,7 @@ def wrench_map(phi: Array) -> Array:
 
 @dataclass(frozen=True)
 class Speed:
-    """A speed factor of a motion and the rate at which it changes, 1/s."""
+    """A speed factor of a motion, and its rate of change, 1/s."""
 
     factor: float = 1.0
     rate: float = 0.0
@@ -83,11 +83,11 @@ FULL_SPEED = Speed()
 
 
 def corners(speeds: Literal["any", "full"], rate: float) -> tuple[Speed, ...]:
-    """The speeds at which the contact of a rigid load must hold so that it does at every constant factor from 0 to 1,
-    and at factors that change by up to `rate`, 1/s; or at full speed alone.
+    """The speeds at which a rigid load must hold so that it holds at all speeds that a plan is for.
 
-    The tray's motion regressor is linear in (s^2, s'), and contact a convex condition on it: it holds in the whole
-    rectangle of these when it does at its corners.
+    speeds: "any": every constant factor s from 0 to 1, and factors that change by up to `rate`, 1/s; "full": full
+    speed. The motion regressor of the tray is linear in (s^2, s'), and contact is a convex condition on it, so that it
+    holds in a whole rectangle of these if it holds at the corners.
     """
     if speeds == "full":
         return (FULL_SPEED,)

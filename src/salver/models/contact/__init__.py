@@ -1,1 +1,1 @@
-"""Contact: grasp maps, friction and wrench cones, internal wrenches of what stands on several supports."""
+"""Contact: grasp maps, friction and wrench cones, internal wrenches of objects on several supports."""

@@ -1,4 +1,4 @@
-"""Internal wrenches of objects on several supports: the choice that leaves the largest margin."""
+"""Internal wrenches of objects on several supports, chosen for the largest margin."""
 
 from __future__ import annotations
 
@@ -6,17 +6,17 @@ import numpy as np
 
 from salver.geometry import Array, interpolated
 
-_COARSE = 25  # instants at which the programme is solved before interpolating between them
-_ROWS = 40  # taken into the programme at a time
-_MOST = 200  # further instants solved because the interpolated choice would not hold there
+_COARSE = 25  # instants at which the linear programme is solved first; others are interpolated
+_ROWS = 40  # constraints that enter the linear programme at a time
+_MOST = 200  # largest number of further instants that are solved because the interpolated choice fails there
 
 
 def internal_wrenches(value: Array, internal: Array) -> Array:
-    """w_0 (T, n_w) that makes the rows value + internal w_0 (T, n) small.
+    """Internal wrenches w_0 (T, n_w) that make the rows value + internal w_0 (T, n) small.
 
-    value (T, n): rows at w_0 = 0; internal (n, n_w). At a few instants, among them the least favourable one and the
-    first that fails, w_0 minimises the largest row by a linear programme; elsewhere it is interpolated. Any
-    w_0 that keeps all rows negative proves that the objects hold.
+    value (T, n): rows at w_0 = 0; internal (n, n_w). At some instants, among them the worst one and the first that
+    fails, a linear programme minimises the largest row; elsewhere w_0 is interpolated. Any w_0 with negative rows
+    proves that the objects hold.
     """
     count, n_w = len(value), internal.shape[1]
     if n_w == 0:
@@ -36,7 +36,7 @@ def internal_wrenches(value: Array, internal: Array) -> Array:
         worst, known = int(np.argmax(seen)), max(largest(k) for k in solved)
         failing = np.flatnonzero(seen > 0)
         if worst not in solved and seen[worst] > max(known, 0.0):
-            solved[worst] = _least(value[worst], internal)  # the least margin is to be right
+            solved[worst] = _least(value[worst], internal)  # the least margin must be exact
         elif len(failing) and failing[0] not in solved:
             solved[int(failing[0])] = _least(value[failing[0]], internal)  # and the first instant without one
         else:
@@ -47,12 +47,12 @@ def internal_wrenches(value: Array, internal: Array) -> Array:
 def _least(value: Array, internal: Array) -> Array:
     """w_0 that minimises max(value + internal w_0).
 
-    Few of the rows matter: the programme starts with the largest ones and takes in what its answer violates.
+    Few rows are active, so that the programme starts with the largest ones and adds those that its solution violates.
     """
     from scipy.optimize import linprog
 
     n_w = internal.shape[1]
-    # Far beyond what a solution can be, so that the first few rows cannot leave the programme unbounded.
+    # Bounds beyond any solution, so that the programme is never unbounded with its first rows.
     bound = 1e3 * (1 + float(np.abs(value).max())) / float(np.linalg.norm(internal, axis=1).max())
     limits = [(-bound, bound)] * n_w + [(None, None)]
     cost = np.append(np.zeros(n_w), 1.0)

@@ -1,12 +1,12 @@
 """The contact wrench cone: exactly the wrenches that unilateral frictional contacts can transmit.
 
-The cone is {G F-hat Lambda : Lambda >= 0} (paper, eqs 2 to 5; Balkcom and Trinkle 2002). The paper asks for
-pinv(G F-hat) F >= 0, which singles out one distribution of the internal forces: sufficient, not necessary.
-Here the condition is a list of half spaces, A F <= 0, found once for each contact geometry.
+The cone is {G F-hat Lambda : Lambda >= 0} (paper, eqs 2 to 5; Balkcom and Trinkle 2002). The paper requires
+pinv(G F-hat) F >= 0, which fixes one distribution of the internal forces: sufficient, not necessary.
+Here the condition is a list of half-spaces, A F <= 0, computed once for each contact geometry.
 
-For a support polygon with one friction coefficient the tangential part of the cone, (f_x, f_y, tau_z) taken
-in the contact plane, is proportional to the coefficient: which normal forces are possible does not depend on
-it. So the facets are computed once with coefficient 1, and the least friction for a wrench is a ratio.
+For a support polygon with one friction coefficient, the possible normal forces do not depend on the coefficient, and
+the tangential part of the cone, (f_x, f_y, tau_z) in the contact plane, is proportional to it. So the facets are
+computed once with coefficient 1, and the least friction for a wrench is a ratio.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ _TANGENTIAL = np.array([True, True, False, False, False, True])
 class Facets:
     """Facets of a contact wrench cone.
 
-    rows: (n_f, 6), A F <= 0 exactly for the F (force, moment at the origin of B) in the cone. Rows have unit
-    length once moments are divided by `length`: -max(A F) is then the smallest disturbance (force in N,
-    or moment over `length`) that takes F out of the cone.
-    friction_limited: (n_f,) True where the facet depends on friction (leaving it means sliding), False where
-    only the support polygon matters (leaving it means tipping or lifting).
+    rows: (n_f, 6), A F <= 0 exactly for the wrenches F (force, moment at the origin of B) in the cone. Rows have unit
+    length if moments are divided by `length`, so that -max(A F) is the smallest disturbance (force in N, or moment over
+    `length`) that takes F out of the cone.
+    friction_limited: (n_f,) whether the facet depends on friction (beyond it the object slides) or only on the support
+    polygon (beyond it the object tips or lifts).
     length: m, radius of the support about its centre.
     """
 
@@ -58,7 +58,7 @@ def cone_facets(contacts: ContactSet) -> Facets:
         try:
             rows = hulls.cone_facets(rays)
         except ValueError as error:
-            raise ValueError(f"the contacts press against each other: {error}") from None
+            raise ValueError(f"the contacts can press against each other, which no cone has: {error}") from None
         limited = np.ones(len(rows), dtype=bool)
     rows = rows / np.array([1, 1, 1, length, length, length]) @ _shift_to_centre(contacts)
     size = np.linalg.norm(rows * np.array([1, 1, 1, length, length, length]), axis=1)
@@ -79,7 +79,7 @@ def support_length(contacts: ContactSet) -> float:
 def friction_needed(contacts: ContactSet, wrench_B: Array) -> Array:
     """Least uniform friction coefficient (T,) at which the k-edged cone contains wrenches (T, 6).
 
-    Infinite where no friction would do: the wrench pulls, or its centre of pressure is off the support.
+    Infinite if no friction suffices, because the wrench pulls or its centre of pressure is outside the support.
     """
     wrench_B = np.atleast_2d(wrench_B)
     if not _is_planar_support(contacts):
@@ -97,7 +97,7 @@ def friction_needed(contacts: ContactSet, wrench_B: Array) -> Array:
 
 
 def zero_moment_point(contacts: ContactSet, wrench_B: Array) -> Array:
-    """(T, 2) centre of pressure in the contact plane, about the mean contact point, axes of the contacts, m."""
+    """Zero-moment point (T, 2) in the contact plane, from the mean contact point, in the contacts' axes, m."""
     centred = np.atleast_2d(wrench_B) @ _shift_to_centre(contacts).T
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.stack([-centred[:, 4] / centred[:, 2], centred[:, 3] / centred[:, 2]], axis=1)
@@ -106,7 +106,7 @@ def zero_moment_point(contacts: ContactSet, wrench_B: Array) -> Array:
 def tip_over_margin(contacts: ContactSet, wrench_B: Array) -> Array:
     """Distance (T,) of the zero-moment point to the nearest edge of the support polygon, m.
 
-    Negative outside; minus infinity where the normal force is not pressing.
+    Negative outside; minus infinity if the normal force does not press.
     """
     wrench_B = np.atleast_2d(wrench_B)
     normal, offset = half_planes(support_polygon(contacts))
@@ -117,7 +117,7 @@ def tip_over_margin(contacts: ContactSet, wrench_B: Array) -> Array:
 
 
 def unit_friction_rows(contacts: ContactSet) -> tuple[Array, Array]:
-    """Rows (t, n), each (n_f, 6), of the facets that friction limits: (t / mu + n) F_B <= 0 for a coefficient mu."""
+    """Rows t and n, each (n_f, 6), of the friction-limited facets: (t / mu + n) F_B <= 0 with coefficient mu."""
     length = support_length(contacts)
     unit = _unit_facets(_polygon_key(contacts, length), contacts.edges, contacts.phase)
     unit = unit[np.any(np.abs(unit[:, _TANGENTIAL]) > 1e-9, axis=1)]
@@ -126,7 +126,10 @@ def unit_friction_rows(contacts: ContactSet) -> tuple[Array, Array]:
 
 
 def support_rows(contacts: ContactSet) -> tuple[Array, Array]:
-    """Rows (n, 6), in m: (row F_B) / f_z is how far the zero-moment point is beyond each edge; and the row of f_z."""
+    """Rows (n, 6), m, one for each edge of the support polygon, and the row (6,) of f_z.
+
+    (row F_B) / f_z is the distance of the zero-moment point beyond the edge.
+    """
     normal, offset = half_planes(support_polygon(contacts))
     shift = _shift_to_centre(contacts)
     rows = normal[:, 1, None] * shift[3] - normal[:, 0, None] * shift[4] - offset[:, None] * shift[2]
@@ -140,7 +143,7 @@ def support_polygon(contacts: ContactSet) -> Array:
 
 
 def _is_planar_support(contacts: ContactSet) -> bool:
-    """At least three contact points, not in a line, in one plane across a common normal, with one friction."""
+    """Whether three or more contact points, not on a line, lie in one plane, with one normal and one friction."""
     if contacts.count < 3 or np.ptp(contacts.friction) > 0 or np.ptp(contacts.R_BC, axis=0).max() > 1e-12:
         return False
     centred = (contacts.p_BC - contacts.p_BC.mean(axis=0)) @ contacts.R_BC[0]
@@ -149,7 +152,7 @@ def _is_planar_support(contacts: ContactSet) -> bool:
 
 
 def _shift_to_centre(contacts: ContactSet) -> Array:
-    """(6, 6) wrench at the origin of B to the wrench at the mean contact point, in the axes of contact 0."""
+    """Map (6, 6) from a wrench at the origin of B to the wrench at the mean contact point, in the axes of contact 0."""
     rotation = contacts.R_BC[0].T
     shift = np.zeros((6, 6))
     shift[:3, :3] = shift[3:, 3:] = rotation
@@ -163,7 +166,7 @@ def _polygon_key(contacts: ContactSet, length: float) -> tuple[tuple[float, floa
 
 @lru_cache(maxsize=256)
 def _unit_facets(polygon: tuple[tuple[float, float], ...], edges: int, phase: float) -> Array:
-    """Facets (n_f, 6) for a polygon about the origin, with friction 1 and moments about the origin."""
+    """Facets (n_f, 6) of a support polygon around the origin with friction 1, for moments about the origin."""
     tangents = cone_edges(1.0, edges, phase) * np.sqrt(2)
     rays = [(e[0], e[1], 1, y, -x, x * e[1] - y * e[0]) for x, y in polygon for e in tangents.T]
     rows = hulls.cone_facets(np.array(rays))

@@ -1,8 +1,8 @@
-"""Convex shapes (Coal's) of points, and a mesh as a few of them: the hulls of slabs across its longest direction.
+"""Convex shapes (Coal's) of points, and of a mesh: a few hulls of slabs across its longest direction.
 
-The hull of a link that is not convex, as the upper arm of a UR with a housing at either end, fills what is free between
-them, and then touches where the link does not. Hulls of slabs hold the whole mesh as well, and less beside it: all that
-lies between two planes lies in the hull of its surface there, of the corners and of where edges cross the planes.
+The hull of a link that is not convex, such as the upper arm of a UR with a housing at both ends, fills free space, and
+collides where the link does not. Hulls of slabs contain the whole mesh too, with less free space: the part of a mesh
+between two planes lies in the hull of its corners there and of the intersections of its edges with the planes.
 """
 
 from __future__ import annotations
@@ -15,16 +15,16 @@ import numpy as np
 from salver.geometry import Array, Indices
 from salver.models.shapes.hulls import triangles
 
-THINNEST = 1e-3  # m: Coal wants shapes with a volume
-SLABS = 8  # equal ones, that are put together to ...
-PIECES = 3  # ... at most so many pieces
+THINNEST = 1e-3  # m, least thickness, because Coal needs shapes with a volume
+SLABS = 8  # equal slabs, which are joined to at most PIECES
+PIECES = 3
 WORTH = 0.85  # share of the hull's volume that the pieces may have together, to stand for it
 
 Triangles = Indices
 
 
 def convex(points: Array) -> Any:
-    """Coal's convex hull of points (n, 3), m; what is thinner than `THINNEST` becomes that thick."""
+    """Coal's convex hull of points (n, 3), m, made at least `THINNEST` thick."""
     axes = np.linalg.eigh(np.cov(points.T))[1]
     for axis in axes.T:
         if np.ptp(points @ axis) < THINNEST:
@@ -41,7 +41,7 @@ def convex(points: Array) -> Any:
 
 
 def _joggled(points: Array) -> Any:
-    """The same hull, of a triangulation without fans: what is flat is taken as if its points were off by rounding."""
+    """The hull from a triangulation without fans, as if the points of a flat face were off by rounding."""
     used, corners = np.unique(triangles(points, joggled=True), return_inverse=True)
     vertices, faces = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
     vertices.extend(list(points[used]))
@@ -50,18 +50,17 @@ def _joggled(points: Array) -> Any:
 
 
 def convex_pieces(points: Array, corners: Triangles) -> list[Any]:
-    """The convex shapes that stand for a mesh of points (n, 3), m, and triangles (k, 3): its hull where more do not
-    pay."""
+    """Convex shapes that contain a mesh of points (n, 3), m, and triangles (k, 3); its hull if pieces save little."""
     whole = convex(points)
     axis = np.linalg.eigh(np.cov(points.T))[1][:, -1]
     ends = points @ axis
     slabs = _slabs(points, corners, axis, np.linspace(ends.min(), ends.max(), SLABS + 1)[1:-1])
-    if any(len(slab) < 4 for slab in slabs):  # several bodies, far from one another
+    if any(len(slab) < 4 for slab in slabs):  # several separate bodies
         return [whole]
     slabs = [np.asarray(convex(slab).points()) for slab in slabs]
     united = {(i, j): convex(np.vstack(slabs[i:j])) for i in range(SLABS) for j in range(i + 1, SLABS + 1)}
     size = {span: float(shape.computeVolume()) for span, shape in united.items()}
-    # The least volume of the first j slabs in so many pieces, and where these begin.
+    # The least volume of the first j slabs in a number of pieces, and the first slab of each piece.
     best = {j: (size[0, j], [0]) for j in range(1, SLABS + 1)}
     for _ in range(PIECES - 1):
         best = {j: min([best[j]] + [(best[i][0] + size[i, j], [*best[i][1], i]) for i in range(1, j)]) for j in best}
@@ -72,7 +71,7 @@ def convex_pieces(points: Array, corners: Triangles) -> list[Any]:
 
 
 def _slabs(points: Array, corners: Triangles, axis: Array, cuts: Array) -> list[Array]:
-    """Points between planes axis . x = cut in whose hull lies all of the surface that is between them."""
+    """For each pair of adjacent planes axis . x = cut, points whose hull contains the surface between them."""
     along = points @ axis
     edges = np.unique(np.sort(np.vstack([corners[:, k] for k in ([0, 1], [1, 2], [2, 0])]), axis=1), axis=0)
     crossed = []

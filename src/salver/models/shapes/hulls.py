@@ -1,7 +1,7 @@
-"""Convex hulls of points and cones over rays: facets and corners by Qhull, the one place that asks for them.
+"""Facets and corners of convex hulls of points and of cones over rays, by Qhull.
 
-Qhull triangulates facets and knows their planes to some digits. Here each plane comes once, put through the points or
-rays that lie in it. The hull of polygons: `salver.models.shapes.polygons.convex_hull`.
+Qhull triangulates facets and gives their planes to some digits. Here each plane occurs once, and planes of cones are
+fitted to their rays. `salver.models.shapes.polygons.convex_hull` computes hulls in the plane.
 """
 
 from __future__ import annotations
@@ -12,31 +12,32 @@ import numpy as np
 
 from salver.geometry import Array, Indices, Mask
 
-_IN_PLANE = 1e-8  # a ray this close to a facet's plane (both of unit size) lies in it
-_NEAR_PLANE = 1e-7  # and through all that are so near the plane is first put
-_WIDTH = 1e-12  # square of the width of rays that lie in less than a plane
-_POINTED = 1e-9  # cosine that the direction inside the polar cone has to every ray of a cone without a line
+_IN_PLANE = 1e-8  # distance up to which a ray lies in a facet's plane (both of unit size)
+_NEAR_PLANE = 1e-7  # distance up to which rays are used for the first fit of a plane
+_WIDTH = 1e-12  # least squared width of the rays in a facet
+_POINTED = 1e-9  # least cosine between every ray of a pointed cone and a direction inside the polar cone
 
 
 @dataclass(frozen=True, eq=False)
 class Polytope:
-    """normal (m, d), unit, offset (m,): normal . x <= offset inside; each facet once. corners (k,): which points."""
+    """A convex hull: facets normal (m, d), unit, offset (m,) with normal . x <= offset inside; corners (k,): indices of
+    the points that are corners."""
 
     normal: Array
     offset: Array
     corners: Indices
 
     def holds(self, x: Array, tolerance: float = 0.0) -> bool:
-        """Whether x (d,) lies inside, or beyond no facet by more than a tolerance in the unit of the points."""
+        """Whether x (d,) lies inside, up to a tolerance in the unit of the points."""
         return bool(np.all(self.normal @ x <= self.offset + tolerance))
 
 
 def polytope(points: Array) -> Polytope:
-    """The convex hull of points (n, d) that span the space. Raises ValueError where they do not."""
+    """The convex hull of points (n, d). Raises ValueError when they do not span the space."""
     centre = 0.5 * (points.min(axis=0) + points.max(axis=0))
     size = 0.5 * float(np.ptp(points, axis=0).max())
     if not size > 0:
-        raise ValueError("all points are one: it has no facets")
+        raise ValueError("all points are equal, so that their hull has no facets")
     scaled = (points - centre) / size
     rows, corners = _qhull(scaled)
     length = np.linalg.norm(rows[:, :-1], axis=1)
@@ -45,9 +46,9 @@ def polytope(points: Array) -> Polytope:
 
 
 def triangles(points: Array, joggled: bool = False) -> Indices:
-    """(k, 3) which points (n, 3) make the triangles of their hull, each counter-clockwise seen from outside.
+    """Triangles (k, 3) of the hull of points (n, 3), as indices, counter-clockwise seen from outside.
 
-    joggled: a flat face is not cut into a fan, which gives one of its corners all the others for neighbours.
+    joggled: do not triangulate flat faces as fans, in which one corner is a neighbour of all others.
     """
     from scipy.spatial import ConvexHull
 
@@ -60,8 +61,8 @@ def triangles(points: Array, joggled: bool = False) -> Indices:
 def cone_facets(rays: Array) -> Array:
     """Rows (m, d), unit length, of the half spaces row . x <= 0 whose intersection is the cone over rays (n, d).
 
-    If the rays do not span the space, the missing directions enter as pairs of opposite rows. Each facet is put through
-    the rays that lie in it, so it is good to rounding. Raises ValueError if the cone contains a line.
+    If the rays do not span the space, pairs of opposite rows exclude the missing directions. Each facet is fitted to
+    the rays that lie in it, so that it is accurate to rounding. Raises ValueError if the cone contains a line.
     """
     rays = rays / np.linalg.norm(rays, axis=1)[:, None]
     _, singular, basis = np.linalg.svd(rays, full_matrices=True)
@@ -72,12 +73,12 @@ def cone_facets(rays: Array) -> Array:
 
 
 def _through(rays: Array, rows: Array, active: Mask) -> tuple[Array, Array]:
-    """Unit rows (m, d) put through the rays (n, d) that lie in each (m, n); and the squares of those rays' widths."""
+    """Unit rows (m, d) fitted to the rays (n, d) that lie in each (m, n), and the squared widths of those rays."""
     outer = (rays[:, :, None] * rays[:, None, :]).reshape(len(rays), -1)
     scatter = (active.astype(float) @ outer).reshape(len(rows), rays.shape[1], rays.shape[1])
     values, vectors = np.linalg.eigh(scatter)
     fitted = vectors[:, :, 0]
-    # The scatter has squares of widths; what is left of the rays' products brings the digits back that they cost.
+    # The scatter matrix contains squares, which cost digits; a correction by the rays' residuals recovers them.
     left = (np.where(active, fitted @ rays.T, 0.0) @ rays)[:, None] @ vectors[:, :, 1:]
     fitted = fitted - (vectors[:, :, 1:] @ (left[:, 0] / np.maximum(values[:, 1:], _WIDTH))[:, :, None])[:, :, 0]
     fitted /= np.linalg.norm(fitted, axis=1)[:, None]
@@ -85,7 +86,7 @@ def _through(rays: Array, rows: Array, active: Mask) -> tuple[Array, Array]:
 
 
 def _qhull(points: Array) -> tuple[Array, Indices]:
-    """Rows (m, d + 1) with row . (x, 1) <= 0 in the hull of points (n, d), and its corners, by Qhull."""
+    """Rows (m, d + 1) with row . (x, 1) <= 0 in the hull of points (n, d), and the corners, by Qhull."""
     from scipy.spatial import ConvexHull, QhullError
 
     try:
@@ -96,38 +97,40 @@ def _qhull(points: Array) -> tuple[Array, Indices]:
 
 
 def _each_once(equations: Array) -> Array:
-    """Qhull triangulates facets: the same plane comes once for each simplex."""
+    """Unique planes; Qhull triangulates facets, so that a plane occurs once for each simplex."""
     return np.asarray(equations[np.unique(np.round(equations, 9), axis=0, return_index=True)[1]])
 
 
 def _qhull_cone(rays: Array) -> Array:
-    """Unit rows (m, d) of the facets of the cone over unit rays (n, d) that span the space, by the hull of the points
-    in which a plane cuts them. Raises ValueError if the cone contains a line."""
+    """Unit rows (m, d) of the facets of the cone over unit rays (n, d) that span the space.
+
+    They come from the hull of the rays' intersections with a plane. Raises ValueError if the cone contains a line.
+    """
     from scipy.spatial import ConvexHull, QhullError
 
     axis = _interior_direction(rays)
     across = np.linalg.svd(axis[None, :])[2][1:]
     points = rays @ across.T / (rays @ axis)[:, None]
-    if points.shape[1] < 2:  # a ray, or all between two
+    if points.shape[1] < 2:  # one ray, or all between two
         ends = [] if points.shape[1] == 0 else [[1.0, -points.max()], [-1.0, points.min()]]
         equations = np.array(ends or [[-1.0]])
     else:
         try:
             equations = ConvexHull(points).equations
         except QhullError:
-            # Many generators in one plane can defeat Qhull's merging. With the points jittered (by about 1e-10) a
-            # facet comes in splinters; each is fitted again to the exact generators, false ones are then dropped.
+            # Many coplanar generators can make Qhull's merging fail. With points jittered by about 1e-10, a facet is
+            # split into pieces; each is fitted to the exact generators, and spurious ones are dropped.
             equations = ConvexHull(points, qhull_options="QJ").equations
     rows = _each_once(equations) @ np.vstack([across, axis])
     return _refit(rays, rows / np.linalg.norm(rows, axis=1)[:, None])
 
 
 def _interior_direction(rays: Array) -> Array:
-    """Unit vector with a positive product with every ray (n, d)."""
+    """A unit vector with a positive product with every ray (n, d)."""
     mean = rays.mean(axis=0)
     if np.linalg.norm(mean) > 0 and (rays @ mean).min() > 1e-2 * np.linalg.norm(mean):
         return mean / np.linalg.norm(mean)
-    from scipy.optimize import linprog  # a tenth of a second, and seldom needed
+    from scipy.optimize import linprog  # its import takes a tenth of a second and is seldom needed
 
     d = rays.shape[1]
     result = linprog(
@@ -143,12 +146,12 @@ def _interior_direction(rays: Array) -> Array:
 
 
 def _refit(rays: Array, rows: Array) -> Array:
-    """Facets (m, d), unit rows, each once, in the order of the rays (n, d) that they are put through.
+    """Unique facets (m, d), unit rows fitted to the rays (n, d) that lie in them, in the order of those rays.
 
-    Planes that a ray is beyond, or that too few rays lie in to be a facet, are dropped.
+    Planes with a ray outside, or with too few rays for a facet, are dropped.
     """
     fitted, _ = _through(rays, rows, np.abs(rows @ rays.T) < _NEAR_PLANE)
-    # Neighbouring facets of a round cone can be so close that their rays were mixed: then it is not an improvement.
+    # Neighbouring facets of a round cone can be so close that their rays are mixed; then the fit is not used.
     better = (fitted @ rays.T).max(axis=1) <= (rows @ rays.T).max(axis=1) + 1e-12
     rows = np.where(better[:, None], fitted, rows)
     active = np.abs(rows @ rays.T) < _IN_PLANE

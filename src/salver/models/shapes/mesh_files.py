@@ -1,4 +1,4 @@
-"""Reading mesh files that somebody else made: plain formats of limited size, no archives, no files beside them."""
+"""Reading of mesh files from untrusted sources: plain formats of limited size, no archives, no referenced files."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ MOST_FACES = 1_000_000
 
 
 def read_mesh_file(file: str | Path) -> Trimesh:
-    """The triangles of a file, all its parts as one. Raises ValueError, what is wrong as the end of a sentence."""
+    """The triangles of a file, all parts together. Raises ValueError, whose message continues a sentence."""
     import trimesh
 
     path = Path(file)
@@ -35,13 +35,13 @@ def read_mesh_file(file: str | Path) -> Trimesh:
             scene = trimesh.load(content, file_type=path.suffix.lower()[1:], force="scene", process=False)
             parts = [part for part in scene.geometry.values() if isinstance(part, trimesh.Trimesh)]
             finite = all(np.isfinite(part.vertices).all() for part in parts)
-            for part in parts:  # what has a corner that is no number is left out here without a word
+            for part in parts:  # triangles with NaN corners are silently dropped here
                 part.process()
             mesh = scene.to_mesh() if parts else None
-    except Exception as error:  # each of the library's readers raises whatever it meets
+    except Exception as error:  # the library's readers raise various exceptions
         raise ValueError(f"cannot be read ({type(error).__name__}: {str(error)[:200]})") from None
     if not finite:
-        raise ValueError("has corners that are no finite numbers")
+        raise ValueError("has corners that are not finite")
     if mesh is None or len(mesh.faces) == 0:
         raise ValueError("holds no triangles")
     if len(mesh.faces) > MOST_FACES:

@@ -19,7 +19,7 @@ MOST_PIECES = 64  # of one mesh
 
 
 def obstacle_shapes(obstacle: ObstacleDescription) -> list[tuple[Any, Any]]:
-    """Coal's shapes of an obstacle with their placements in S (pin.SE3); several when it is a mesh of several pieces.
+    """Coal's shapes of an obstacle with their placements in S (pin.SE3); several for a mesh of several pieces.
 
     Raises ScenarioError when its mesh cannot be used.
     """
@@ -37,7 +37,7 @@ def obstacle_shapes(obstacle: ObstacleDescription) -> list[tuple[Any, Any]]:
 
 
 def mesh_pieces(obstacle: ObstacleDescription) -> list[Array]:
-    """Corners (n, 3), m, in the obstacle's frame, of the convex hull of each separate piece of its mesh."""
+    """Corners (n, 3) of the convex hull of each separate piece of an obstacle's mesh, in the obstacle's frame, m."""
     try:
         return [obstacle.scale * points for points in _pieces(obstacle.file or "")]
     except ValueError as error:
@@ -60,6 +60,6 @@ def _pieces(file: str) -> tuple[Array, ...]:
     pieces = [points[labels == label] for label in np.unique(labels[edges])]
     if len(pieces) > MOST_PIECES:
         raise ValueError(
-            f"has {len(pieces)} separate pieces; at most {MOST_PIECES} are taken: give it in several files"
+            f"has {len(pieces)} separate pieces; at most {MOST_PIECES} are accepted: split it into several files"
         )
     return tuple(pieces)

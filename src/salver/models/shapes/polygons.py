@@ -6,26 +6,26 @@ import numpy as np
 
 from salver.geometry import Array
 
-STRAIGHT = 1e-13  # twice the area of a triangle that is a line, over that of the square around the points
-MANY = 200  # points of which most are inside
+STRAIGHT = 1e-13  # relative area below which three points are on a line
+MANY = 200  # with more points, those that are obviously inside are removed first
 
 
 def half_planes(polygon: Array) -> tuple[Array, Array]:
-    """Unit outward normals (n, 2) and offsets (n,): inside where normal . x <= offset."""
+    """Unit outward normals (n, 2) and offsets (n,) of a polygon, with normal . x <= offset inside."""
     edge = np.roll(polygon, -1, axis=0) - polygon
     normal = np.stack([edge[:, 1], -edge[:, 0]], axis=1) / np.linalg.norm(edge, axis=1)[:, None]
     return normal, np.einsum("ij,ij->i", normal, polygon)
 
 
 def convex_hull(points: Array) -> Array:
-    """Vertices (n, 2) of the convex hull of points (m, 2), least x first; empty if the points lie in a line.
+    """Vertices (n, 2) of the convex hull of points (m, 2), least x first; empty if the points lie on a line.
 
-    By the monotone chain (Andrew 1979). A vertex at which it turns by rounding only is none.
+    By the monotone chain (Andrew 1979), without vertices at which the hull turns by rounding only.
     """
     if len(points) < 3:
         return np.empty((0, 2))
     size = float(np.ptp(points, axis=0).max())
-    if len(points) > MANY:  # what lies inside eight of them cannot be a vertex
+    if len(points) > MANY:  # a point inside eight extreme ones cannot be a vertex
         angle = np.pi / 4 * np.arange(8)
         far = convex_hull(points[np.unique((points @ [np.cos(angle), np.sin(angle)]).argmax(axis=0))])
         if len(far):
@@ -47,7 +47,7 @@ def convex_hull(points: Array) -> Array:
 
 
 def from_half_planes(normal: Array, offset: Array) -> Array:
-    """Vertices (n, 2) of a bounded region normal . x <= offset; empty when it has no area."""
+    """Vertices (n, 2) of a bounded region normal . x <= offset; empty if it has no area."""
     i, j = np.triu_indices(len(normal), 1)
     cross = normal[i, 0] * normal[j, 1] - normal[i, 1] * normal[j, 0]
     meet = np.abs(cross) > 1e-9
@@ -59,13 +59,13 @@ def from_half_planes(normal: Array, offset: Array) -> Array:
     points = points[np.all(points @ normal.T <= offset + 1e-9 * size, axis=1)]
     if len(points) < 3:
         return np.empty((0, 2))
-    # The same corner is found once for each pair of edges through it.
+    # A corner is found once for each pair of edges through it.
     points = points[np.unique(np.round(points / (1e-8 * size)).astype(np.int64), axis=0, return_index=True)[1]]
     return convex_hull(points) if len(points) >= 3 else np.empty((0, 2))
 
 
 def intersection(first: Array, second: Array) -> Array:
-    """Vertices of the common region, counter-clockwise; empty when it has no area."""
+    """Vertices of the intersection of two polygons, counter-clockwise; empty if it has no area."""
     if len(first) < 3 or len(second) < 3:
         return np.empty((0, 2))
     pairs = half_planes(first), half_planes(second)
@@ -73,7 +73,7 @@ def intersection(first: Array, second: Array) -> Array:
 
 
 def inset(polygon: Array, distance: float) -> Array:
-    """The polygon with every edge moved inwards; empty when nothing is left."""
+    """The polygon with every edge moved inwards by a distance; empty if nothing remains."""
     if distance == 0:
         return polygon
     normal, offset = half_planes(polygon)
@@ -90,7 +90,7 @@ def simplified(polygon: Array, most: int) -> Array:
 
 
 def eroded(polygon: Array, half_range: Array) -> Array:
-    """The part that all shifts of the polygon within |dx|, |dy| <= half_range (2,) have in common."""
+    """The intersection of all shifts of the polygon by |dx|, |dy| <= half_range (2,)."""
     if not np.any(half_range) or len(polygon) < 3:
         return polygon
     normal, offset = half_planes(polygon)

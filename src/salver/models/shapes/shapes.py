@@ -1,4 +1,4 @@
-"""Shapes of carried objects: size, where they touch what they stand on, inertia when they are uniform.
+"""Shapes of carried objects: size, support points, inertia of a uniform solid.
 
 A shape has its own frame G: origin at the centre of its bounding height, z up, base at z = -height/2.
 """
@@ -17,18 +17,18 @@ from salver.models.shapes.hulls import polytope
 from salver.models.shapes.mesh_files import read_mesh_file
 from salver.models.shapes.polygons import convex_hull, simplified
 
-MOST_VERTICES = 16  # of the base of a composite or mesh: the number of facets grows with their square
+MOST_VERTICES = 16  # of the base of a composite or mesh; the number of cone facets grows with its square
 
 
 @dataclass(frozen=True)
 class Solid:
-    """A shape as the other modules use it: hull, support points, mass properties.
+    """A shape: hull, support points, mass properties of a uniform solid. Coordinates in G, m.
 
-    height: m along z. base_polygon: (n, 2) vertices, counter-clockwise, of the convex support polygon
-    in G, m. centroid_G: (3,) centre of volume. unit_inertia: (3, 3) about it, kg m^2 per kg.
-    bounding_points_G: (k, 3) points whose convex hull contains the solid (for "is the centre of mass inside").
-    top_polygon: (m, 2) the flat top that another object can stand on. outline_polygon: seen from above.
-    surface: vertices (v, 3) in G and triangles (k, 3) of a mesh, for pictures; None for what the above draws.
+    height: along z. base_polygon: (n, 2) vertices of the convex support polygon, counter-clockwise.
+    centroid_G: (3,) centre of volume. unit_inertia: (3, 3) about it, kg m^2 per kg.
+    bounding_points_G: (k, 3) points whose convex hull contains the solid.
+    top_polygon: (m, 2) the flat top, on which another object can stand. outline_polygon: the outline from above.
+    surface: vertices (v, 3) and triangles (k, 3) of a mesh, for pictures; None if the polygons describe the shape.
     """
 
     height: float
@@ -54,12 +54,12 @@ def box(size: tuple[float, float, float]) -> Solid:
 
 
 def cylinder(radius: float, height: float, support_points: int = 8) -> Solid:
-    """Upright cylinder; its round base is inscribed by a regular polygon of `support_points` vertices."""
+    """Upright cylinder; its base is the inscribed regular polygon with `support_points` vertices."""
     angle = 2 * np.pi * np.arange(support_points) / support_points
     polygon = radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     across = (3 * radius**2 + height**2) / 12
     inertia = np.diag([across, across, 0.5 * radius**2])
-    outer = polygon / np.cos(np.pi / support_points)  # circumscribed: contains the disc
+    outer = polygon / np.cos(np.pi / support_points)  # circumscribed polygon, which contains the disc
     return Solid(height, polygon, np.zeros(3), inertia, _extrude(outer, height), polygon, polygon)
 
 
@@ -82,10 +82,10 @@ def prism(polygon: Array, height: float) -> Solid:
 
 
 def composite(parts: list[tuple[Solid, Array, float]]) -> Solid:
-    """Parts (solid, position of its G, mass) rigidly joined; they may touch or overlap, masses add up.
+    """Rigidly joined parts (solid, position of its G, mass), which may touch or overlap; their masses add up.
 
-    The support polygon is the hull of the bases of the lowest parts, the top that of the tops of the highest.
-    Position is then relative to the middle of the whole's bounding height, which is the composite's G.
+    The support polygon is the hull of the bases of the lowest parts, the top polygon that of the tops of the highest.
+    The composite's G is at the middle of its bounding height.
     """
     low = min(position[2] - 0.5 * solid.height for solid, position, _ in parts)
     high = max(position[2] + 0.5 * solid.height for solid, position, _ in parts)
@@ -114,11 +114,11 @@ def composite(parts: list[tuple[Solid, Array, float]]) -> Solid:
 
 
 def mesh(file: str, scale: float = 1.0) -> Solid:
-    """A closed surface mesh (STL, OBJ, PLY, ...), z up, as read from `file` and scaled to metres.
+    """A closed surface mesh (STL, OBJ, PLY, ...), z up, read from `file` and scaled to metres.
 
-    It stands on the hull of its lowest vertices (within 0.1 % of its height; at most 16 of them); inertia is that
-    of a uniform solid. G is at the middle of the bounding box. Raises ValueError, one sentence, for a file that is
-    missing or unreadable, a surface that is not closed, or a base that is not an area.
+    Its base is the hull of its lowest vertices (within 0.1 % of its height; at most 16 of them); its inertia is that of
+    a uniform solid. G is at the middle of the bounding box. Raises ValueError, one sentence, for a file that is missing
+    or unreadable, a surface that is not closed, or a base without area.
     """
     path = Path(file).expanduser()
     if not path.is_file():
@@ -128,7 +128,7 @@ def mesh(file: str, scale: float = 1.0) -> Solid:
 
 @lru_cache(maxsize=32)
 def _mesh(path: Path, modified: int, file: str, scale: float) -> Solid:
-    """`mesh`, read once until the file changes: a scenario asks for its shapes several times."""
+    """`mesh`, cached until the file changes, because a scenario uses its shapes several times."""
     try:
         surface = read_mesh_file(path)
     except ValueError as error:
@@ -162,7 +162,7 @@ def _mesh(path: Path, modified: int, file: str, scale: float) -> Solid:
 
 
 def _edge_second_moment(p: Array, q: Array) -> Array:
-    """(n, 2, 2): integral of x x^T over the triangle (0, p, q), divided by its cross product p x q."""
+    """Integrals (n, 2, 2) of x x^T over the triangles (0, p, q), divided by their cross products p x q."""
     pp, qq, pq = (np.einsum("ni,nj->nij", a, b) for a, b in ((p, p), (q, q), (p, q)))
     return (2 * pp + 2 * qq + pq + np.swapaxes(pq, 1, 2)) / 24
 

@@ -1,4 +1,4 @@
-"""Triangles of Coal's convex shapes, for pictures: what is drawn is what is compared."""
+"""Triangles of Coal's convex shapes, so that pictures show the shapes of the collision checks."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from salver.geometry import Array, Indices
 
 Surface = tuple[Array, Indices]
-_SIDES = 24  # of what is round
+_SIDES = 24  # number of sides of round shapes
 
 
 def surface(shape: Any, placement: Any) -> Surface:

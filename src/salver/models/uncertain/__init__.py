@@ -1,1 +1,1 @@
-"""Uncertain parameters, the set they lie in, and the worst case over it."""
+"""Uncertain parameters, their set, and the worst case over it."""

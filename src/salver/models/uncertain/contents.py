@@ -1,22 +1,22 @@
-"""Whatever is in the box: the worst case of a contact row over all mass distributions inside a shape.
+"""Unknown contents: the worst case of a contact constraint over all mass distributions inside a shape.
 
-A row is linear in a body's inertial parameters, and these are moments of its mass distribution, so that the row of the
-body is the mean, over its mass, of a quadratic function of the point,
+A row is linear in a body's inertial parameters, and these are moments of its mass distribution. So the contribution of
+the body is the mean over its mass of a quadratic function of the point x,
 
-    m E[ b . x + x^T Q x ],        b, Q linear in what the tray feels.
+    m E[ b . x + x^T Q x ],        b, Q linear in the motion regressor of the tray.
 
-Its largest value over all distributions inside a convex K whose mean (the centre of mass) lies in a box C around the
-origin of B is, by the duality of moment problems,
+Its largest value over all distributions inside a convex set K whose mean (the centre of mass) lies in a box C around
+the origin of B is, by the duality of moment problems,
 
     min over u of  max_{x in K} (b . x + x^T Q x - u . x)  +  sum_i |u_i| C_i.
 
-The inner maximum is exact: in the relative interior of one face of K (a vertex, an edge, a facet, K itself) the
-quadratic is stationary and concave there, and a polytope has few faces (27 for a box). Any u gives a bound, so a search
-that ends early is wide, never optimistic. Second moments need no relaxation; the moment conditions of Heins and
-Schoellig (2025, arXiv 2411.07079) ask the same question with one.
+The inner maximum is exact: it is in the relative interior of a face of K (a vertex, an edge, a facet, K itself) at
+which the quadratic is stationary and concave, and a polytope has few faces (27 for a box). Every u gives a bound, so
+that a search that ends early is conservative, never optimistic. Second moments need no relaxation; the moment
+conditions of Heins and Schoellig (2025, arXiv 2411.07079) solve the same problem with one.
 
-The search is column generation (Dantzig and Wolfe 1960): the prices u of a mixture of four points of K ask for the
-point that would improve it most.
+The search is column generation (Dantzig and Wolfe 1960): with the prices u of a mixture of four points of K, the point
+that improves the mixture most is added.
 """
 
 from __future__ import annotations
@@ -33,20 +33,20 @@ from salver.models.rigid_body import inertia_entries, inertia_matrix
 from salver.models.shapes.hulls import polytope
 from salver.models.uncertain.parameters import Parameter
 
-MOST_FACES = 150  # of the convex hull, of all dimensions; a shape with more counts as its bounding box
-EXACT = 1e-3  # of a row's curvature over the shape: how near to each other bound and attained value are to come
-_STEPS = 60  # rounds of the search at most
-_AT_ONCE = 2000  # rows searched together: they fit in the cache
-_PIVOT = 1e-5  # relative size below which a column does not leave the mixture: the others would nearly depend
-_FLAT = 1e-9  # relative curvature below which a face's largest value is taken on its rim
+MOST_FACES = 150  # of the convex hull, of all dimensions; a shape with more is replaced by its bounding box
+EXACT = 1e-3  # largest gap between bound and attained value, as a share of a row's curvature over the shape
+_STEPS = 60  # largest number of iterations of the search
+_AT_ONCE = 2000  # rows that are searched together; they fit into the cache
+_PIVOT = 1e-5  # relative size below which a column does not leave the mixture, to keep the others independent
+_FLAT = 1e-9  # relative curvature below which a face's maximum is taken on its boundary
 
 
 @dataclass(frozen=True, eq=False)
 class Hull:
     """A convex polytope with all its faces, in units of `half` around `centre`, so that it fills a cube of side 2.
 
-    foot (F, 3) a point of each face's plane; basis: for dimensions 1, 2, 3 the directions (F_d, 3, d) that span them.
-    normal (k, 3), offset (k,): normal . x <= offset.
+    foot: (F, 3) a point of each face's plane. basis: for dimensions 1, 2, 3 the directions (F_d, 3, d) that span the
+    faces. normal (k, 3), offset (k,): normal . x <= offset inside.
     """
 
     centre: Array
@@ -58,7 +58,7 @@ class Hull:
 
     @classmethod
     def of(cls, points: Array) -> Hull:
-        """The hull of points (n, 3); of those with very many faces, their bounding box."""
+        """The hull of points (n, 3), or their bounding box if the hull has more than `MOST_FACES` faces."""
         low, high = points.min(axis=0), points.max(axis=0)
         centre, half = 0.5 * (low + high), 0.5 * (high - low)
         scaled = (points - centre) / half
@@ -69,7 +69,7 @@ class Hull:
             normal, offset = np.vstack([np.eye(3), -np.eye(3)]), np.ones(6)
         on = np.abs(corners @ normal.T - offset) < 1e-7  # (corners, facets)
         edges = [(i, j) for i, j in combinations(range(len(corners)), 2) if (on[i] & on[j]).sum() >= 2]
-        # Corners that lie within an edge, as roundings of a hull leave them, make edges that cover it twice: harmless.
+        # Rounding can leave corners inside an edge, so that edges cover it twice, which is harmless.
         first = corners[[i for i, _ in edges]]
         along = corners[[j for _, j in edges]] - first
         across = np.linalg.svd(normal[:, None, :])[2][:, 1:]  # two directions within each facet
@@ -84,11 +84,11 @@ class Hull:
 
     @property
     def corners(self) -> int:
-        """How many of the faces are corners: the first ones."""
+        """Number of corners, which are the first faces."""
         return len(self.foot) - sum(len(basis) for basis in self.basis)
 
     def maxima(self, b: Array, Q: Array) -> Maxima:
-        """Where b . x + x^T Q x - u . x can be largest, for any u: b (M, 3), Q (M, 3, 3)."""
+        """Candidates for the maximum of b . x + x^T Q x - u . x for any u: b (M, 3), Q (M, 3, 3)."""
         scale = np.abs(Q).max(axis=(1, 2), initial=0.0)[:, None] + 1e-300
         start = self.corners
         answer, there = np.zeros((len(b), len(self.foot), 3, 3)), np.zeros((len(b), len(self.foot)), dtype=bool)
@@ -107,8 +107,8 @@ class Hull:
 
 @dataclass(frozen=True, eq=False)
 class Maxima:
-    """Points x = stationary + answer u, one of each face: one of them is the maximum of each of M quadratics over a
-    hull once u . x is taken off. there (M, F): whether the quadratic is concave on the face."""
+    """Candidates for the maxima of M quadratics minus u . x over a hull: points x = stationary + answer u, one of each
+    face. there (M, F): whether the quadratic is concave on the face."""
 
     hull: Hull
     b: Array
@@ -118,7 +118,7 @@ class Maxima:
     stationary: Array
 
     def at(self, u: Array) -> tuple[Array, Array]:
-        """The maximum over the hull (M,) of b . x + x^T Q x - u . x, and where it is (M, 3)."""
+        """The maximum (M,) over the hull of b . x + x^T Q x - u . x, and its point (M, 3)."""
         x = self.stationary + np.einsum("mfij,mj->mfi", self.answer, u)
         inside = np.all(x @ self.hull.normal.T <= self.hull.offset + 1e-9, axis=2)
         value = np.sum(x * ((self.b - u)[:, None] + np.matmul(x, self.Q)), axis=2)
@@ -127,16 +127,16 @@ class Maxima:
         return value[row, best], x[row, best]
 
     def only(self, rows: Mask) -> Maxima:
-        """Of some of the quadratics."""
+        """The candidates of some of the quadratics."""
         b, Q, answer, there = self.b[rows], self.Q[rows], self.answer[rows], self.there[rows]
         return Maxima(self.hull, b, Q, answer, there, self.stationary[rows])
 
 
 def largest_mean(hull: Hull, mean: Array, b: Array, Q: Array, enough: Array | None = None) -> tuple[Array, Array]:
-    """Bounds (M,) on E[b . x + x^T Q x] over all distributions in a hull with |E x| <= mean (3,).
+    """Upper bounds (M,) of E[b . x + x^T Q x] over all distributions in a hull with |E x| <= mean (3,).
 
-    b (M, 3), Q (M, 3, 3). Also (M, 9) moments (E x, then of xx, xy, yy, xz, yz, zz) that nearly attain it. x is in
-    metres; the origin lies in the hull. enough: (M,) below which no bound needs to be improved.
+    Also returns moments (M, 9) (E x, then xx, xy, yy, xz, yz, zz) that nearly attain them. b (M, 3), Q (M, 3, 3); x is
+    in metres; the origin lies in the hull. enough: (M,) values below which bounds need not be improved.
     """
     values, moments = np.empty(len(b)), np.empty((len(b), 9))
     half, centre = hull.half, hull.centre
@@ -157,7 +157,8 @@ def largest_mean(hull: Hull, mean: Array, b: Array, Q: Array, enough: Array | No
 def _search(hull: Hull, mean: Array, origin: Array, b: Array, Q: Array, enough: Array) -> tuple[Array, Array, Array]:
     """`largest_mean` in the hull's units, |E x - origin| <= mean: bounds, points (M, 4, 3) and their shares (M, 4).
 
-    A column of the mixture is a point x of the hull with a corner e of the box of means: sum of share (x - e) = 0.
+    A column of the mixture is a point x of the hull with a corner e of the box of means; the shares satisfy
+    sum of share (x - e) = 0.
     """
     count = len(b)
     size = np.abs(Q).sum(axis=(1, 2)) + 1e-12
@@ -166,7 +167,7 @@ def _search(hull: Hull, mean: Array, origin: Array, b: Array, Q: Array, enough: 
     points = np.repeat(start[:, None], 4, axis=1)
     points[:, 1:] -= 0.5 * np.where(start >= 0, 1.0, -1.0)[:, None] * np.eye(3)
     cost = np.sum(points * (b[:, None] + np.matmul(points, Q)), axis=2)
-    cost[:, 1:] -= 10 * (size + np.abs(b).sum(axis=1))[:, None]  # not points of the hull: they leave at once
+    cost[:, 1:] -= 10 * (size + np.abs(b).sum(axis=1))[:, None]  # artificial points, which leave at once
     columns = np.ones((count, 4, 4))
     columns[:, :3] = np.swapaxes(points - start[:, None], 1, 2)
     bounds, shares = np.full(count, np.inf), np.zeros((count, 4))
@@ -196,18 +197,18 @@ def _search(hull: Hull, mean: Array, origin: Array, b: Array, Q: Array, enough: 
     return bounds, points, shares / shares.sum(axis=1, keepdims=True)
 
 
-PAIRS = ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))  # of the second moments, in the order of inertia entries
-# (6, 6): the inertia entries of second moments (xx, xy, yy, xz, yz, zz) about the same point: tr(S) 1 - S
+PAIRS = ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))  # axes of the second moments, ordered as inertia entries
+# (6, 6) from second moments (xx, xy, yy, xz, yz, zz) to inertia entries about the same point: tr(S) 1 - S
 INERTIA_OF_MOMENTS = np.stack([inertia_entries(np.trace(m) * np.eye(3) - m) for m in inertia_matrix(np.eye(6))], axis=1)
 
 
 def moments_of_inertia(inertia: Array) -> Array:
-    """The six second moments of an inertia (3, 3) about the same point."""
+    """The six second moments of an inertia (3, 3), about the same point."""
     return inertia_entries(0.5 * np.trace(inertia) * np.eye(3) - inertia)
 
 
 def most_second_moments(points: Array, mean: Array) -> Array:
-    """(6,) largest absolute E x_i x_j of distributions within the bounding box of points (n, 3), |E x| <= mean."""
+    """Largest |E x_i x_j| (6,) of distributions within the bounding box of points (n, 3) with |E x| <= mean."""
     low, high = points.min(axis=0), points.max(axis=0)
     # (x - low)(high - x) >= 0 for each of its points.
     square = np.maximum(0.0, np.abs(low + high) * np.minimum(mean, np.maximum(-low, high)) - low * high)
@@ -215,8 +216,8 @@ def most_second_moments(points: Array, mean: Array) -> Array:
 
 
 def inertia_ranges(points: Array, mean: Array, mass: float, nominal: Array) -> Array:
-    """(6,) half-ranges, around nominal entries, that hold the inertia about the centre of mass of any distribution of a
-    mass (kg) within the bounding box of points (n, 3) in B, with |E x| <= mean."""
+    """Half-ranges (6,), around nominal entries, of the inertia about the centre of mass of any distribution of a mass,
+    kg, within the bounding box of points (n, 3) in B, with |E x| <= mean."""
     low, high = points.min(axis=0), points.max(axis=0)
     middle = np.clip(0.5 * (low + high), -mean, mean)
     variance = np.maximum((high - middle) * (middle - low), 0.0)  # Bhatia and Davis 2000
@@ -228,11 +229,12 @@ def inertia_ranges(points: Array, mean: Array, mass: float, nominal: Array) -> A
 
 @dataclass(frozen=True, eq=False)
 class Filling:
-    """What one body with unknown contents adds to n rows.
+    """The contribution of one body with unknown contents to n rows.
 
-    hull, mean: see `largest_mean`. rows: (9, n, 12) per unit of each moment of a unit mass, scaled by its mass; moments
-    are E x and the six second ones about the origin of B. nominal: (n, 9) moments that the rows' nominal part has.
-    moved: parameters that act through the moments; as (n_q, n, 9) per moment, less (n_q,), in half-ranges.
+    hull, mean: see `largest_mean`. rows: (9, n, 12) change of the rows per unit of each moment: E x and the six second
+    moments about the origin of B, per mass. nominal: (n, 9) moments that the nominal rows contain. moved: n_q
+    parameters that act through the moments, in half-ranges: each is per (n_q, n, 9) times the moments, minus less
+    (n_q,).
     """
 
     hull: Hull
@@ -245,25 +247,25 @@ class Filling:
 
     @classmethod
     def joined(cls, parts: Sequence[Filling]) -> Filling:
-        """Of the rows of several, for the same body."""
+        """The rows of several fillings of one body together."""
         stacked = [np.concatenate([getattr(p, name) for p in parts], axis=1) for name in ("rows", "per")]
         nominal, less = np.concatenate([p.nominal for p in parts]), parts[0].less
         return replace(parts[0], rows=stacked[0], nominal=nominal, per=stacked[1], less=less)
 
     def only(self, rows: Indices | list[int]) -> Self:
-        """Of some of the rows."""
+        """The contribution to some of the rows."""
         return replace(self, rows=self.rows[:, rows], nominal=self.nominal[rows], per=self.per[:, rows])
 
     def mapped(self, change: Callable[[Array], Array]) -> Self:
-        """With its rows (9, n, 12) changed."""
+        """A copy with rows (9, n, 12) replaced by change(rows)."""
         return replace(self, rows=change(self.rows))
 
     def coefficients(self, w: Array) -> Array:
-        """(T, n, 9) of the moments, along w (T, 12)."""
+        """Coefficients (T, n, 9) of the moments at w (T, 12)."""
         return np.moveaxis(np.tensordot(w, self.rows, axes=(1, 2)), 1, 2)
 
     def limits(self, of: Array) -> tuple[Array, Array]:
-        """What coefficients (..., 9) can add, cheaply: a value that is attained, one that is not exceeded."""
+        """Cheap lower and upper bounds of the largest contribution with coefficients (..., 9)."""
         first, second = of[..., :3], of[..., 3:]
         corner = np.where(first >= 0, self.mean, -self.mean)
         products = np.stack([corner[..., i] * corner[..., j] for i, j in PAIRS], axis=-1)
@@ -276,14 +278,15 @@ class Filling:
         return np.where(inside, at_corner, 0.0), sure + most.sum(axis=-1)
 
     def largest(self, of: Array, enough: Array | None = None) -> tuple[Array, Array]:
-        """The most that coefficients (M, 9) can add, and moments (M, 9) that nearly reach it; see `largest_mean`."""
+        """The largest contribution (M,) with coefficients (M, 9), and moments (M, 9) that nearly attain it; see
+        `largest_mean`."""
         Q = inertia_matrix(of[:, 3:])
         Q[:, ~np.eye(3, dtype=bool)] *= 0.5
         return largest_mean(self.hull, self.mean, of[:, :3], Q, enough)
 
     @property
     def farthest(self) -> Array:
-        """(9,) most by which each moment can differ from what the nominal part has."""
+        """Largest deviation (9,) of each moment from its nominal value."""
         return np.concatenate([self.mean, self._most]) + np.abs(self.nominal).max(axis=0)
 
     @property

@@ -1,7 +1,7 @@
-"""Uncertain parameters and the set they lie in: eq (8) of the paper.
+"""Uncertain parameters and their set: eq (8) of the paper.
 
-The parameters a user speaks of (mass, centre of mass, inertia about it) are not the inertial parameters
-phi in which the dynamics are linear: `phi_of` maps one to the other exactly, `phi_jacobian` to first order.
+Users give mass, centre of mass and the inertia about it, whereas the dynamics are linear in the inertial parameters
+phi: `phi_of` maps the former to phi exactly, `phi_jacobian` to first order.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _AXES = {
     "length": ("",),
     "damping": ("",),
 }
-INNER_QUANTITIES = ("fill", "length", "damping")  # of what moves inside an object
+INNER_QUANTITIES = ("fill", "length", "damping")  # parameters of a liquid or a pendulum
 
 SetKind = Literal["box", "ellipsoid"]
 
@@ -36,9 +36,9 @@ SetKind = Literal["box", "ellipsoid"]
 class Parameter:
     """One parameter that may be uncertain; `name` is its name in files and commands.
 
-    owner: the object it belongs to; "" for the tray (tilt), and for the parameters of a model of one's own.
-    kind: mass, com, inertia, friction, position, fill, length, damping or tilt; whatever else, of one's own. axis: ""
-    for a scalar. lone: whether its object is the only one, so that the name can leave it out."""
+    owner: name of the object; "" for the tray (tilt) and for the parameters of a user-defined model.
+    kind: mass, com, inertia, friction, position, fill, length, damping or tilt; or any name in a user-defined model.
+    axis: "" for a scalar. lone: whether its object is the only one, so that `name` has no prefix."""
 
     owner: str
     kind: str
@@ -57,17 +57,17 @@ class Parameter:
 
     @cached_property
     def entry(self) -> int | None:
-        """Place among the ten of `INERTIAL`; None for what does not act through the object's inertia."""
+        """Index in `INERTIAL`; None for a parameter that is not in it."""
         return INERTIAL.index(self.quantity) if self.quantity in INERTIAL else None
 
     @property
     def loads(self) -> bool:
-        """Whether the wrench depends on it that a rigid load needs."""
+        """Whether the wrench that a rigid load needs depends on it."""
         return self.kind not in ("friction", "damping")
 
     @property
     def places(self) -> bool:
-        """Whether it says where things are, not what they are."""
+        """Whether it is a position or a tilt."""
         return self.kind in ("position", "tilt")
 
 
@@ -75,17 +75,17 @@ TILT = (Parameter("", "tilt", "x"), Parameter("", "tilt", "y"))
 
 
 def parameters_of(owner: str, lone: bool) -> tuple[Parameter, ...]:
-    """All parameters of one object that may be uncertain."""
+    """All parameters of one object that can be uncertain."""
     return tuple(Parameter(owner, kind, axis, lone) for kind, axes in _AXES.items() for axis in axes)
 
 
 def all_parameters(objects: Sequence[str]) -> tuple[Parameter, ...]:
-    """All parameters of objects on a tray that may be uncertain."""
+    """All parameters of the objects and the tray that can be uncertain."""
     return (*(p for owner in objects for p in parameters_of(owner, len(objects) == 1)), *TILT)
 
 
 def parse(name: str, objects: Sequence[str]) -> Parameter:
-    """The parameter with a name from a file or a command. Raises ValueError when these objects have none such."""
+    """The parameter with a name from a file or a command. Raises ValueError when the objects have no such parameter."""
     for parameter in all_parameters(objects):
         if parameter.name == name:
             return parameter
@@ -94,8 +94,8 @@ def parse(name: str, objects: Sequence[str]) -> Parameter:
 
 @dataclass(frozen=True)
 class Vibration:
-    """How the tray shakes beside its motion: sinusoids up to a frequency, Hz, that shift it by up to an amplitude, m,
-    in any direction, and turn it by up to `tilt`, rad, about any axis through the origin of E."""
+    """Vibration of the tray on top of its motion: sinusoids up to `frequency`, Hz, with displacements up to
+    `amplitude`, m, in any direction, and rotations up to `tilt`, rad, about any axis through the origin of E."""
 
     amplitude: float
     tilt: float
@@ -103,17 +103,20 @@ class Vibration:
 
     @property
     def acceleration(self) -> float:
-        """m/s^2, most by which the specific force at E changes: A (2 pi f)^2, and of the weight what leans."""
+        """Largest change of the specific force at E, m/s^2: A (2 pi f)^2, plus gravity on the rotated tray."""
         return self.amplitude * (2 * np.pi * self.frequency) ** 2 + self.tilt * float(np.linalg.norm(GRAVITY_S))
 
     @property
     def angular_acceleration(self) -> float:
-        """rad/s^2, largest."""
+        """Largest angular acceleration, rad/s^2."""
         return self.tilt * (2 * np.pi * self.frequency) ** 2
 
     def support(self, rows: Array) -> Array:
-        """(...) most that it adds to rows (..., 12) over what E feels. What its velocity does to a tray that turns is a
-        quarter of a cycle late, and below a hundredth of that."""
+        """Largest change (...) of row . w for rows (..., 12), with w the motion regressor of E.
+
+        Products of its angular velocity with that of the tray are neglected: they lag by a quarter of a cycle, and are
+        below a hundredth of it.
+        """
         force, turn = (np.linalg.norm(rows[..., k : k + 3], axis=-1) for k in (0, 3))
         return np.asarray(self.acceleration * force + self.angular_acceleration * turn)
 
@@ -125,7 +128,7 @@ class Vibration:
 
 
 def unshaken() -> str:
-    """What is left out where nothing is said of how the tray shakes, in words."""
+    """The note that vibration of the tray is not checked, for scenarios without uncertainty.shake."""
     usual = Vibration(2e-5, 0.0, 20.0)
     share = 100 * usual.acceleration / float(np.linalg.norm(GRAVITY_S))
     return f"vibration of the tray ({usual.words} pushes with {share:.2g} % of the weight; uncertainty.shake counts it)"
@@ -133,12 +136,12 @@ def unshaken() -> str:
 
 @dataclass(frozen=True)
 class UncertainSet:
-    """Which parameters are uncertain and how far they may lie from nominal.
+    """The set of uncertain parameters.
 
-    parameters: n_p of them. nominal, half_range: (n_p,) in the parameter's own unit.
+    parameters: n_p of them. nominal, half_range: (n_p,) in SI units.
     kind: "box" (eq 8: each within its range, all corners possible) or "ellipsoid" (eq 9).
-    correlation: (n_p, n_p) unit-diagonal matrix, for an ellipsoid only; the identity is the paper's W.
-    shake: how the tray shakes, whatever the parameters; None for not at all.
+    correlation: (n_p, n_p) matrix with unit diagonal, for an ellipsoid only; the identity is the paper's W.
+    shake: vibration of the tray, independent of the parameters; None for no vibration.
     """
 
     parameters: tuple[Parameter, ...]
@@ -150,7 +153,7 @@ class UncertainSet:
 
     @classmethod
     def named(cls, names: Sequence[str], nominal: Array, half_range: Array) -> Self:
-        """A box of parameters of a model of one's own, which only their names tell apart."""
+        """A box of parameters with any names, for a user-defined model."""
         return cls(tuple(Parameter("", name) for name in names), nominal, half_range)
 
     @property
@@ -168,7 +171,7 @@ class UncertainSet:
 
     @property
     def factor(self) -> Array:
-        """(n_p, n_p) A with W = A A^T: parameters are nominal + A s, with s in the unit box or unit ball."""
+        """A (n_p, n_p) with W = A A^T: parameters are nominal + A s, with s in the unit box or unit ball."""
         scale = np.diag(self.half_range)
         if self.correlation is None:
             return scale
@@ -176,13 +179,13 @@ class UncertainSet:
 
     @property
     def spread(self) -> Array | None:
-        """The factor in half-ranges (n_p, n_p): A A^T is the correlation of an ellipsoid; None for a box."""
+        """`factor` in half-ranges (n_p, n_p): A A^T is the correlation of an ellipsoid; None for a box."""
         if self.kind == "box":
             return None
         return np.eye(self.size) if self.correlation is None else np.asarray(np.linalg.cholesky(self.correlation))
 
     def restricted(self, parameters: Collection[Parameter]) -> UncertainSet:
-        """The same set seen in some of its parameters (projection), on a tray that does not shake."""
+        """The projection of the set to some of its parameters, without vibration of the tray."""
         keep = [i for i, parameter in enumerate(self.parameters) if parameter in parameters]
         correlation = None if self.correlation is None else self.correlation[np.ix_(keep, keep)]
         return UncertainSet(
@@ -191,10 +194,10 @@ class UncertainSet:
 
 
 def support(terms: Array, spread: Array | None, axis: int = -1) -> Array:
-    """Support function of the set, h(x) = max over s of x . s: the largest that `terms`, slopes by each parameter per
-    half-range along an axis, can add.
+    """Support function of the uncertain set, h(x) = max over s of x . s, for `terms` x along an axis.
 
-    spread: None for the unit box, h = sum_k |x_k|; A (n_p, n_p) for the ellipsoid A s of the unit ball, h = |A^T x|.
+    terms: derivatives by each parameter, per half-range. spread: None for the unit box, h = sum_k |x_k|; A (n_p, n_p)
+    for the ellipsoid A s with s in the unit ball, h = |A^T x|.
     """
     if spread is None:
         return np.asarray(np.abs(terms).sum(axis=axis))
@@ -202,7 +205,7 @@ def support(terms: Array, spread: Array | None, axis: int = -1) -> Array:
 
 
 NOTHING = UncertainSet((), np.zeros(0), np.zeros(0))
-"""The set of somebody who knows everything."""
+"""The set without uncertain parameters."""
 
 
 def inertial_vector(body: RigidBody) -> Array:
@@ -211,7 +214,7 @@ def inertial_vector(body: RigidBody) -> Array:
 
 
 def phi_of(inertial: Array) -> Array:
-    """Inertial parameters phi (..., 10) from values (..., 10) of `INERTIAL`, exactly."""
+    """Exact inertial parameters phi (..., 10) from values (..., 10) of `INERTIAL`."""
     mass, c = inertial[..., 0], inertial[..., 1:4]
     moment = mass[..., None] * c
     inertia_B = inertial[..., 4:] + inertia_entries(parallel_axis(mass, c))
@@ -219,10 +222,10 @@ def phi_of(inertial: Array) -> Array:
 
 
 def phi_jacobian(body: RigidBody, owner: str, parameters: Sequence[Parameter]) -> Array:
-    """d phi / d p (10, n_p) at the body of `owner`, whose centre of mass is the origin of B.
+    """d phi / d p (10, n_p) of a body named `owner`, whose centre of mass is the origin of B.
 
-    There c = 0, so a shift of the centre of mass changes m c to first order and I about B not at all.
-    What is another object's or does not act through the dynamics (friction, ...) has a column of zeros.
+    There c = 0, so that a shift of the centre of mass changes m c to first order, and I about B only to second order.
+    Parameters of other objects, and those that do not act through phi (friction, ...), have columns of zeros.
     """
     jacobian = np.zeros((10, len(parameters)))
     for column, parameter in enumerate(parameters):
@@ -232,5 +235,5 @@ def phi_jacobian(body: RigidBody, owner: str, parameters: Sequence[Parameter]) -
 
 
 def tilt_at(deviation: Mapping[Parameter, float]) -> Array:
-    """(3, 3) axes of the real tray in the assumed E."""
+    """Rotation (3, 3) of the real tray in the assumed E, at a deviation of the uncertain parameters."""
     return exp(np.array([*(deviation.get(tilt, 0.0) for tilt in TILT), 0.0]))

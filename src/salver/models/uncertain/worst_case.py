@@ -1,25 +1,26 @@
-"""The worst case of constraints over the uncertain set; it is taken here and nowhere else.
+"""The worst case of constraints over the uncertain set, for all modules.
 
-A row is c(p) . w <= 0 with w what the tray feels (`salver.models.tray_motion`) and c a polynomial of the uncertain
-parameters p. Written in half-ranges s of the parameters, its worst case is
+A row is c(p) . w <= 0 with w the tray's motion regressor (`salver.models.tray_motion`) and c a polynomial of the
+uncertain parameters p. Written in half-ranges s of the parameters, its worst case is
 
     c_0 . w + h((c_k . w)_k) + sum_l |d_l . w|,        h(x) = sum_k |x_k|   (box),   |A^T x|   (ellipsoid)
 
 with c_k the linear terms, d_l all products of two parameters, and A A^T the correlation. h is the support function of
-the set; products are bounded one by one, so the worst case is never too optimistic. A box's masses are not among the
-s: a cone has no scale, and bounding mass and centre of mass one by one would count both, so rows stand once for each
-extreme mass.
+the set; products are bounded one by one, so that the worst case is never optimistic. The masses of a box are not among
+the s: scaling all wrenches does not change the contact condition, and bounding mass and centre of mass separately would
+count both, so that there is a set of rows for each combination of extreme masses.
 
-A wrong load also makes the arm miss its reference, and the tray then feels w + dw_k s_k (`Drift`). The same parameter
-acts through both, so c_0 . dw_k is added to c_k . w before h is taken; what no parameter of these rows explains is
-bounded by itself. Of two it is the larger: the tray strays, or it follows exactly (a controller better than assumed).
-Commands that are held put w off by a swing to either side, whatever the parameters: both sides are tried.
+A parameter error also makes the arm deviate from its reference, so that the regressor becomes w + dw_k s_k (`Drift`).
+Because the parameter acts through both, c_0 . dw_k is added to c_k . w before h is taken; terms of the drift without a
+linear term here are bounded separately. The worst case is the larger of two: with the drift, and without it (a
+controller that is better than assumed). The zero-order hold of commands changes w by `Drift.swing` in either direction,
+independently of the parameters; both signs are tried.
 
-A tray that shakes by any dw of a ball (`Vibration`) adds the support of that ball, a |c_f| + b |c_alpha| with the parts
-of c that take specific force and angular acceleration: a constant of each row, whatever is planned, at every speed.
+Vibration of the tray by any dw of a ball (`Vibration`) adds the support of that ball, a |c_f| + b |c_alpha| with the
+parts of c for specific force and angular acceleration: a constant of each row, for every motion and speed.
 
 A body with unknown contents adds the largest mean of a quadratic over all its mass distributions
-(`models.uncertain.contents`); its drift is linear in the same moments, and so in the same mean.
+(`models.uncertain.contents`); its drift is linear in the same moments, and is included in that mean.
 
 All of it is convex in w, with the derivative `WorstCase.attained`.
 """
@@ -41,15 +42,15 @@ from salver.models.uncertain.worst_contents import SURE, ContentsCase, bounded, 
 Some = Indices | slice
 ALL = slice(None)
 Added = Callable[[Some, Some, bool], Array]
-_CHUNK = 160_000  # terms worked on at once: they fit in the cache, and the product is too small to be threaded
+_CHUNK = 160_000  # terms that are computed at once; they fit into the cache, and are too few for several threads
 
 
 @dataclass(frozen=True)
 class Drift:
-    """Tracking perturbation: change of the tray's motion regressor per unit of each parameter, in the closed loop.
+    """Tracking perturbation: change of the tray's motion regressor because parameter errors make the arm deviate.
 
-    terms: the factors of each of n_k terms, one parameter or a product of two. dw: (T, 12, n_k) for one half-range of
-    each. swing: (T, 12) to either side, whatever the parameters; None for nothing.
+    terms: the factors of each of n_k terms, one parameter or a product of two. dw: (T, 12, n_k) change for one
+    half-range of each. swing: (T, 12) change with either sign, independent of the parameters; None for zero.
     """
 
     terms: tuple[tuple[Parameter, ...], ...]
@@ -61,10 +62,10 @@ class Drift:
 class UncertainRows:
     """n constraints that are linear in the motion regressor w (12,) for all parameters.
 
-    nominal: (n, 12) c_0. acting: the n_p parameters in `parameter` (n_p, n, 12), c_k, per half-range. remainder:
-    (n_r, n, 12) d_l. spread: (n_p, n_p) A of an ellipsoid, None for a box. masses, mass_signs: masses that are taken at
-    their extremes, and at which of them (n, n_m) each row is. fillings: bodies whose contents are unknown.
-    shake: of the tray whose frame w is of.
+    nominal: (n, 12) c_0. acting: n_p parameters. parameter: (n_p, n, 12) c_k per half-range of `acting`. remainder:
+    (n_r, n, 12) d_l. spread: (n_p, n_p) A of an ellipsoid, None for a box. masses: n_m masses that are taken at their
+    extremes. mass_signs: (n, n_m) the extreme of each mass in each row, -1 or 1. fillings: contributions of bodies with
+    unknown contents. shake: vibration of the tray.
     """
 
     nominal: Array
@@ -79,28 +80,28 @@ class UncertainRows:
 
     @property
     def certain(self) -> bool:
-        """Whether they are the same whatever the parameters."""
+        """Whether they do not depend on the uncertain parameters."""
         return not (len(self.parameter) or len(self.remainder) or self.fillings)
 
     @cached_property
     def each(self) -> Array:
-        """(n, n_p + n_r, 12) c_k and then d_l, row by row."""
+        """c_k, then d_l, for each row (n, n_p + n_r, 12)."""
         return np.ascontiguousarray(np.swapaxes(np.concatenate([self.parameter, self.remainder]), 0, 1))
 
     @cached_property
     def by_entry(self) -> Array:
-        """(12, n_p + n_r, n) the same by entries of w."""
+        """c_k, then d_l, for each entry of w (12, n_p + n_r, n)."""
         return np.ascontiguousarray(np.moveaxis(np.concatenate([self.parameter, self.remainder]), 2, 0))
 
     @cached_property
     def largest(self) -> Array:
-        """(n, 36) c_0, what all other terms come to at most by the size of each of w, and the size of c_0."""
+        """c_0, the largest sum of all other terms per |w_i|, and |c_0|, side by side (n, 36)."""
         each = np.abs(np.concatenate([self.parameter, self.remainder])).sum(axis=0)
         return np.hstack([self.nominal, each, np.abs(self.nominal)])
 
     @cached_property
     def shaken(self) -> Array:
-        """(n,) most that the shake of the tray adds, at whatever parameters: of every term of c(p) by itself."""
+        """Largest contribution (n,) of the tray's vibration for all parameters, bounded term by term of c(p)."""
         if self.shake is None:
             return np.zeros(len(self.nominal))
         found = self.shake.support(np.concatenate([self.nominal[None], self.parameter, self.remainder])).sum(axis=0)
@@ -109,16 +110,16 @@ class UncertainRows:
         return np.asarray(found)
 
     def terms(self, w: Array) -> Array:
-        """(T, n, n_p + n_r) c_k . w and then d_l . w, of w (T, 12)."""
+        """c_k . w, then d_l . w, (T, n, n_p + n_r) at w (T, 12)."""
         return np.moveaxis(np.tensordot(w, np.concatenate([self.parameter, self.remainder]), axes=(1, 2)), 1, 2)
 
     def radius(self, terms: Array) -> Array:
-        """(...) most that `terms` (..., n_p + n_r) can add."""
+        """Largest sum (...) of `terms` (..., n_p + n_r) over the uncertain set."""
         n_p = len(self.acting)
         return support(terms[..., :n_p], self.spread) + support(terms[..., n_p:], None)
 
     def dual(self, terms: Array) -> Array:
-        """(..., n_p + n_r) derivative of `radius` by the terms: how much of each is at work in the worst case."""
+        """Derivative (..., n_p + n_r) of `radius` by the terms: the factor of each in the worst case."""
         out = np.sign(terms)
         if self.spread is not None:
             factored = terms[..., : len(self.acting)] @ self.spread
@@ -127,17 +128,17 @@ class UncertainRows:
         return out
 
     def worst(self, w: Array, drift: Drift | None = None) -> Array:
-        """(T, n) worst case of every row at w (T, 12)."""
+        """Worst case (T, n) of every row at w (T, 12)."""
         return WorstCase.of(self, w, drift).values
 
     def slope(self, w: Array, row: Indices) -> Array:
-        """(r, 12) derivative by w of the worst case of rows (r,), each at its own w (r, 12)."""
+        """Derivative (r, 12) by w of the worst case of rows (r,), each at its own w (r, 12)."""
         return WorstCase(self, w, None, np.empty(0)).attained(np.arange(len(w)), row)
 
     def worst_point(self, w: Array, row: int) -> dict[Parameter, float]:
-        """The point of the unit box or ball (by parameter, in half-ranges) that is worst for a row at w (12,).
+        """The worst point for a row at w (12,), in half-ranges of each parameter, in the unit box or ball.
 
-        To first order around the centre; products of parameters do not count.
+        To first order around the centre, without products of parameters.
         """
         slope = self.parameter[:, row] @ w
         dual = np.where(slope >= 0, 1.0, -1.0) if self.spread is None else self.dual(slope)
@@ -148,7 +149,7 @@ class UncertainRows:
         return point | dict(zip(self.masses, self.mass_signs[row].tolist(), strict=True))
 
     def mapped(self, change: Callable[[Array], Array]) -> Self:
-        """With every array (..., n, 12) of rows changed."""
+        """A copy with every array (..., n, 12) replaced by change(array)."""
         return replace(
             self,
             nominal=change(self.nominal),
@@ -172,7 +173,7 @@ class UncertainRows:
 
 @dataclass(frozen=True)
 class WorstCase:
-    """Worst-case values (T, n) of constraints along w (T, 12), and the terms that are active there."""
+    """Worst-case values (T, n) of constraints along w (T, 12), with their derivatives."""
 
     rows: UncertainRows
     w: Array
@@ -183,18 +184,18 @@ class WorstCase:
     def of(
         cls, rows: UncertainRows, w: Array, drift: Drift | None = None, coarsely: bool = False, margin: float = 0.0
     ) -> WorstCase:
-        """See `UncertainRows.worst`. coarsely: of rows surely beyond `SURE`, and beyond twice the margin that they are
-        to keep, a bound is enough."""
+        """The worst case of rows at w (T, 12). coarsely: values may be upper bounds for rows with a margin of more than
+        `-SURE` and twice the required `margin`."""
         if not coarsely:
             return cls(rows, w, drift, _values(rows, w, drift))
         return cls(rows, w, drift, values_near(rows, w, drift, margin=max(0.0, SURE + 2.0 * margin)))
 
     def attained(self, node: Indices, row: Indices) -> Array:
-        """(r, 12) derivative of the worst case by w, at nodes and rows (r,); that of the drift is left out."""
+        """Derivative (r, 12) of the worst case by w at nodes and rows (r,), with the drift constant."""
         return self.attained_swinging(node, row)[0]
 
     def attained_swinging(self, node: Indices, row: Indices) -> tuple[Array, Array]:
-        """`attained`, and (r,) the side of the drift's swing on which it is: -1 or 1, 0 without a swing."""
+        """`attained`, and the sign (r,) of the drift's swing in the worst case: -1 or 1, 0 without a swing."""
         rows, nominal = self.rows, self.rows.nominal[row]
         if rows.certain and (self.drift is None or not self.drift.terms):
             if self.drift is None or self.drift.swing is None:
@@ -238,7 +239,7 @@ class WorstCase:
 
 
 def _sides(w: Array, drift: Drift | None) -> tuple[tuple[float, Array], ...]:
-    """w on both sides of a swing, and which side it is."""
+    """Signs of the drift's swing, each with w plus that swing."""
     if drift is None or drift.swing is None:
         return ((0.0, w),)
     return (-1.0, w - drift.swing), (1.0, w + drift.swing)
@@ -246,8 +247,11 @@ def _sides(w: Array, drift: Drift | None) -> tuple[tuple[float, Array], ...]:
 
 @dataclass(frozen=True)
 class _Roles:
-    """Terms of a drift that rows know (own), as which of `acting` (column); as which mass; as which parameter of which
-    filling (filled); and terms that they do not know."""
+    """How the terms of a drift, by their index, enter rows.
+
+    own: terms that are parameters in `acting`, with column: their indices there. mass: (term, index in `masses`).
+    filled: (term, filling, parameter of the filling). other: terms that are not in the rows.
+    """
 
     own: list[int]
     column: list[int]
@@ -285,7 +289,7 @@ def _roles_of(
 def _strayed(
     fillings: tuple[Filling, ...], roles: _Roles, change: Array, coefficients: list[Array]
 ) -> tuple[list[Array], Array]:
-    """Coefficients (..., n, 9) of each filling with the drift's change (..., n_k, n) in them, and what to take off."""
+    """Coefficients (..., n, 9) of each filling, with the drift's change (..., n_k, n), and a constant to subtract."""
     change = np.swapaxes(change, -1, -2)
     strayed, less = list(coefficients), np.zeros(change.shape[:-1])
     for k, f, q in roles.filled:
@@ -295,8 +299,8 @@ def _strayed(
 
 
 def _values(rows: UncertainRows, w: Array, drift: Drift | None, some: Some = ALL) -> Array:
-    """(T, n) worst case of all rows, or of some that have no fillings, in pieces of time; what fillings make of rows
-    that matter is sought for all pieces together."""
+    """Worst case (T, n) of all rows, or of some rows without fillings, computed in pieces of time; the searches for the
+    worst fillings run for all pieces together."""
     nominal = rows.nominal[some]
     if rows.certain and (drift is None or not drift.terms):
         either = [side @ nominal.T + rows.shaken[some] for _, side in _sides(w, drift)]
@@ -305,29 +309,28 @@ def _values(rows: UncertainRows, w: Array, drift: Drift | None, some: Some = ALL
     per_row = len(rows.parameter) + len(rows.remainder) + n_k + 30 * len(rows.fillings)
     values = np.empty((len(w), n))
     every = max(1, _CHUNK // max(1, n * per_row))
-    cases, open_ = _cases(rows, w, drift, some), []
+    cases, unsolved = _cases(rows, w, drift, some), []
     for start in range(0, len(w), every):
         part = slice(start, start + every)
         found = list(cases(part))
         if rows.fillings:
             values[part], few = bounded(rows.fillings, found, start)
-            open_ += few
+            unsolved += few
         else:
             values[part] = found[0].value
             for case in found[1:]:
                 np.maximum(values[part], case.value, out=values[part])
-    if open_:
-        fill(rows.fillings, open_, values)
+    if unsolved:
+        fill(rows.fillings, unsolved, values)
     return values
 
 
 def values_near(
     rows: UncertainRows, w: Array, drift: Drift | None, added: Added | None = None, margin: float = 0.0
 ) -> Array:
-    """(T, n) worst case; where each term at its largest, one by one, leaves a row beyond `SURE` with a margin, that
-    bound.
+    """Worst case (T, n), or a cheap upper bound of rows whose bound is at most `SURE - margin`.
 
-    added: what else is added to rows, of instants and rows that are asked for, or no less than that.
+    added: a function of (instants, rows, whether an upper bound suffices) with further terms to be added to rows.
     """
     if rows.fillings or rows.spread is not None:
         return _values(rows, w, drift) + (0.0 if added is None else added(ALL, ALL, False))
@@ -348,18 +351,18 @@ def values_near(
 
 
 def _cases(rows: UncertainRows, w: Array, drift: Drift | None, some: Some) -> Callable[[slice], Iterator[ContentsCase]]:
-    """The cases of which the worst counts, in a piece of time: either side of a swing, strayed or not."""
+    """Cases whose maximum is the worst case, in a slice of time: both signs of the swing, with and without drift."""
     n_p, n_k = len(rows.acting), 0 if drift is None else len(drift.terms)
-    felt = ALL if drift is not None else np.any(w != 0, axis=0)  # a tray that does not turn feels three of the twelve
+    felt = ALL if drift is not None else np.any(w != 0, axis=0)  # without rotation only three of the twelve are nonzero
     nominal, flat = rows.nominal[some].T[felt], rows.by_entry[:, :, some][felt]
     _, n_c, n = flat.shape
     flat = flat.reshape(len(flat), n_c * n)
     sides = [np.ascontiguousarray(side[:, felt]) for _, side in _sides(w, drift)]
-    drift = drift if n_k else None  # what only swings has no more cases than sides
+    drift = drift if n_k else None  # a drift with a swing alone has two cases
     fillings = tuple(filling.mapped(lambda array: array[..., felt]) for filling in rows.fillings)
     if drift is not None:
         roles = _roles(rows, drift)
-        # What rows do not know of comes last: where its sizes are summed, no copy is made of it.
+        # Terms that are not in the rows come last, so that their absolute values are summed without a copy.
         order = [*roles.own, *(k for k, _ in roles.mass), *(k for k, _, _ in roles.filled), *roles.other]
         moved, place = np.swapaxes(drift.dw, 1, 2)[:, order], {k: i for i, k in enumerate(order)}
         there = replace(roles, filled=[(place[k], f, q) for k, f, q in roles.filled])
