@@ -18,6 +18,7 @@ from salver.dynamics.payload_response import PayloadResponse
 from salver.errors import Status
 from salver.geometry import Array
 from salver.models.interfaces import regions_lost
+from salver.plots import Curves, Plotted
 from salver.scenario import Scenario
 
 if TYPE_CHECKING:
@@ -37,7 +38,7 @@ def margins(scenario: Scenario, samples: MotionSamples, *, edges: int | None = N
 
 
 @dataclass(frozen=True, repr=False)
-class Margins(Shown, RowValues):
+class Margins(Shown, RowValues, Plotted):
     """Margins of all objects along one motion; each is computed when it is first read."""
 
     def facts(self) -> dict[str, str]:
@@ -72,6 +73,11 @@ class Margins(Shown, RowValues):
     def exact_worst(self) -> Array:
         """(T,) the same in the worst case of the uncertain set."""
         return np.min([-self.worst_values[i][0].max(axis=1) for i in range(len(self.model.networks))], axis=0)
+
+    def curves(self) -> tuple[Array, Curves]:
+        """The least exact margin of all interfaces, nominal and in the worst case of the uncertain set."""
+        named = {"nominal": 100 * self.exact, "worst case": 100 * self.exact_worst}
+        return self.t, {"contact margin,\n% of the weight": named}
 
     def verdict(self, worst: bool = False) -> Status:
         """Holds, slides, tips or lifts: the first interface that fails, and when, in one sentence.

@@ -23,6 +23,7 @@ from salver.planning.object.cost import sensitivity_cost
 from salver.planning.object.evaluation import Evaluation, evaluate
 from salver.planning.plan_files import NEEDED, PlanFiles, read_plan, save_files
 from salver.planning.stop_library import StopLibrary
+from salver.plots import Curves, Plotted
 from salver.scenario import Scenario
 from salver.scenario.warnings import warnings_of
 from salver.tables import Table, Tabular, dimensioned
@@ -98,7 +99,7 @@ class Verification:
 
 
 @dataclass(frozen=True, repr=False)
-class Plan(Shown, Tabular):
+class Plan(Shown, Tabular, Plotted):
     """A motion of the carried object (and of the arm, when there is one) with its guarantees.
 
     method: "robust" (eqs 13-17), "baseline" (straight min-jerk line), "fastest", "safest" and "least-sensitive" (in
@@ -451,12 +452,25 @@ class Plan(Shown, Tabular):
     def table(self) -> Table:
         """The motion, for pandas and xarray: that of the object, of the arm when there is one, and the contact."""
         about = {"scenario": self.scenario.name, "method": self.method, "ok": self.ok}
-        labels = {}
-        if self.joint is not None and self.scenario.arm is not None:
-            from salver.models.arm.arm import load_arm
-
-            labels["joint"] = load_arm(self.scenario.arm, self.scenario.tray).joint_names
+        labels = {} if self.joint is None else {"joint": self._joint_names}
         return Table(dimensioned(self.arrays(), {}), labels, about)
+
+    @property
+    def _joint_names(self) -> tuple[str, ...]:
+        from salver.models.arm.arm import load_arm
+
+        arm = self.scenario.arm
+        return () if arm is None else load_arm(arm, self.scenario.tray).joint_names
+
+    def curves(self) -> tuple[Array, Curves]:
+        """The motion of the first object, the joints' velocities, and the margin of all contacts."""
+        samples = self._checked.samples
+        way = (samples.p_SB - samples.p_SB[0]).T
+        panels: dict[str, Mapping[str, Array]] = {"way, m": dict(zip("xyz", way, strict=True))}
+        if self.joint is not None:
+            dq = self.joint.sample(samples.t)[1].T
+            panels["joint velocity,\nrad/s or m/s"] = dict(zip(self._joint_names, dq, strict=True))
+        return samples.t, {**panels, **self.margins.curves()[1]}
 
     def save(self, directory: str | Path, stem: str = "plan") -> Path:
         """Write `<stem>.npz`, `<stem>.json` and `scenario.toml` into a run directory, each atomically.

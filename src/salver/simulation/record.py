@@ -15,6 +15,7 @@ from salver.errors import FileFormatError
 from salver.files import read_result
 from salver.geometry import Array
 from salver.motion_files.motion import MotionSeries
+from salver.plots import Curves, Plotted
 from salver.run_directory import check_digest, save_record
 from salver.tables import Table, Tabular, dimensioned
 
@@ -28,7 +29,7 @@ OUTCOMES = ("holds", "slides", "spills", "swings", "tips", "lifts", "lost", "lim
 
 
 @dataclass(frozen=True, repr=False)
-class SimulationRecord(Shown, Tabular):
+class SimulationRecord(Shown, Tabular, Plotted):
     """One run at T instants, with m objects, n joints (n = 0 without an arm), n_c contact points of the first object.
 
     t (T,): s, 0 at the start of the motion. q, dq, tau (T, n): true joint state and applied torque.
@@ -95,6 +96,12 @@ class SimulationRecord(Shown, Tabular):
         arrays = {name: getattr(self, name) for name in ARRAYS}
         about = {"outcome": self.outcome, **{f"true {name}": value for name, value in self.parameters.items()}}
         return Table(dimensioned(arrays, _DIMENSIONS), {"object": self.object_names}, about)
+
+    def curves(self) -> tuple[Array, Curves]:
+        """How far each object slipped and leaned on its support, and how far the first one was off its reference."""
+        shown = {"slip, mm": 1e3 * self.slip, "tip angle, deg": np.rad2deg(self.tip_angle)}
+        panels = {label: dict(zip(self.object_names, values.T, strict=True)) for label, values in shown.items()}
+        return self.t, {**panels, "off its reference,\nmm": {self.object_names[0]: 1e3 * self.e_p}}
 
     def motion(self, joint_names: tuple[str, ...] = ()) -> MotionSeries:
         """The executed motion of joints, tray and first object, for `salver.motion_files.write`.
