@@ -1,5 +1,6 @@
 """The notebooks run from top to bottom in a kernel of their own, and show what their text says."""
 
+import re
 from pathlib import Path
 
 import nbclient
@@ -27,7 +28,7 @@ def executed(name, folder):
 
 def test_every_notebook_is_run_here_and_kept_with_outputs_but_the_page():
     assert {path.stem for path in NOTEBOOKS.glob("*.ipynb")} == {
-        "reproduce_the_paper", "my_arm_and_bottle", "will_my_trajectory_slip",
+        "reproduce_the_paper", "my_arm_and_bottle", "will_my_trajectory_slip", "your_own_load_and_arm",
     }  # fmt: skip
     for path in NOTEBOOKS.glob("*.ipynb"):
         notebook = nbformat.read(path, as_version=4)
@@ -57,3 +58,14 @@ def test_will_my_trajectory_slip(tmp_path):
     assert "<Audit panda-cube, verdict does not hold" in text
     assert "Everything holds in the worst case" in text
     assert "('slides', 'holds')" in text
+
+
+def test_your_own_load_and_arm(tmp_path):
+    text, frames = executed("your_own_load_and_arm", tmp_path)
+    assert "{'20 %': 'holds', '5 %': 'slides'}" in text
+    took = re.search(r"(\d\.\d+) s with friction known to 20 %, (\d\.\d+) s with 5 %", text)
+    assert float(took[2]) < float(took[1])
+    costs = dict(re.findall(r"'(\w+)': (0\.\d+)", text[text.index("{'mass': 0.0") :].split("}")[0]))
+    assert max(costs, key=lambda name: float(costs[name])) == "friction"
+    assert frames == 1
+    assert (tmp_path / "my-lamp.script").is_file()
