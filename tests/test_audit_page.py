@@ -96,4 +96,4 @@ def test_in_a_browser_the_arm_moves_as_it_was_told(joint_file, tmp_path):
 def test_of_a_file_alone_the_command_asks_what_is_carried(tray_file):
     done = CliRunner().invoke(app, ["report", str(tray_file)])
     assert done.exit_code == 2
-    assert done.stderr.rstrip().endswith(".csv is a file; of a motion, say also what is carried: --scenario.")
+    assert done.stderr.rstrip().endswith(".csv is a file; for a motion file, name the scenario too: --scenario.")

@@ -170,7 +170,7 @@ def test_errors_map_to_exit_codes(capfd):
     assert (done.exit_code, text) == (3, "salver: The goal is 0.3 m out of reach.\n")
     done, text = _exit_of(interrupted, capfd)
     assert done.exit_code == 130
-    assert text == "salver: interrupted; what was written to disk before is complete and was kept.\n"
+    assert text == "salver: interrupted; files that were written before are complete.\n"
 
 
 def test_a_defect_is_one_sentence_and_a_file_with_its_traceback(capfd, tmp_path, monkeypatch):
@@ -199,7 +199,7 @@ def test_a_defect_is_one_sentence_and_a_file_with_its_traceback(capfd, tmp_path,
             "salver: /there/plan.npz: no space left on device.",
         ),
         (PermissionError(13, "Permission denied", "/there"), "salver: /there: permission denied."),
-        (MemoryError(), "salver: the memory of this machine was not enough"),
+        (MemoryError(), "salver: out of memory"),
         (  # as the loader says it in a bare container, where `import pinocchio` fails
             ImportError("libgomp.so.1: cannot open shared object file: No such file or directory"),
             "salver: this machine lacks libgomp.so.1; on Debian and Ubuntu: apt-get install libgomp1.",
@@ -259,7 +259,7 @@ def test_ctrl_c_while_stops_are_planned_keeps_the_plan(monkeypatch, here, tmp_pa
 
     monkeypatch.setattr("salver.planning.stops.with_stops", planning)
     code, _, said = here("plan", "panda-cube", "--stops", "-o", str(tmp_path / "cube"))
-    assert (code, said) == (130, "salver: interrupted; what was written to disk before is complete and was kept.\n")
+    assert (code, said) == (130, "salver: interrupted; files that were written before are complete.\n")
     kept = load_plan(tmp_path / "cube")
     assert kept.ok
     assert kept.stops is None

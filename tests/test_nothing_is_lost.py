@@ -102,7 +102,7 @@ def test_the_command_plan_says_where_the_earlier_plan_is(tmp_path):
     )  # as if it had been made with an arm
     done = command("plan", toml, "--no-arm", "-o", tmp_path / "run")
     assert done.exit_code == 0
-    assert "held another plan; it is kept with its results in" in done.stderr
+    assert "and its results are now in" in done.stderr
     assert "q" in files.load_npz(tmp_path / "run" / "earlier" / "1" / "plan.npz")
 
 
@@ -145,7 +145,7 @@ def test_plans_of_another_scenario_are_replaced_by_force_only(run, tmp_path):
     assert contents(run) == before
     done = command("plan", toml, "--no-arm", "-o", run, "--force")
     assert done.exit_code == 0, done.stderr
-    assert "held another plan; it is kept with its results in" in done.stderr
+    assert "and its results are now in" in done.stderr
     assert contents(run / "earlier" / "1") == before
 
 

@@ -52,7 +52,7 @@ def test_a_run_with_a_value_outside_its_range_is_no_run_of_the_plan_to_the_page(
     shutil.rmtree(run / "simulation", ignore_errors=True)
     low, high = 0.256 * 0.9, 0.256 * 1.1
     said = salver("simulate", run, "--set", "friction=0.1", "--set", "mass=0.2561").stdout
-    assert "What if: friction = 0.1, which the plan takes as known exactly" in said
+    assert "What if: friction = 0.1, which the plan assumes to be exact" in said
     assert "mass = 0.2561 is outside" not in said
     assert sorted(path.name for path in (run / "simulation").iterdir()) == ["plan-what-if.json", "plan-what-if.npz"]
     shown = read_run(run)
@@ -106,7 +106,7 @@ def test_json_is_one_document(run_directory):
 def test_sentences_for_what_happened(run_directory):
     assert "slides from t =" in salver("simulate", run_directory, "--set", "friction=0.1").stdout
     sliding = salver("simulate", run_directory, "--set", "friction=0.1", "--set", "tilt_x=0.15").stdout
-    assert "slides on the tray already at rest" in sliding
+    assert "slides on the tray even at rest" in sliding
     heavy = ["mass=12", "inertia_xx=0.01", "inertia_yy=0.01", "inertia_zz=0.01"]
     assert "torque saturated" in salver("simulate", run_directory, *(x for s in heavy for x in ("--set", s))).stdout
 
@@ -144,7 +144,7 @@ def test_a_file_where_a_run_directory_is_wanted_and_the_other_way_round(tmp_path
     for path in (motion, array, run / "scenario.toml"):
         path.touch()
     for command in ("simulate", "report"):
-        assert "is a file; of a motion, say also what is carried: --scenario." in salver(command, motion).stderr
+        assert "is a file; for a motion file, name the scenario too: --scenario." in salver(command, motion).stderr
     for command in (("simulate",), ("report",), ("campaign",), ("figures",), ("render", "-o", "x.gif")):
         told = salver(*command, array).stderr
         assert told == f"salver: {array} is a file of a run directory; give the directory: {run}.\n", command

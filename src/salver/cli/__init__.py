@@ -1,4 +1,4 @@
-"""The command `salver`. Each command is a function in a module of its own; this file only gathers them.
+"""The command `salver`. Each of its commands is a function in its own module; this file collects them.
 
 Modules of commands import what is heavy (CasADi, MuJoCo, Pinocchio, plotting) inside their functions, so that
 `salver --help` answers at once.
@@ -18,7 +18,7 @@ import typer
 from salver import __version__
 from salver.cli.common import INTERRUPTED, handled
 
-# In the order of use, each with its folder; it is the function of that name in the module of that name.
+# Commands in the order of use, each with its folder; module and function have the command's name.
 COMMANDS = {
     "demo": "plans",
     "scenarios": "plans",
@@ -60,7 +60,7 @@ def _options(
 
 
 def _gathered(names: Iterable[str]) -> typer.Typer:
-    """The command with some of its commands."""
+    """The app with the commands `names`."""
     gathered = typer.Typer(
         name="salver",
         help="Carry loose objects on a tray: plan robustly, simulate, check, report.",
@@ -81,7 +81,7 @@ def _whole() -> typer.Typer:
 
 
 def __getattr__(name: str) -> typer.Typer:
-    """`app`, with all commands: made when it is asked for, as a process needs one of them."""
+    """`app` with all commands, made on first use, because a process usually needs only one of them."""
     if name != "app":
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return _whole()
@@ -90,18 +90,18 @@ def __getattr__(name: str) -> typer.Typer:
 def main() -> None:
     """Entry point of the console script.
 
-    The matrices here are small: threads of the linear algebra cost more than they give, and a campaign already has a
-    process for each core. NumPy reads this when it is first imported, which no command has done yet.
+    Linear algebra uses one thread: the matrices are small, and a campaign already has a process for each core. NumPy
+    reads this setting when it is imported, which has not happened yet.
     """
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")
-    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "1")  # it would look for some in every package that is installed
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "1")  # it would search all installed packages for plugins
     asked = [name for name in sys.argv[1:2] if name in COMMANDS]
     try:
         (_gathered(asked) if asked else _whole())()
-    except OSError as error:  # where help or the version cannot be printed; commands see to it themselves
+    except OSError as error:  # help or version cannot be printed; commands handle this themselves
         from salver.cli.common import lost
 
         sys.exit(lost(error))
-    except KeyboardInterrupt:  # while the command is still being loaded; commands see to it themselves
+    except KeyboardInterrupt:  # while the command is being loaded; commands handle this themselves
         sys.exit(INTERRUPTED)

@@ -1,4 +1,4 @@
-"""Common to all commands: exit codes, errors as one sentence, results for people and for machines."""
+"""Shared by all commands: exit codes, errors as one sentence, output of results."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ ACHIEVED = 0
 NOT_ACHIEVED = 1
 WRONG_USE = 2
 NO_SAFE_PLAN = 3
-DEFECT = 70  # as sysexits.h has it: salver itself failed
-INTERRUPTED = 130  # 128 + SIGINT, as a shell reports it
+DEFECT = 70  # EX_SOFTWARE of sysexits.h
+INTERRUPTED = 130  # 128 + SIGINT
 
 Json = Annotated[bool, typer.Option("--json", help="Print the result as one JSON document on standard output.")]
 ScenarioName = Annotated[
@@ -58,13 +58,13 @@ Command = TypeVar("Command", bound=Callable[..., Any])
 
 
 def handled(command: Command) -> Command:
-    """The command, with whatever goes wrong as one sentence on standard error and the exit code that fits.
+    """Decorate a command: an exception becomes one sentence on standard error and an exit code.
 
-    What is neither a mistake of the user nor the machine's (disk, memory) is a defect of salver; its traceback goes to
-    a file.
+    An exception that is not a mistake of the user and not a problem of the machine (disk, memory) is a defect of
+    salver; its traceback is written to a file.
     """
 
-    # Those that ask somebody, and the loop of 1 kHz, go without a bar.
+    # Commands that ask questions, and the loop at 1 kHz, have no progress bar.
     alone = command.__name__ in ("new", "execute", "live")
 
     @functools.wraps(command)
@@ -81,9 +81,9 @@ def handled(command: Command) -> Command:
             say(f"salver: {error}")
             raise typer.Exit(WRONG_USE) from None
         except KeyboardInterrupt:
-            say("salver: interrupted; what was written to disk before is complete and was kept.")
+            say("salver: interrupted; files that were written before are complete.")
             raise typer.Exit(INTERRUPTED) from None
-        except BrokenPipeError:  # the reader of our output, `head` for one, has seen enough
+        except BrokenPipeError:  # the reader of the output, such as `head`, has closed it
             sys.stderr.close()
             raise typer.Exit(ACHIEVED) from None
         except (typer.Exit, typer.Abort, typer.BadParameter):
@@ -91,7 +91,7 @@ def handled(command: Command) -> Command:
         except OSError as error:
             raise typer.Exit(lost(error)) from None
         except MemoryError:
-            say("salver: the memory of this machine was not enough; what was written to disk before is complete.")
+            say("salver: out of memory; files that were written before are complete.")
             raise typer.Exit(WRONG_USE) from None
         except Exception as error:
             lacking = _LIBRARY.match(str(error)) if isinstance(error, ImportError) else None
@@ -106,9 +106,9 @@ def handled(command: Command) -> Command:
 
 
 def lost(error: OSError) -> int:
-    """Say what the machine refused, a full disk or a directory that is not ours, and with which exit code it ends.
+    """Report an error of the operating system, such as a full disk; returns the exit code.
 
-    Where the output takes no more, what is left of it goes nowhere: Python would try again at its end and fail.
+    If standard output is broken, the rest of it goes to /dev/null, because Python would try to write it at exit.
     """
     say(f"salver: {error.filename or 'the output'}: {(error.strerror or str(error)).lower()}.")
     try:
@@ -118,12 +118,12 @@ def lost(error: OSError) -> int:
     return WRONG_USE
 
 
-# What the loader says of a library of the system that a package needs.
+# The loader's message about a missing system library that a package needs.
 _LIBRARY = re.compile(r"(lib\S+\.so\.\d+): cannot open shared object file")
 
 
 def _defect(error: Exception) -> str:
-    """A sentence on what nobody foresaw; where, and with what, goes to a file for the maintainers."""
+    """A sentence about an unexpected exception; traceback, command and versions go to a file for the maintainers."""
     import tempfile
     import traceback
 
@@ -147,35 +147,35 @@ def _defect(error: Exception) -> str:
     return f"{text}; please send {file.name} to the maintainers, with the files that the command was given."
 
 
-# Control characters and those that turn the direction of writing: in a name, they would command the terminal.
+# Control characters, and those that change the direction of writing; in a name, they would control the terminal.
 _COMMANDS = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
 
 
 def printable(text: str) -> str:
-    """The text with what a terminal would obey instead of show written out, as \\x1b."""
+    """The text with characters that control a terminal escaped, as \\x1b."""
     return _COMMANDS.sub(lambda found: ascii(found[0])[1:-1], text)
 
 
 def say(text: str) -> None:
-    """A line for a person, on standard error, never wrapped or coloured: safe to grep."""
+    """Print a line on standard error, without wrapping and colours, so that it can be searched."""
     hide()
     sys.stderr.write(printable(text).rstrip("\n") + "\n")
     sys.stderr.flush()
 
 
 def headed(name: str, text: object) -> Text:
-    """For a console: "name: text", the name in bold."""
+    """The text "name: text" for a console, with the name in bold."""
     from rich.text import Text
 
     return Text.assemble((printable(name), "bold"), f": {printable(str(text))}")
 
 
 def save_plans(directory: Path, plans: Mapping[str, Plan | MultiLegPlan], force: bool = False) -> None:
-    """Write plans by stem into a run directory, and say what became of another plan that stood there.
+    """Write plans, by name, into a run directory, and say where earlier plans were moved.
 
-    Plans of the scenario as it was before it was edited make way (force: of any other scenario). Else a directory of
-    another scenario is left alone: the plans go beside it, so that they are not lost, and the command ends as wrong
-    use, because nothing stands where the next command would look for it.
+    Plans of an earlier version of the scenario are replaced, with force also those of another scenario. Otherwise a
+    directory of another scenario is not changed: the plans are written beside it, so that they are not lost, and the
+    command ends as wrong use, because the directory does not hold what the next command needs.
     """
     from salver.planning.plan_files import make_way
     from salver.run_directory import EARLIER
@@ -190,14 +190,14 @@ def save_plans(directory: Path, plans: Mapping[str, Plan | MultiLegPlan], force:
         for stem, plan in plans.items():
             plan.save(beside, stem)
         say(f"salver: {error}")
-        say(f"salver: what was planned is kept in {beside}.")
+        say(f"salver: the new plans are in {beside}.")
         raise typer.Exit(WRONG_USE) from None
     for path in sorted(set(directory.glob(f"{EARLIER}/*")) - before):
-        say(f"salver: {directory} held another plan; it is kept with its results in {path}.")
+        say(f"salver: the earlier plan in {directory} and its results are now in {path}.")
 
 
 def numbers(text: str) -> list[float]:
-    """Those of a text, with commas or blanks between; none where a word is no number."""
+    """The numbers in a text, separated by commas or blanks; an empty list if a word is not a number."""
     try:
         return [float(word) for word in text.replace(",", " ").split()]
     except ValueError:
@@ -205,20 +205,20 @@ def numbers(text: str) -> list[float]:
 
 
 def of_a_run(path: Path) -> None:
-    """Raise ScenarioError for a motion file where only a run directory needs no scenario."""
+    """Raise ScenarioError for a motion file without a scenario; only run directories have one."""
     from salver.run_directory import SCENARIO
 
     if path.is_file() and not (path.parent / SCENARIO).is_file():
-        raise ScenarioError(f"{path} is a file; of a motion, say also what is carried: --scenario.")
+        raise ScenarioError(f"{path} is a file; for a motion file, name the scenario too: --scenario.")
 
 
 def result_console() -> Console:
-    """Console on standard output, for the result a person asked for (without --json)."""
+    """Console on standard output, for results without --json."""
     return _console(soft_wrap=not sys.stdout.isatty())
 
 
 def print_table(titles: Sequence[str], rows: Iterable[Sequence[str]], left: Collection[str] = ("",)) -> None:
-    """A table for a person, on standard output. left: titles of columns that are set left; others are set right."""
+    """Print a table on standard output. left: titles of left-aligned columns; others are right-aligned."""
     from rich.table import Table
 
     table = Table(box=None, padding=(0, 3, 0, 0))
@@ -230,15 +230,15 @@ def print_table(titles: Sequence[str], rows: Iterable[Sequence[str]], left: Coll
 
 
 def check_no_plan(out: Path, stem: str = "plan") -> None:
-    """Raise ScenarioError where a run directory holds a plan already."""
+    """Raise ScenarioError when a run directory holds a plan already."""
     from salver.run_directory import file_stem
 
     if (out / f"{file_stem(out, stem)}.npz").exists():
-        raise ScenarioError(f"--out = {out} holds a plan already; give a directory that does not.")
+        raise ScenarioError(f"--out = {out} holds a plan already; give another directory.")
 
 
 def check_new_toml(out: Path | None) -> None:
-    """Raise ScenarioError for what is no name for a new scenario file."""
+    """Raise ScenarioError unless `out` is the name of a new .toml file."""
     if out is not None and (out.suffix != ".toml" or out.exists()):
         raise ScenarioError(f"--out = {out} must be a .toml file that does not exist yet.")
 
@@ -252,7 +252,7 @@ def save_scenario(scenario: Scenario, out: Path) -> None:
 
 
 def save_test_motion(plan: Plan, out: Path, then: str, json: bool) -> None:
-    """Write a motion that measures something into a run directory. then: the commands that follow."""
+    """Write a test motion into a run directory. then: the next commands, for the user."""
     plan.save(out)
     if json:
         print_json({"duration": plan.duration, "sentence": plan.status.sentence, "directory": str(out)})
@@ -262,7 +262,7 @@ def save_test_motion(plan: Plan, out: Path, then: str, json: bool) -> None:
 
 
 def _console(**options: Any) -> Console:
-    """A console to which strings are text: no markup, no emoji, no commands of the terminal, also in tables."""
+    """A console that prints strings literally, also in tables: no markup, no emoji, no terminal control."""
     from rich.console import Console
 
     class PlainConsole(Console):
@@ -277,10 +277,10 @@ def _console(**options: Any) -> Console:
 
 
 def print_json(obj: Any) -> None:
-    """The result for a machine: one JSON document on standard output (`salver.files.to_json`)."""
+    """Print a result as one JSON document on standard output (`salver.files.to_json`)."""
     from salver.files import to_json
 
     hide()
-    # Control characters can only be within strings, where JSON has a word for them.
+    # Control characters can only be inside strings, where JSON can escape them.
     sys.stdout.write(re.sub("[\x7f-\x9f]", lambda found: f"\\u{ord(found[0]):04x}", to_json(obj)))
     sys.stdout.flush()

@@ -1,6 +1,8 @@
-"""The bar of every command that takes longer than a second: on a terminal's standard error, gone before anything is
-printed, back after another second of silence. Where standard error is no terminal, a line every few seconds instead,
-for commands that say what they are at."""
+"""Progress of commands that take longer than a second.
+
+If standard error is a terminal, it is a bar, which is hidden before anything is printed and shown again after a second
+without output. Otherwise it is a line every few seconds, for commands that report steps.
+"""
 
 from __future__ import annotations
 
@@ -15,18 +17,18 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.progress import Progress
 
-AFTER = 1.0  # s of silence
-EVERY = 3.0  # s from line to line
+AFTER = 1.0  # s without output until the bar is shown
+EVERY = 3.0  # s between lines
 
-_now: Bar | Lines | None = None  # of the command that runs
+_now: Bar | Lines | None = None  # progress of the running command
 
 
 class Bar:
-    """The bar of a command. What it does is told by `step`; until then only that it goes on, and for how long."""
+    """The progress bar of a command. Before the first `step` it shows only the elapsed time."""
 
     def __init__(self, name: str, console: Console | None = None) -> None:
         self._name, self._console = name, console
-        self._lock = threading.RLock()  # the timer shows it, the command hides it
+        self._lock = threading.RLock()  # a timer thread shows the bar, the command hides it
         self._timer: threading.Timer | None = None
         self._shown: Progress | None = None
         self._done: tuple[int | None, int | None, str] = (None, None, "")
@@ -39,7 +41,7 @@ class Bar:
                 self._shown.update(self._shown.task_ids[0], completed=done, total=total, description=words)
 
     def wait(self) -> None:
-        """Show it after a while."""
+        """Show the bar after a while."""
         with self._lock:
             self._timer = threading.Timer(AFTER, self._show)
             self._timer.daemon = True
@@ -58,7 +60,7 @@ class Bar:
         from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 
         with self._lock:
-            if self._timer is None:  # hidden meanwhile
+            if self._timer is None:  # hidden in the meantime
                 return
             done, total, words = self._done
             self._shown = Progress(
@@ -86,7 +88,7 @@ class Lines:
         self._done = done, total, words
 
     def wait(self) -> None:
-        """Begin."""
+        """Start the thread that prints the lines."""
         threading.Thread(target=self._tell, args=(sys.stderr,), daemon=True).start()
 
     def end(self) -> None:
@@ -103,7 +105,7 @@ class Lines:
 
 @contextmanager
 def working(name: str) -> Iterator[None]:
-    """While a command runs. One bar at a time."""
+    """A context in which a command shows its progress; only one bar exists at a time."""
     global _now
     if _now is not None:
         yield
@@ -118,13 +120,13 @@ def working(name: str) -> Iterator[None]:
 
 
 def step(done: int, total: int, words: str = "") -> None:
-    """Tell how far the command that runs has come: so many of so many, and what else there is to say."""
+    """Report that the running command has done `done` of `total` steps, with a comment."""
     if _now is not None:
         _now.step(done, total, words)
 
 
 def hide() -> None:
-    """Make room for what will be printed or asked now."""
+    """Hide the bar before something is printed or asked."""
     if isinstance(_now, Bar):
         _now.end()
         _now.wait()

@@ -1,4 +1,4 @@
-"""`salver audit`: will it slip? For a trajectory that the user already has."""
+"""`salver audit`: does the load hold along an existing motion?"""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ Topic = Annotated[str | None, typer.Option(help="Topic of the motion, when a bag
 Units = Annotated[
     str | None,
     typer.Option(
-        help="Units of a table where they are not rad, m and s: some of deg, mm, ms, as in --units deg,ms. Velocities "
-        "are per second; what is written is in rad, m, s."
+        help="Units of a table other than rad, m and s: some of deg, mm, ms, as in --units deg,ms. Velocities are per "
+        "second; files are written in rad, m, s."
     ),
 ]
 Highest = Annotated[
-    float, typer.Option(help="Nothing on the arm shakes the tray faster than this, Hz: what a recording must show.")
+    float, typer.Option(help="Highest frequency at which the tray may vibrate, Hz; a recording must resolve it.")
 ]
 Noise = Annotated[
     float | None,
@@ -101,7 +101,7 @@ def audit(
 
 
 def _show(result: Audit, given: str = "", options: str = "") -> None:
-    """given, options: what a command is told to take the same motion in the same way, where one can."""
+    """Print an audit. given, options: the file and the options, for commands that the output proposes."""
     out = result_console()
     motion, margins, none = result.motion, result.margins, "(none suffices)"
     lines = [
@@ -146,8 +146,8 @@ def _seen(result: Audit) -> str:
     noise = 1e3 * recording.sensor.displacement
     slip, _ = result.hidden(worst=True)
     return (
-        f"{recording.rate:.4g} samples a second with noise of {noise:.2g} mm; a shake of up to "
-        f"{motion.options.highest:g} Hz that this hides would slide the load by at most {1e3 * slip.distance:.2g} mm"
+        f"{recording.rate:.4g} samples a second with noise of {noise:.2g} mm; vibration of up to "
+        f"{motion.options.highest:g} Hz that it hides would slide the load by at most {1e3 * slip.distance:.2g} mm"
     )
 
 

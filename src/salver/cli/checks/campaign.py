@@ -33,13 +33,13 @@ def campaign(
         str | None, typer.Option(help="Folder in DIRECTORY for the results. Default: campaign, or stops with --stops.")
     ] = None,
     stops: Annotated[
-        bool, typer.Option("--stops", help="Stop each run by the plan's own stops, at a random instant of its own.")
+        bool, typer.Option("--stops", help="Stop each run at a random instant by the plan's own stops.")
     ] = False,
     json: Json = False,
 ) -> None:
     """Run every plan of a directory many times with perturbed parameters, all plans on the same samples.
 
-    If it is stopped half way, even killed, the same command resumes where it was. Results: runs.parquet and
+    If it is interrupted, even killed, the same command resumes. Results: runs.parquet and
     campaign.json in DIRECTORY/campaign. One run alone: `salver simulate DIRECTORY --run K`.
 
     Ends with 0 when all runs were made, whatever became of the objects, and 1 when some could not be.
@@ -52,7 +52,7 @@ def campaign(
     from salver.campaigns import run_campaign
 
     try:
-        result = run_campaign(directory, n, seed, method, stem, engine, jobs, folder, told, stops=stops)
+        result = run_campaign(directory, n, seed, method, stem, engine, jobs, folder, show_progress, stops=stops)
     except KeyboardInterrupt:
         say("salver: stopped; finished runs are kept: repeat the command to continue.")
         raise typer.Exit(130) from None
@@ -67,13 +67,13 @@ def campaign(
         raise typer.Exit(NOT_ACHIEVED)
 
 
-def told(done: int, total: int, counts: Counter[tuple[str, str]]) -> None:
-    """To the bar: how many runs are done, and the count of each outcome."""
+def show_progress(done: int, total: int, counts: Counter[tuple[str, str]]) -> None:
+    """Show the number of finished runs and the count of each outcome."""
     step(done, total, ", ".join(f"{stem} {outcome} {count}" for (stem, outcome), count in sorted(counts.items())))
 
 
 def show(summary: dict[str, Any]) -> None:
-    """The summary as a table for a person: a column for each plan."""
+    """Print the summary as a table with a column for each plan."""
     from salver.campaigns.summary import LEFT_TUBES
 
     plans = summary["plans"]
@@ -92,7 +92,7 @@ def show(summary: dict[str, Any]) -> None:
         for name, label in (("lost", "lost in a stop"), ("beyond_a_limit", "kept beyond a limit of the arm")):
             rows.append([label, *(_rate(plan["stops"] and plan["stops"][name]) for plan in each)])
         rows.append(["stop takes, median (max)", *(_range(plan["stops"]["takes"], 1, "s") for plan in each)])
-        rows.append(["finished, as no stop is sooner", *(str(plan["stops"]["finished"]) for plan in each)])
+        rows.append(["finished, because no stop is sooner", *(str(plan["stops"]["finished"]) for plan in each)])
     print_table(titles := ["", *plans], rows, left=titles)
     out = result_console()
     if any(plan["tube"] and plan["tube"]["left"]["count"] for plan in plans.values()):
@@ -134,7 +134,7 @@ def _excess(tube: dict[str, Any] | None) -> str:
 
 
 def _share(value: float) -> str:
-    """A share of the radius: in per cent, or as a multiple where a lost load is far outside."""
+    """A share of the radius in per cent, or as a multiple for a lost load that is far outside."""
     return f"{value:.3g} times" if value >= 10 else f"{100 * value:.3g} % of"
 
 

@@ -28,8 +28,8 @@ def simulate(
     stem: Annotated[
         str,
         typer.Option(
-            help="Which plan: plan, baseline, nominal, or both that there are; of a plan of several legs, leg1, leg2 "
-            "and so on, or plan: all of them, one after the other."
+            help="Which plan: plan, baseline, nominal, or both; for a plan of several legs, leg1, leg2 and so on, or "
+            "plan: all legs, one after the other."
         ),
     ] = "plan",
     set_: Annotated[
@@ -42,7 +42,7 @@ def simulate(
     ] = None,
     folder: Annotated[str, typer.Option(help="Folder of that campaign in DIRECTORY.")] = "campaign",
     stop_at: Annotated[
-        float | None, typer.Option(help="Ask for a stop at this time, s: the plan needs stops (salver plan --stops).")
+        float | None, typer.Option(help="Request a stop at this time, s; the plan needs stops (salver plan --stops).")
     ] = None,
     speed: Annotated[
         float, typer.Option(help="Run the plan at this constant share of its speed, above 0 and at most 1.")
@@ -53,29 +53,29 @@ def simulate(
     write: Annotated[
         Path | None,
         typer.Option(
-            help="Write what arm, tray and first object did to this motion file, as its ending says (.csv, .json, "
-            ".yaml; none: ROS bag)."
+            help="Write the executed motion of arm, tray and first object to this motion file; its ending gives the "
+            "format (.csv, .json, .yaml; none: ROS bag)."
         ),
     ] = None,
     json: Json = False,
 ) -> None:
     """Run a plan once in the physics engine: arm, tray, loose objects, contact.
 
-    Tells whether each object held, slid, tipped or left the tray, how far the arm was from its limits, and how far the
+    Prints whether each object held, slid, tipped or left the tray, how near the arm came to its limits, and how far the
     measured contact forces are from the plan's tube. Without an arm in the scenario, the tray is moved exactly.
     Writes DIRECTORY/simulation/STEM.npz (time histories) and .json (summary); earlier runs are kept as STEM-1, STEM-2.
-    A stopped run is STEM-stop, one at another speed STEM-slow, and neither a run of the plan to the page. A run with
-    a value outside the range that the plan was made for is STEM-what-if: the page shows it apart, with that range.
+    A run with a stop is STEM-stop, a run at another speed STEM-slow; the page does not count them as runs of the plan.
+    A run with a value outside the plan's range is STEM-what-if: the page shows it separately, with that range.
 
-    The legs of a task of several are run one after the other: what stays on the tray begins each where the one before
-    has left it. They are written as leg1, leg2 and so on.
+    The legs of a task are run one after the other: an object that stays on the tray begins a leg at the position to
+    which it slid on the leg before. The runs are written as leg1, leg2 and so on.
 
-    For a motion file (CSV, JSON, YAML, ROS bag) the tray is moved exactly along the motion, as `salver audit` reads it;
-    the arm is left out, and nothing is written but what --write asks for.
+    For a motion file (CSV, JSON, YAML, ROS bag) the tray is moved exactly along the motion, as `salver audit` reads it,
+    without an arm; a file is written only with --write.
 
     Example: `salver simulate runs/panda-cube --stem both --set mass=0.306`
 
-    Ends with 0 when the run was made, whatever became of the object.
+    Ends with 0 when the run was made, whatever its outcome.
     """
     from salver.motion_files import form_of
     from salver.planning.round import has_legs
@@ -93,7 +93,7 @@ def simulate(
     if run is not None:
         asked = _repeated(asked)
     if write is not None:
-        form_of(write)  # told before anything is computed
+        form_of(write)  # raises before anything is computed
         if stem == "both" and scenario is None:
             raise ScenarioError("--write is for one run; name its plan with --stem.")
     if scenario is not None:
@@ -104,8 +104,8 @@ def simulate(
     else:
         results = _plans(asked)
     if json:
-        told = {name: {"parameters": record.parameters, **record.summary} for name, record in results.items()}
-        print_json(told if scenario is None else told[directory.name])
+        found = {name: {"parameters": record.parameters, **record.summary} for name, record in results.items()}
+        print_json(found if scenario is None else found[directory.name])
     else:
         show(results)
         if scenario is None:
@@ -114,7 +114,7 @@ def simulate(
 
 @dataclass(frozen=True)
 class _Asked:
-    """Options of the runs. run: number in the campaign of `folder`, None for a run that belongs to none."""
+    """Options of the runs. run: number in the campaign of `folder`, or None."""
 
     directory: Path
     stem: str
@@ -127,7 +127,7 @@ class _Asked:
     speed: float = 1.0
 
     def stop(self, plan: Plan | MultiLegPlan) -> float | None:
-        """Instant of the stop request in a run of that plan, s, or None."""
+        """Time of the stop request in a run of a plan, s, or None."""
         from salver.campaigns import stop_of_run
 
         return self.stop_at if self.run is None else stop_of_run(self.directory, self.run, plan.duration, self.folder)
@@ -142,7 +142,7 @@ def _repeated(asked: _Asked) -> _Asked:
     assert asked.run is not None
     parameters, seed = parameters_of_run(asked.directory, asked.run, asked.folder)
     if asked.stop_at is not None and read_definition(asked.directory, asked.folder).stops:
-        raise ScenarioError("--run of a campaign of stops has its own instant; leave out --stop-at.")
+        raise ScenarioError("--run of a campaign with stops has its own time of the stop; leave out --stop-at.")
     return replace(asked, parameters=parameters, seed=seed)
 
 
@@ -155,7 +155,7 @@ def _plans(asked: _Asked) -> dict[str, SimulationRecord]:
 
     directory = asked.directory
     if asked.run is not None and has_legs(directory):
-        raise ScenarioError("--run is a run of all legs; leave out --stem.")
+        raise ScenarioError("--run repeats a run of all legs; leave out --stem.")
     both = [name for name in STEMS if (directory / f"{name}.npz").is_file()]
     results: dict[str, SimulationRecord] = {}
     for name in both if asked.stem == "both" else (asked.stem,):
@@ -192,13 +192,12 @@ def _legs(asked: _Asked, json: bool) -> None:
     if "stop_at" in record.summary:
         say(f"Stopped on leg {len(record.legs)}, which ends the run.")
     elif len(record.legs) < len(plan.legs):
-        say(f"salver: leg {len(record.legs) + 1} was not begun: the load was lost on the one before it.")
+        say(f"salver: leg {len(record.legs) + 1} was not run, because the load was lost on the leg before it.")
     say(f"Written to {directory / 'simulation'}.")
 
 
 def _write(records: Sequence[SimulationRecord], scenario: Scenario, path: Path, verdict: str) -> None:
-    """Write the executed motion of all legs as a motion file, which says if the motion is unsafe or the load was
-    lost."""
+    """Write the executed motion of all legs as a motion file, marked if the motion is unsafe or the load was lost."""
     from salver.models.arm.arm import load_arm
     from salver.motion_files import MotionSeries, write
     from salver.motion_files.verdict import UNSAFE, one_line
@@ -217,13 +216,13 @@ def _write(records: Sequence[SimulationRecord], scenario: Scenario, path: Path, 
 
 
 def _motion(asked: _Asked, scenario: str, topic: str | None, units: str | None) -> dict[str, SimulationRecord]:
-    """A motion file in the engine."""
+    """Run a motion file in the engine."""
     from salver import scenario as scenarios
     from salver.auditing import read_for
     from salver.given import simulate_given
 
     if asked.run is not None or asked.stop_at is not None or asked.stem != "plan":
-        raise ScenarioError("--run, --stop-at and --stem are for run directories; a motion file has none of them.")
+        raise ScenarioError("--run, --stop-at and --stem are for run directories, not for a motion file.")
     chosen, path = scenarios.load(scenario), asked.directory
     samples = read_for(chosen, path, topic, units=units)
     record = simulate_given(samples, chosen, asked.parameters)
@@ -251,18 +250,16 @@ def _warn(plan: Plan, stem: str) -> None:
 
 
 def show(results: dict[str, SimulationRecord], parameters: Mapping[str, float] | None = None) -> None:
-    """Runs side by side, for a person, on standard output. parameters: of all, if not those of the first."""
+    """Print runs side by side. parameters: true values of all runs; default: those of the first record."""
     console = result_console()
     true = next(iter(results.values())).parameters if parameters is None else parameters
     drawn = ", ".join(f"{name} = {value:.6g}" for name, value in true.items())
     console.print(f"True parameters (SI units): {drawn or 'nominal'}")
     for name, ends in next(iter(results.values())).summary.get("outside", {}).items():
         known = (
-            f" is outside its range, {ends[0]:.4g} to {ends[1]:.4g}"
-            if ends
-            else ", which the plan takes as known exactly"
+            f" is outside its range, {ends[0]:.4g} to {ends[1]:.4g}" if ends else ", which the plan assumes to be exact"
         )
-        console.print(f"What if: {name} = {true[name]:.6g}{known}; this run says nothing for or against the plan.")
+        console.print(f"What if: {name} = {true[name]:.6g}{known}; this run is no evidence about the plan.")
     several = any(len(record.object_names) > 1 for record in results.values())
     columns = [_lines(record, several) for record in results.values()]
     labels = dict.fromkeys(label for column in columns for label in column)
@@ -306,35 +303,35 @@ def _pose(position: float, angle: float) -> str:
 
 
 def sentences(record: SimulationRecord) -> list[str]:
-    """Sentences about a run beside its figures."""
+    """Sentences about the outcome of a run."""
     summary: Any = record.summary
-    told = []
+    found = []
     for item in summary["objects"]:
-        told.append(_fate(item, summary))
+        found.append(_fate(item, summary))
     if summary["collides_at"] is not None:
-        told.append(f"Tray or object hits an obstacle at t = {_time(summary['collides_at'])}.")
+        found.append(f"Tray or object hits an obstacle at t = {_time(summary['collides_at'])}.")
     arm = summary.get("arm")
     if arm is None:
-        told.append("No arm was simulated: the tray was moved exactly along the reference.")
-        return told
+        found.append("No arm was simulated: the tray was moved exactly along the reference.")
+        return found
     if arm["torque_cut"] > 0:
-        told.append(
-            f"The arm's torque saturated: {100 * arm['torque_share_peak']:.0f} % of its limit was asked for, and "
+        found.append(
+            f"The arm's torque saturated: up to {100 * arm['torque_share_peak']:.0f} % of its limit was commanded, and "
             f"{100 * arm['torque_cut']:.1f} % of the commands were cut."
         )
     if arm["torque_rate_cut"] > 0:
-        told.append(f"{100 * arm['torque_rate_cut']:.1f} % of the commands were cut to the limit of torque rate.")
+        found.append(f"{100 * arm['torque_rate_cut']:.1f} % of the commands were cut to the limit of torque rate.")
     if arm["velocity_share_peak"] > 1:
-        told.append(f"A joint moved at {100 * arm['velocity_share_peak']:.0f} % of its speed limit.")
+        found.append(f"A joint moved at {100 * arm['velocity_share_peak']:.0f} % of its speed limit.")
     if arm["position_margin"] < 0:
-        told.append(f"A joint went {-arm['position_margin']:.3f} rad beyond its range.")
-    return told
+        found.append(f"A joint went {-arm['position_margin']:.3f} rad beyond its range.")
+    return found
 
 
 def _fate(item: dict[str, Any], summary: dict[str, Any]) -> str:
     name, limits = item["name"], summary["thresholds"]
     if summary["slides_at_rest"] and item["outcome"] != "holds":
-        return f"{name} slides on the tray already at rest: friction does not hold it at the start's inclination."
+        return f"{name} slides on the tray even at rest: friction does not hold it at the start's inclination."
     return {
         "holds": f"{name} holds: it slid less than {1e3 * limits['slip']:g} mm, creep of the engine "
         f"({1e6 * item['peak_creep']:.0f} um) not counted.",
@@ -342,8 +339,8 @@ def _fate(item: dict[str, Any], summary: dict[str, Any]) -> str:
         "spills": f"{name} spills from t = {_time(item.get('first_spill'))} on: its liquid rises by "
         f"{1e3 * item.get('peak_wave', 0.0):.1f} mm, and the brim is {1e3 * (item.get('room') or 0.0):.1f} mm "
         f"above it.",
-        "swings": f"{name} is struck from t = {_time(item.get('first_swing'))} on: what swings in it goes "
-        f"{1e3 * item.get('peak_swing', 0.0):.1f} mm aside, and it has {1e3 * (item.get('room') or 0.0):.1f} mm.",
+        "swings": f"{name} is struck from t = {_time(item.get('first_swing'))} on: its pendulum swings by "
+        f"{1e3 * item.get('peak_swing', 0.0):.1f} mm, and has room for {1e3 * (item.get('room') or 0.0):.1f} mm.",
         "tips": f"{name} tips by over {57.3 * limits['tip_angle']:.0f} degrees from t = {_time(item['first_tip'])} on.",
         "lifts": f"{name} lifts off: over {1e3 * limits['lift']:g} mm from t = {_time(item['first_lift'])} on.",
         "lost": f"{name} slid off the tray at t = {_time(item['lost_at'])}.",

@@ -1,4 +1,4 @@
-"""`salver calibrate`: what is measured once, before anything is carried."""
+"""`salver calibrate`: measure the friction of a load by tilting the tray."""
 
 from __future__ import annotations
 
@@ -25,47 +25,43 @@ def calibrate(
     what: Annotated[Literal["friction"], typer.Argument(help="What is measured.")],
     source: Annotated[str, typer.Argument(help="A scenario, to plan the test; or a run directory, to read its run.")],
     shows: Annotated[
-        float | None, typer.Option(help="Friction that the test is to prove; the more, the steeper it is.")
+        float | None, typer.Option(help="Friction that the test is to prove; a larger one needs a steeper tilt.")
     ] = None,
     short: Annotated[
         bool,
-        typer.Option("--short", help="A short tilt instead, on which no load of the ranges moves by more than 20 mm."),
+        typer.Option("--short", help="A short tilt, on which no load in the ranges moves by more than 20 mm."),
     ] = False,
-    log: Annotated[
-        Path | None, typer.Option(help="What the joints did, from rest to rest; without it, the plan.")
-    ] = None,
-    held: Annotated[float | None, typer.Option(help="Until when (s) the load surely did not slide.")] = None,
-    slid: Annotated[float | None, typer.Option(help="By when (s) the load surely had begun to slide.")] = None,
-    moved: Annotated[
-        float | None, typer.Option(help="By how much (m) the load was seen to have moved on a short tilt.")
-    ] = None,
+    log: Annotated[Path | None, typer.Option(help="Log of the joints, from rest to rest; default: as planned.")] = None,
+    held: Annotated[float | None, typer.Option(help="Time, s, until which the load certainly did not slide.")] = None,
+    slid: Annotated[float | None, typer.Option(help="Time, s, at which the load certainly had begun to slide.")] = None,
+    moved: Annotated[float | None, typer.Option(help="Measured displacement of the load on a short tilt, m.")] = None,
     level: Annotated[
         float | None,
         typer.Option(
-            min=0.0, max=5.0, help="By how much (deg) the robot's base may lean; 0.5 unless given, on short tilts 0.1."
+            min=0.0, max=5.0, help="Largest tilt error of the robot's base, deg; default 0.5, on short tilts 0.1."
         ),
     ] = None,
     scenario: Annotated[
-        str | None, typer.Option(help="The scenario whose friction is to be narrowed; without it, the plan's own.")
+        str | None, typer.Option(help="The scenario whose friction is to be narrowed; default: the plan's.")
     ] = None,
     out: Annotated[
-        Path | None, typer.Option("-o", "--out", help="Run directory of the test, or .toml file with what was learnt.")
+        Path | None, typer.Option("-o", "--out", help="Run directory of the test, or .toml file for the new ranges.")
     ] = None,
     json: Json = False,
 ) -> None:
-    """Friction of a load on the tray, as a range, by a slow tilt.
+    """Measure the friction of a load on the tray, as a range, by a slow tilt.
 
-    From a scenario it plans the test: where the motion starts the tray tilts slowly and back, so far that a load which
-    does not slide has at least the friction --shows. The load cannot tip, whatever its ranges; it may slide: have a
-    hand near. Carry the test out and give its run directory: without further options the load did not slide. A run of
-    any plan without a slip proves some friction; a load that slid in the test has at most the friction needed there.
+    From a scenario it plans the test: at the start pose the tray tilts slowly and back, so far that a load that does
+    not slide has at least the friction --shows. No load in the ranges can tip, but it may slide: keep a hand near it.
+    Run the test and give its run directory; without further options it means that the load did not slide. A run of any
+    plan without slip proves some friction; a load that slid in the test has at most the friction needed there.
 
-    A `--short` tilt is as steep as the least friction of the ranges allows, so that the load moves by 20 mm at most.
-    Its displacement (against a mark, to 1 mm) gives a lower bound of friction, and the next tilt is steeper.
+    A `--short` tilt is as steep as the least friction in the ranges allows, so that the load moves by 20 mm at most.
+    Its displacement (measured with a mark, to 1 mm) gives a lower bound of friction, and the next tilt is steeper.
 
     Example: `salver calibrate friction panda-cube --shows 0.4 -o runs/tilt`
 
-    Ends with 0 when there is a test, or a range.
+    Ends with 0 when a test was planned or a range was found.
     """
     if (Path(source) / "scenario.toml").is_file():
         _read(Path(source), log, {"held": held, "slid": slid, "moved": moved}, level, scenario, out, json)
@@ -73,7 +69,7 @@ def calibrate(
         named = {"log": log, "held": held, "slid": slid, "moved": moved, "scenario": scenario}
         for name, value in named.items():
             if value is not None:
-                raise ScenarioError(f"--{name} needs the run directory of a plan; {source} is none.")
+                raise ScenarioError(f"--{name} needs the run directory of a plan; {source} is not one.")
         _plan(source, shows, short, level, out, json)
 
 
@@ -107,7 +103,7 @@ def _read(
     check_new_toml(out)
     plan = load_plan(directory)
     if log is not None and plan.scenario.arm is None:
-        raise ScenarioError(f"{plan.scenario.name} has no arm; friction is shown by an arm that carries the load.")
+        raise ScenarioError(f"{plan.scenario.name} has no arm; friction is measured by tilting a tray on an arm.")
     arm = None if log is None or plan.scenario.arm is None else load_arm(plan.scenario.arm, plan.scenario.tray)
     samples = None if log is None or arm is None else read_joints(log, arm)
     found = friction(plan, samples, held=seen["held"], slid=seen["slid"], moved=seen["moved"], level=level)
@@ -116,7 +112,7 @@ def _read(
     if json:
         print_json({"low": found.low, "high": found.high, "sentences": list(found.sentences)})
         return
-    for sentence in found.sentences or ("Nothing of friction is shown by this run.",):
+    for sentence in found.sentences or ("This run does not narrow the friction.",):
         result_console().print(sentence)
     if out is not None:
         say(f"Written to {out}; next: salver plan {quote(str(out))}.")

@@ -1,4 +1,4 @@
-"""`salver identify`: what a load is, from logs of its being carried."""
+"""`salver identify`: mass, centre of mass and inertia of a load from logs."""
 
 from __future__ import annotations
 
@@ -28,29 +28,29 @@ def identify(
     logs: Annotated[
         list[Path], typer.Argument(help="Logs of the motion with the load on the tray: .npz, .csv or ROS bags.")
     ],
-    plan: Annotated[Path, typer.Option(help="Run directory whose plan was carried out.")],
+    plan: Annotated[Path, typer.Option(help="Run directory of the plan that was run.")],
     empty: Annotated[Path, typer.Option(help="A log of the same motion with the empty tray.")],
     stem: Annotated[str, typer.Option(help="Which plan of the directory.")] = "plan",
     topic: Annotated[str | None, typer.Option(help="Topic of the joints (JointState), when a bag has several.")] = None,
     bound: Annotated[
         list[str] | None,
-        typer.Option(metavar="NAME=VALUE", help="How wrong a sensor may be beside its noise, as scale=0.01."),
+        typer.Option(metavar="NAME=VALUE", help="Largest systematic error of a sensor, as scale=0.01."),
     ] = None,
     out: Annotated[
         Path | None, typer.Option("-o", "--out", help="Write the scenario with the new ranges to this .toml file.")
     ] = None,
     json: Json = False,
 ) -> None:
-    """Mass, centre of mass and inertia of the load, as ranges that cover the truth, from joint or wrist torques.
+    """Identify mass, centre of mass and inertia of the load, as ranges, from joint or wrist torques.
 
     Logs with the load are compared with a log of the same motion with the empty tray, so the arm's own model error
     cancels. Logs are what `salver execute` writes (t, q, tau), or CSV with the columns t, q1 ... qn (rad) and tau1 ...
     taun (N m), or fx, fy, fz, tx, ty, tz at the flange (N, N m; tared with the empty tray), or ROS bags with a
     JointState that has efforts, a WrenchStamped of the flange, or both. Ranges of the scenario are narrowed, never
-    widened. The centre of mass is found relative to the sensor, so the range of the object's place on the tray
-    (uncertainty.position) stays. Ranges of inertia are written where the scenario has them;
-    friction keeps its range. A sensor's bias, scale, cross-talk, place and delay do not average out over logs: the
-    ranges allow for them up to bounds, which `--bound` states, and logs that show more are refused.
+    widened. The centre of mass is found relative to the sensor, so the range of the object's position on the tray
+    (uncertainty.position) stays. Ranges of inertia are written if the scenario has them; friction keeps its range. A
+    sensor's bias, scale, cross-talk, position and delay do not average out over logs: the ranges allow for them up to
+    bounds, which `--bound` sets, and logs with larger errors are refused.
 
     Example: `salver identify loaded.csv --plan runs/panda-tall-bottle --empty empty.csv -o learnt.toml`
 
@@ -65,7 +65,7 @@ def identify(
     bounds, carried = _bounds(bound or []), load_plan(plan, stem)
     if carried.joint is None:
         raise ScenarioError(
-            f"{plan}: this plan has no arm that moves; a load is identified by the arm that carries it."
+            f"{plan}: this plan has no joint motion; a load is identified from the torques of the arm that carries it."
         )
     assert carried.scenario.arm is not None
     names = load_arm(carried.scenario.arm, carried.scenario.tray).joint_names
@@ -82,7 +82,7 @@ def identify(
 
 
 def summary(found: Identified) -> dict[str, object]:
-    """For machines."""
+    """The result as a JSON object."""
     return {
         "ranges": {
             name: {"low": r.low, "high": r.high, "likely": list(r.likely), "before": list(r.before), "learnt": r.learnt}
@@ -109,7 +109,7 @@ def _bounds(given: list[str]) -> SensorBounds:
         except ValueError:
             raise ScenarioError(f"--bound {text} must be NAME=VALUE with a number, such as scale=0.01.") from None
         if name not in names:
-            raise ScenarioError(f"--bound {text}: {name} is no bound of a sensor; there are {', '.join(names)}.")
+            raise ScenarioError(f"--bound {text}: {name} is not a bound of a sensor; known are {', '.join(names)}.")
         values[name] = number
     return SensorBounds(**values)
 

@@ -1,4 +1,4 @@
-"""`salver learn`: careful first, then fast."""
+"""`salver learn`: carry a load carefully, identify it, carry it faster."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ if TYPE_CHECKING:
 def learn(
     scenario: Annotated[str, typer.Argument(help="Name of a ready-made scenario, or a .toml file.")],
     trips: Annotated[int, typer.Option(min=1, max=50, help="How often the load is carried.")] = 6,
-    seed: Annotated[int, typer.Option(min=0, help="Of the hidden true load and of the sensors.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the hidden true load and of the sensor noise.")] = 0,
     sensor: Annotated[
-        Literal["wrist", "torques"], typer.Option(help="What the arm feels with: a wrist sensor, or joint torques.")
+        Literal["wrist", "torques"], typer.Option(help="Sensor of the arm: a wrist sensor, or joint torques.")
     ] = "wrist",
     tilts: Annotated[
         bool,
         typer.Option(
             "--tilts/--no-tilts",
-            help="After the first trip, tilt the tray for its friction; the load may move by 20 mm then.",
+            help="After the first trip, tilt the tray to measure friction, on which the load may move by 20 mm.",
         ),
     ] = True,
     level: Annotated[
-        float, typer.Option(min=0.0, max=5.0, help="By how much (deg) the robot's base may lean, for tilts.")
+        float, typer.Option(min=0.0, max=5.0, help="Largest tilt error of the robot's base, deg, for tilts.")
     ] = 0.1,
     out: Annotated[
         Path | None, typer.Option("-o", "--out", help="Write the scenario with the learnt ranges to this .toml file.")
@@ -72,10 +72,10 @@ def learn(
 
 
 def _tilted(trip: Trip) -> str:
-    """Result of the tilts after a trip."""
+    """The result of the tilts after a trip, in words."""
     count, moved = len(trip.tilts), 1e3 * max(tilt.moved for tilt in trip.tilts)
     if trip.tilts[-1].found is None:
-        return f"A tilt: {trip.tilts[-1].outcome}. Nothing more is tried."
+        return f"A tilt: {trip.tilts[-1].outcome}. No further tilts."
     return (
         f"{count} short tilts: friction is at least {_friction(trip)[0]:.3f}; the load moved by {moved:.1f} mm at "
         "most, and was put back."
@@ -83,7 +83,7 @@ def _tilted(trip: Trip) -> str:
 
 
 def _friction(trip: Trip) -> tuple[float, float]:
-    """Least and largest, as known after the trip."""
+    """Least and largest friction that are known after a trip."""
     body = trip.known.payload.first
     least = trip.known.payload.least_friction(body)
     return least, 2 * body.friction - least

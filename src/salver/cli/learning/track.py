@@ -1,4 +1,4 @@
-"""`salver track`: was it the plan that the robot did, and what does the difference cost?"""
+"""`salver track`: compare the executed motion with the plan, and its effect on the contact margin."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ UNSEEN = "what joint encoders do not see: how arm and tray bend, and where the l
 
 
 def track(
-    directory: Annotated[Path, typer.Argument(help="Run directory whose plan was carried out.")],
-    log: Annotated[Path, typer.Argument(help="What the joints did: .npz, CSV, JSON, YAML (MoveIt), ROS bag.")],
+    directory: Annotated[Path, typer.Argument(help="Run directory of the plan that was run.")],
+    log: Annotated[Path, typer.Argument(help="Log of the joints: .npz, CSV, JSON, YAML (MoveIt), ROS bag.")],
     stem: Annotated[str, typer.Option(help="Which plan of the directory.")] = "plan",
     topic: Topic = None,
     json: Json = False,
@@ -26,9 +26,9 @@ def track(
     """Compare a robot's motion with the plan, and say what the difference takes from the contact margin.
 
     The log holds joint positions (rad) over time (s), 90 samples a second or more, from rest to rest; its clock may
-    begin anywhere. A common delay of all joints is removed, because it costs nothing. The executed motion of the tray
-    is then judged like the plan, for every load of the scenario's ranges: the excess is the missing margin, as a share
-    of the weight. Names the joint that causes most of it, and the remedies in their order.
+    begin anywhere. A common delay of all joints is removed, because it does not affect the load. The executed motion of
+    the tray is then judged like the plan, for every load in the scenario's ranges: the excess is the missing margin, as
+    a share of the weight. The output names the joint that causes most of it, and the remedies in order.
 
     Example: `salver track runs/panda-tall-bottle runs/panda-tall-bottle/execution/plan.npz`
 
@@ -51,12 +51,12 @@ def track(
 
 
 def unseen(found: Tracking) -> str:
-    """Limits of the verdict, in words."""
+    """What the verdict does not cover, in words."""
     return f"{UNSEEN}; what shakes faster than {found.done.fastest:.0f} Hz"
 
 
 def record(found: Tracking) -> dict[str, Any]:
-    """For machines. Rows as shares of the weight."""
+    """The result as a JSON object; margins as shares of the weight."""
     return {
         "not_checked": unseen(found),
         "ok": found.ok,
@@ -75,19 +75,18 @@ def record(found: Tracking) -> dict[str, Any]:
 
 
 def verdict(found: Tracking) -> str:
-    """In one sentence."""
+    """The verdict in one sentence."""
     where = f"({found.interface}, at {found.time:.3f} s)"
     known = f"+- {100 * found.uncertainty:.1f} %"
     if found.ok:
-        return f"What was executed keeps {-100 * found.row:.1f} {known} of the weight in the worst case {where}."
+        return f"Executed with a worst-case margin of {-100 * found.row:.1f} {known} of the weight {where}."
     if found.row > 0:
         return (
-            f"What was executed exceeds what holds in the worst case by {100 * found.row:.1f} {known} of the weight "
-            f"{where}."
+            f"The executed motion violates the worst-case limit by {100 * found.row:.1f} {known} of the weight {where}."
         )
     return (
-        f"Whether what was executed holds in the worst case cannot be told: it keeps {-100 * found.row:.1f} {known} of "
-        f"the weight {where}."
+        f"It is unknown whether the executed motion holds in the worst case: its margin is {-100 * found.row:.1f} "
+        f"{known} of the weight {where}."
     )
 
 
@@ -114,8 +113,8 @@ def _show(found: Tracking, directory: Path) -> None:
     if found.ok:
         return
     console.print(headed("cause", f"{found.cause}."))
-    console.print(headed("cure 1", f"correct the command: salver tune {directory} --log LOG -o DIRECTORY."))
-    console.print(headed("cure 2", f"buy a margin for the rest: contact.margin = {found.margin:.4f}, and plan again."))
+    console.print(headed("remedy 1", f"correct the command: salver tune {directory} --log LOG -o DIRECTORY."))
+    console.print(headed("remedy 2", f"add margin: contact.margin = {found.margin:.4f}, and plan again."))
     console.print(
-        headed("cure 3", "if that is too slow: another robot, or this one with its friction and payload put right.")
+        headed("remedy 3", "if that is too slow: another robot, or this one with friction and payload configured.")
     )

@@ -1,4 +1,4 @@
-"""`salver tune`: correct what a robot is told until it does the plan, buy a margin for the rest, or refuse."""
+"""`salver tune`: correct a robot's command, add margin for the remaining error, or refuse the robot."""
 
 from __future__ import annotations
 
@@ -18,28 +18,28 @@ if TYPE_CHECKING:
 
 
 def tune(
-    directory: Annotated[Path, typer.Argument(help="Run directory whose plan is to be carried out.")],
+    directory: Annotated[Path, typer.Argument(help="Run directory of the plan that the robot is to follow.")],
     out: Annotated[Path, typer.Option("-o", "--out", help="Run directory to write: the plan with its command.")],
     log: Annotated[
         Path | None,
-        typer.Option(help="What the joints of your robot did with this plan; without it, the engine's robot."),
+        typer.Option(help="Log of your robot's joints on this plan; default: the simulated robot."),
     ] = None,
     stem: Annotated[str, typer.Option(help="Which plan of the directory.")] = "plan",
     topic: Topic = None,
-    seed: Annotated[int, typer.Option(min=0, help="Of the encoders' noise in the engine.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the encoder noise in the engine.")] = 0,
     json: Json = False,
 ) -> None:
-    """Correct a robot's command so that it does what was planned, add margin for the remaining error, or refuse.
+    """Correct a robot's command so that it follows the plan, add margin for the remaining error, or refuse the robot.
 
     Without --log the robot is that of the scenario's [physics] in the physics engine, with the nominal load strapped to
-    its tray. Each run's tracking error is added to the command, while that helps; then contact.margin is raised by the
-    remaining excess and the motion is planned again. A robot that needs too much margin is refused. With --log one such
-    step is made from a log of your robot, which carried out the plan of DIRECTORY with the load strapped to the tray:
-    write the new command with `salver export`, carry it out, and tune OUT again with its log, until it is done.
+    its tray. Each run's tracking error is added to the command, as long as that helps; then contact.margin is raised by
+    the remaining excess and the motion is planned again. A robot that needs too much margin is refused. With --log one
+    such step is made from a log of your robot, which ran the plan of DIRECTORY with the load strapped to the tray:
+    write the new command with `salver export`, run it, and tune OUT again with its log, until it is done.
 
     Example: `salver tune runs/panda-tall-bottle -o runs/tuned`
 
-    Ends with 0 when what was executed holds for every load of the ranges, with 3 when it does not yet, or never.
+    Ends with 0 when the executed motion holds for every load in the ranges, with 3 otherwise.
     """
     from salver.learning.tracking.executed import read_joints
     from salver.learning.tracking.tune import engine_robot, step
@@ -58,7 +58,7 @@ def tune(
             say(f"TuningRun {done.number}: {done.plan.duration:.3f} s. {verdict(done.tracking)} {done.sentence}")
     else:
         if plan.scenario.arm is None:
-            raise ScenarioError(f"{plan.scenario.name} has no arm; a robot is tuned by the joints it moves.")
+            raise ScenarioError(f"{plan.scenario.name} has no arm; salver tune corrects commands of joints.")
         made = [step(plan, read_joints(log, load_arm(plan.scenario.arm, plan.scenario.tray), topic))]
     last = made[-1]
     if last.next != "refused":
@@ -69,7 +69,7 @@ def tune(
     else:
         _show(made, plan.duration)
     if last.next != "refused":
-        more = "" if last.next == "done" else f" Next: salver export {quote(str(out))}, carry it out, tune again."
+        more = "" if last.next == "done" else f" Next: salver export {quote(str(out))}, run it, and tune again."
         say(f"Written to {out}.{more}")
     if last.next != "done":
         raise typer.Exit(NO_SAFE_PLAN)

@@ -1,4 +1,4 @@
-"""`salver demo`: the paper's experiment, and the load that shows what planning for the unknown is worth."""
+"""`salver demo`: the paper's experiment, and a load for which planning for its ranges matters."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from salver.planning.plan import Plan
 
 PAPER, BOTTLE = "panda-cube", "panda-tall-bottle"
-BOTTLE_SHARE = 5  # of the runs asked for, every fifth: what they show is not a matter of a few per cent
+BOTTLE_SHARE = 5  # the bottle has a fifth of the runs, because its plans differ by far more than a few per cent
 STEPS = 5
 
 
@@ -25,9 +25,9 @@ def demo(
     seed: Annotated[int, typer.Option(min=0, help="Seed of the perturbed parameters.")] = 0,
     json: Json = False,
 ) -> None:
-    """The paper's experiment, whole, and then the case where it matters: a tall bottle as fast as possible.
+    """Run the paper's whole experiment, and a case where planning for ranges matters: a tall bottle at top speed.
 
-    If it is stopped half way, the same command resumes where it was.
+    If it is interrupted, the same command resumes.
 
     Example: `salver demo -o out/demo`
     """
@@ -50,7 +50,7 @@ def demo(
 
 
 def paper(out: Path, n: int, seed: int, quiet: bool) -> dict[str, Any]:
-    """Plan, run, draw and report the paper's scenario: the robust trajectory beside the straight line."""
+    """Plan, run, draw and report the paper's scenario: the robust trajectory and the straight line."""
     from salver.planning.plan import load_plan
     from salver.reports.pages.page import write_report
     from salver.reports.pictures.figures import write_figures
@@ -70,7 +70,7 @@ def paper(out: Path, n: int, seed: int, quiet: bool) -> dict[str, Any]:
 
 
 def bottle(out: Path, n: int, seed: int, quiet: bool) -> dict[str, Any]:
-    """The fastest motion of the tall bottle, planned for its ranges and for nominal values; the same true bottles."""
+    """The fastest motion of the tall bottle, planned for its ranges and for nominal values, on the same samples."""
     from salver.campaigns import parameters_of_run
     from salver.planning.plan import load_plan
     from salver.reports.pages.page import write_report
@@ -84,7 +84,7 @@ def bottle(out: Path, n: int, seed: int, quiet: bool) -> dict[str, Any]:
 
     _head(5, f"Physics: {n} bottles of unknown weight and balance, each with both motions")
     campaign = _campaign(out, n, seed, quiet)
-    # The replay shows the same bottle with both: the one that the nominal motion keeps least.
+    # The replay shows both motions with one true bottle, the worst one of the nominal motion.
     run = campaign.summary["plans"]["nominal"]["worst_run"]["run"]
     parameters, noise = parameters_of_run(out, run)
     for stem in ("plan", "nominal"):
@@ -98,7 +98,7 @@ def bottle(out: Path, n: int, seed: int, quiet: bool) -> dict[str, Any]:
 
 
 def _planned(name: str, method: str | None, beside: str, out: Path, quiet: bool) -> tuple[Plan, Plan]:
-    """A scenario's plan, and what it is compared with."""
+    """A scenario's plan, and the plan that it is compared with."""
     from salver import scenario as scenarios
     from salver.cli.plans.plan import show
     from salver.planning.make import plan_pair
@@ -113,16 +113,16 @@ def _planned(name: str, method: str | None, beside: str, out: Path, quiet: bool)
 
 def _campaign(out: Path, n: int, seed: int, quiet: bool) -> Campaign:
     from salver.campaigns import run_campaign
-    from salver.cli.checks.campaign import show, told
+    from salver.cli.checks.campaign import show, show_progress
 
-    campaign = run_campaign(out, n, seed, progress=told)
+    campaign = run_campaign(out, n, seed, progress=show_progress)
     if not quiet:
         show(campaign.summary)
     return campaign
 
 
 def _head(number: int, text: str) -> None:
-    step(0, 1)  # what was told of the part before is over
+    step(0, 1)  # reset the progress of the part before
     say(f"\n[{number}/{STEPS}] {text}")
 
 

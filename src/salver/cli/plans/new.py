@@ -1,4 +1,4 @@
-"""`salver new`: a user-defined scenario, from questions."""
+"""`salver new`: write a scenario from answers to questions."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ if TYPE_CHECKING:
 QUESTIONS = {
     "load": ("The load: box LENGTH WIDTH HEIGHT, or cylinder RADIUS HEIGHT, in metres", "cylinder 0.03 0.24"),
     "liquid": (
-        "An open liquid in it: water, coffee or oil, its height in m, how far that may be wrong in percent; or none",
+        "An open liquid in it: water, coffee or oil, its height in m, its uncertainty in percent; or none",
         "none",
     ),
-    "mass": ("Mass of the load in kg, without an open liquid, and how far that may be wrong in percent", "0.4 20%"),
-    "friction": ("Friction coefficient between load and tray, and how far that may be wrong in percent", "0.4 10%"),
+    "mass": ("Mass of the load in kg, without an open liquid, and its uncertainty in percent", "0.4 20%"),
+    "friction": ("Friction coefficient between load and tray, and its uncertainty in percent", "0.4 10%"),
     "tray": ("Length and width of the tray, in metres", ""),
     "arm": (
         "The arm: a ready-made one such as panda or ur5e, or a URDF file and the link that carries the tray",
@@ -35,7 +35,7 @@ QUESTIONS = {
     ),
 }
 MAY_BE_LEFT_OUT = ("liquid", "tray", "obstacles")
-WALL = 0.003  # m, of a container until the user measures it; the file says so
+WALL = 0.003  # m, wall thickness of a container that is assumed; the file says so
 
 
 def new(
@@ -50,13 +50,13 @@ def new(
     obstacles: Annotated[str | None, typer.Option(help=QUESTIONS["obstacles"][0])] = None,
     json: Json = False,
 ) -> None:
-    """Write a scenario of your own, with comments, and plan it once, as fast as is safe.
+    """Write a new scenario, with comments, and plan its fastest safe motion once.
 
-    You are asked for what you do not give as an option. With load, mass, friction, arm and path given nothing is asked.
+    It asks for what is not given by options. With load, mass, friction, arm and path it asks nothing.
 
     Example: `salver new bottle.toml --load "cylinder 0.03 0.24" --mass "0.4 20%"`
 
-    Ends with 0 when that plan is safe, with 3 when none was found; the file is written all the same.
+    Ends with 0 when that plan is safe, with 3 when none was found; the file is written in both cases.
     """
     if file.suffix != ".toml":
         raise ScenarioError(f"{file} does not end in .toml; a scenario is a .toml file.")
@@ -81,7 +81,7 @@ def new(
     from salver.planning.make import make_plan
 
     text = written(file.stem, **answers)
-    scenarios.parse(tomllib.loads(text), str(file))  # what is wrong with it is said before there is a file
+    scenarios.parse(tomllib.loads(text), str(file))  # raises before the file is written
     write_atomic(file, text)
     name, runs = quote(str(file)), quote(f"runs/{file.stem}")
     helps = (
@@ -111,7 +111,7 @@ def new(
 
 
 def usual(name: str) -> str:
-    """The text of a scenario in which every question was answered as proposed."""
+    """The text of a scenario with the proposed answer to every question."""
     answers: dict[str, Any] = {}
     for key, (_, default) in QUESTIONS.items():
         answers[key] = READERS[key](_proposed(key, default, answers))
@@ -119,14 +119,14 @@ def usual(name: str) -> str:
 
 
 def _proposed(key: str, default: str, answers: dict[str, Any]) -> str:
-    """The answer that is proposed to a question, after those before it."""
+    """The proposed answer to a question, given the answers before it."""
     if key == "path":
         return _in_reach(*answers["arm"])
     return _room_for(answers["load"]) if key == "tray" else default
 
 
 def _answer(key: str, question: str, default: str, given: str | None) -> Any:
-    """The answer to a question, given or asked; asked again until it can be read."""
+    """The answer to a question, from an option or asked until it can be parsed."""
     read = READERS[key]
     if given is not None:
         try:
@@ -143,7 +143,7 @@ def _answer(key: str, question: str, default: str, given: str | None) -> Any:
 def _numbers(words: list[str], what: str, count: int) -> list[float]:
     values = numbers(" ".join(words))
     if len(values) != count:
-        raise ScenarioError(f'"{" ".join(words)}" is not {what}; it must be {count} numbers with spaces between.')
+        raise ScenarioError(f'"{" ".join(words)}" is not {what}; it must be {count} numbers, separated by spaces.')
     return values
 
 
@@ -154,17 +154,17 @@ def _load(text: str) -> list[float]:
         return _numbers(words, "the size of a box", 3)
     if kind == "cylinder":
         return _numbers(words, "the radius and height of a cylinder", 2)
-    raise ScenarioError(f'"{text}" is no load; write box LENGTH WIDTH HEIGHT, or cylinder RADIUS HEIGHT, in metres.')
+    raise ScenarioError(f'"{text}" is not a load; write box LENGTH WIDTH HEIGHT, or cylinder RADIUS HEIGHT, in metres.')
 
 
 def _room_for(load: list[float]) -> str:
-    """A tray on which a load stands with 2 cm around it, at least a usual one."""
+    """A tray with 2 cm around a load, at least of the usual size."""
     length, width = load[:2] if len(load) == 3 else (2 * load[0], 2 * load[0])
     return f"{max(0.25, length + 0.04):g} {max(0.25, width + 0.04):g}"
 
 
 def _liquid(text: str) -> tuple[str, float, str] | None:
-    """Kind of liquid, its fill, and the range of the fill."""
+    """Kind of liquid, fill height, and range of the fill height; None for "none"."""
     kind, _, rest = text.strip().partition(" ")
     if kind in ("none", ""):
         return None
@@ -172,7 +172,7 @@ def _liquid(text: str) -> tuple[str, float, str] | None:
 
 
 def _obstacles(text: str) -> list[str]:
-    """The body of a table of the scenario for each."""
+    """For each obstacle, the body of its table in the scenario."""
     if text.strip() in ("none", ""):
         return []
     found = []
@@ -180,7 +180,7 @@ def _obstacles(text: str) -> list[str]:
         what, at, place = one.partition(" at ")
         kind, *words = what.split() or [""]
         if not at or kind not in ("box", "sphere"):
-            raise ScenarioError(f'"{one.strip()}" is no obstacle; write box LENGTH WIDTH HEIGHT at x y z, or none.')
+            raise ScenarioError(f'"{one.strip()}" is not an obstacle; write box LENGTH WIDTH HEIGHT at x y z, or none.')
         size = (
             f"size = {_numbers(words, 'the size of a box', 3)}"
             if kind == "box"
@@ -201,14 +201,15 @@ def _arm(text: str) -> tuple[str, str | None]:
     words = text.split()
     urdf = bool(words) and words[0].endswith((".urdf", ".xml"))
     if len(words) != 1 + urdf:
-        raise ScenarioError(f'"{text}" is no arm; write its name, or a URDF file and the link that carries the tray.')
+        wanted = "write its name, or a URDF file and the link that carries the tray"
+        raise ScenarioError(f'"{text}" is not an arm; {wanted}.')
     chosen = (str(Path(words[0]).resolve()), words[1]) if urdf else (words[0], None)
     _loaded(*chosen)
     return chosen
 
 
 def _loaded(model: str, flange: str | None) -> ArmModel:
-    """The arm. Raises ScenarioError when there is no such arm or link."""
+    """Load the arm. Raises ScenarioError when the arm or the link does not exist."""
     from salver.models.arm.arm import load_arm
     from salver.scenario import Arm, Tray
 
@@ -216,7 +217,7 @@ def _loaded(model: str, flange: str | None) -> ArmModel:
 
 
 def _in_reach(model: str, flange: str | None) -> str:
-    """A way across in front of the arm, at a comfortable share of the lengths of its links."""
+    """A path across in front of the arm, at a comfortable share of the lengths of its links."""
     joints = _loaded(model, flange).pin_model.jointPlacements.tolist()[2:]
     length = sum(float(sum(x * x for x in joint.translation)) ** 0.5 for joint in joints)
     x, y, z = (round(share * length, 2) for share in (0.55, 0.28, 0.45))
@@ -226,7 +227,7 @@ def _in_reach(model: str, flange: str | None) -> str:
 def _path(text: str) -> tuple[list[float], list[float]]:
     start, to, goal = text.replace(",", " ").partition(" to ")
     if not to:
-        raise ScenarioError(f'"{text}" is no way; write x y z to x y z, in metres.')
+        raise ScenarioError(f'"{text}" is not a path; write x y z to x y z, in metres.')
     return _numbers(start.split(), "a position", 3), _numbers(goal.split(), "a position", 3)
 
 
@@ -253,7 +254,7 @@ def written(
     path: tuple[list[float], list[float]],
     obstacles: list[str],
 ) -> str:
-    """The scenario file, with a comment on all that one may want to change."""
+    """The text of a scenario file, with comments on the keys that users often change."""
     model, flange = (_quoted(word) if word is not None else None for word in arm)
     carrier = f"flange = {flange}          # the link that carries the tray" if flange else ""
     box = len(load) == 3
@@ -279,7 +280,7 @@ summary = "Written by salver new"
 start.position = {path[0]}
 goal.position = {path[1]}
 orientation = "free"            # the tray may tilt on the way; "fixed" keeps it level
-goal_yaw = "free"               # any heading will do at the goal
+goal_yaw = "free"               # any heading at the goal
 # duration = 1.5                # leave it out for the shortest safe one
 
 [[objects]]
@@ -292,8 +293,8 @@ friction = {friction[0]}
 [objects.uncertainty]           # half-ranges: the plan is safe for everything within them
 mass = {_quoted(mass[1])}
 friction = {_quoted(friction[1])}{fill}
-com = [0.003, 0.003, 0.005]     # nobody knows it better than that without measuring
-# position = [0.003, 0.003]     # how exactly it is put on the tray
+com = [0.003, 0.003, 0.005]     # it is hardly known better without measuring
+# position = [0.003, 0.003]     # accuracy of its position on the tray
 
 [contact]
 condition = "exact"             # "paper" for the sufficient condition of the paper

@@ -1,4 +1,4 @@
-"""`salver plan`: from a scenario to a run directory."""
+"""`salver plan`: plan a motion for a scenario and write a run directory."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 
 class Effort(StrEnum):
-    """The names in `salver.planning.fastest.EFFORTS`, which loads solvers."""
+    """The names in `salver.planning.fastest.EFFORTS`, repeated here because importing that loads solvers."""
 
     QUICK = "quick"
     NORMAL = "normal"
@@ -52,32 +52,31 @@ def plan(
         bool,
         typer.Option(
             "--safest",
-            help="Find the motion that keeps the load furthest from its edge in the given duration, clear of obstacles "
-            "and within the arm's limits.",
+            help="Find the motion with the largest worst-case margin in the given duration, clear of obstacles and "
+            "within the arm's limits.",
         ),
     ] = False,
     least_sensitive: Annotated[
         bool,
         typer.Option(
             "--least-sensitive",
-            help="Find the motion along which the closed loop reacts least to wrong parameters in the given duration "
-            "(what the paper minimises), clear of obstacles and within the arm's limits.",
+            help="Find the motion whose closed loop is least sensitive to parameter errors in the given duration (what "
+            "the paper minimises), clear of obstacles and within the arm's limits.",
         ),
     ] = False,
     robust: Annotated[
         bool,
         typer.Option(
             "--robust",
-            help="Find the paper's motion: as --least-sensitive, of the object alone, whether or not the arm can "
+            help="Find the paper's motion: as --least-sensitive, but for the object alone, whether or not the arm can "
             "follow it.",
         ),
     ] = False,
     beside: Annotated[
         str | None,
         typer.Option(
-            help="What to compare it with: baseline (the straight line in the same time; the default), or nominal (the "
-            "fastest motion for someone who believes the nominal values). A task of several legs is compared with "
-            "nothing.",
+            help="Motion to compare it with: baseline (the straight line in the same time; the default), or nominal "
+            "(the fastest motion for nominal parameters). A task of several legs has no comparison.",
         ),
     ] = None,
     duration: Annotated[float | None, typer.Option(help="Duration in s, instead of the scenario's.")] = None,
@@ -92,22 +91,22 @@ def plan(
     effort: Annotated[
         Effort | None,
         typer.Option(
-            help="How much the search for a fastest, safest or least sensitive plan tries, in starts and iterations; "
-            "default normal. The same effort gives the same plan on any machine.",
+            help="Effort of the search for a fastest, safest or least sensitive plan, in initial guesses and "
+            "iterations; default normal. It gives the same plan on any machine.",
         ),
     ] = None,
     time_limit: Annotated[
         float | None,
-        typer.Option(min=0.0, help="End that search after so many seconds, with the best so far; none by default."),
+        typer.Option(min=0.0, help="End that search after this time, s, with the best plan so far; default: none."),
     ] = None,
     json: Json = False,
 ) -> None:
-    """Plan a motion that keeps the object on the tray, and another one beside it to compare it with.
+    """Plan a motion that keeps the object on the tray, and another one to compare it with.
 
-    Without an option it is what the scenario's plan.method says; else the safest motion in its duration, and the
-    fastest where it has none.
+    Without an option the method is the scenario's plan.method; by default the safest motion in its duration, or the
+    fastest if it has no duration.
 
-    Plans of the same scenario, as it was before it was edited, are replaced: they move to earlier/ with their results.
+    Earlier plans of the same scenario, also before it was edited, are moved to earlier/ with their results.
 
     Example: `salver plan panda-cube -o runs/cube`
 
@@ -152,12 +151,12 @@ def plan(
 
 
 def _method(scenario: Scenario, arm: bool, asked: list[str]) -> str:
-    """What is asked, by the options given, or by the scenario."""
+    """The planning method, from the options or the scenario."""
     from salver.planning.make import method_of
 
     if len(asked) > 1:
         raise typer.BadParameter(
-            "--fastest, --safest, --least-sensitive and --robust are four questions: give one of them."
+            "--fastest, --safest, --least-sensitive and --robust are alternatives: give one of them."
         )
     method = asked[0] if asked else method_of(scenario, arm)
     return "fastest" if method == "robust" and scenario.motion.duration is None else method
@@ -173,12 +172,12 @@ def _pair(
     options: FastestOptions | None,
     time_limit: float | None,
 ) -> dict[str, Plan | MultiLegPlan]:
-    """By stem: the plan, and what it is compared with."""
+    """By name: the plan, and the plan that it is compared with."""
     from salver.planning.make import plan_pair
     from salver.planning.plan_files import check_place
     from salver.run_directory import check_free
 
-    if method == "fastest":  # the scenario that is saved is known when the plan is
+    if method == "fastest":  # the scenario to be saved, with its duration, is known after planning
         check_free(directory)
     else:
         check_place(scenario, directory, edited=True, force=force)
@@ -190,7 +189,7 @@ def _pair(
 def _legs(
     scenario: Scenario, method: str, directory: Path, options: FastestOptions | None, time_limit: float | None
 ) -> dict[str, Plan | MultiLegPlan]:
-    """By stem, the one there is: the plan of a task of several legs."""
+    """By name: the plan of a task of several legs."""
     from salver.planning.fastest.legs import plan_legs
     from salver.planning.fastest.safest import plan_safest_legs
     from salver.run_directory import check_free
@@ -204,7 +203,7 @@ def _legs(
 
 
 def _tell(directory: Path, plans: dict[str, Plan | MultiLegPlan]) -> None:
-    """What was planned, for a person, and what may come next."""
+    """Print the plans, and the next commands."""
     from salver.planning.plan import Plan
 
     found, quoted = plans["plan"], quote(str(directory))
@@ -223,7 +222,7 @@ def _tell(directory: Path, plans: dict[str, Plan | MultiLegPlan]) -> None:
 
 
 def _show_legs(plan: MultiLegPlan) -> None:
-    """A plan of several legs for a person, on standard output."""
+    """Print a plan of several legs."""
     console, scenario = result_console(), plan.scenario
     console.print(headed(scenario.name, scenario.summary) if scenario.summary else scenario.name)
     warn(plan.warnings)
@@ -255,13 +254,13 @@ def _show_legs(plan: MultiLegPlan) -> None:
 
 
 def warn(warnings: Iterable[str]) -> None:
-    """Say on standard output what of a scenario is probably not meant."""
+    """Print the warnings about a scenario."""
     for sentence in warnings:
         result_console().print(headed("Warning", sentence))
 
 
 def options_of(effort: Effort | None) -> FastestOptions | None:
-    """The options of the search for an effort; None, the normal ones, loads no search."""
+    """The options of the search for an effort; None for the normal ones, without importing the search."""
     if effort is None:
         return None
     from salver.planning.fastest import EFFORTS
@@ -270,7 +269,7 @@ def options_of(effort: Effort | None) -> FastestOptions | None:
 
 
 def show(plan: Plan, other: Plan, beside: str) -> None:
-    """The plan and what it is compared with, for a person, on standard output."""
+    """Print the plan beside the plan that it is compared with."""
     console, scenario = result_console(), plan.scenario
     console.print(headed(scenario.name, scenario.summary) if scenario.summary else scenario.name)
     warn(plan.warnings)
@@ -303,7 +302,7 @@ def show(plan: Plan, other: Plan, beside: str) -> None:
     }
     names = (plan.method, beside)
     print_table(("", *names), ((label, value(plan), value(other)) for label, value in lines.items()))
-    # What is not checked of the arm, its own sentence says.
+    # The arm's own sentence says what is not checked of it.
     blind = plan.unchecked if plan.arm_status is None else (*plan.scenario.payload.unmodelled, *plan.unshaken)
     if blind:
         console.print(f"Not checked: {'; '.join(blind)}.")
@@ -312,7 +311,7 @@ def show(plan: Plan, other: Plan, beside: str) -> None:
         if item.arm_status is not None:
             console.print(f"  arm: {item.arm_status}")
     if plan.method == "robust" and plan.status.ok and plan.arm_status is not None and not plan.arm_status.ok:
-        console.print("This plan is of the object alone; --least-sensitive seeks the same within the arm's limits.")
+        console.print("This plan is for the object alone; --least-sensitive plans the same within the arm's limits.")
     console.print(plan.verification.sentence)
     console.print(plan.extent.sentence)
     if plan.stops is not None:
@@ -323,11 +322,11 @@ def show(plan: Plan, other: Plan, beside: str) -> None:
 
 
 def _room(plan: Plan) -> str:
-    """What is left of the room in which a load's liquid or pendulum moves, during the motion and after it."""
+    """Remaining room of the load's liquid or pendulum, during the motion and after it, in words."""
     return millimetres(min(each.room for each in plan.margins.load_verdicts(worst=True)), "no edge")
 
 
 def _friction(plan: Plan) -> str:
-    """Of the interface that needs most of what it surely has."""
+    """Friction needed and least friction of the interface that uses the largest share of it, in words."""
     tight = max(plan.margins.interfaces, key=lambda m: m.friction_needed_worst / m.least_friction)
     return f"{number(tight.friction_needed_worst, 3, otherwise='none suffices')} / {tight.least_friction:.3f}"

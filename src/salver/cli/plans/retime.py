@@ -1,4 +1,4 @@
-"""`salver retime`: the fastest safe timing of a path that is given, or the same motion at another pace."""
+"""`salver retime`: the fastest safe timing of a given path, or a motion stretched in time."""
 
 from __future__ import annotations
 
@@ -28,29 +28,29 @@ def retime(
     ],
     scenario: Annotated[
         str | None,
-        typer.Option("-s", "--scenario", help="Name or .toml file; needed for a file, else that of the run."),
+        typer.Option("-s", "--scenario", help="Name or .toml file; needed for a file, default: that of the run."),
     ] = None,
     out: Annotated[Path | None, typer.Option("-o", "--out", help="Run directory; default runs/NAME-retimed.")] = None,
-    robust: Annotated[bool, typer.Option(help="Safe for the whole uncertain set, or only nominally.")] = True,
+    robust: Annotated[bool, typer.Option(help="Plan for the whole uncertain set, or only for nominal values.")] = True,
     reserve: Annotated[
         str | None,
         typer.Option(
-            help="What every contact keeps in the worst case, as a share of the normal force at rest, as 10%. Default: "
-            "margin of the scenario's [contact]."
+            help="Required worst-case margin of every contact, as a share of the normal force at rest, such as 10%. "
+            "Default: margin of the scenario's [contact]."
         ),
     ] = None,
     pace: Annotated[
         str | None,
         typer.Option(
-            help="Leave the motion as it is and run it in so many times its time; least: the least that holds. No run "
+            help="Only stretch the motion in time, by this factor; least: the least factor at which it holds. No run "
             "directory is made."
         ),
     ] = None,
     write: Annotated[
         Path | None,
         typer.Option(
-            help="Write the motion to this file too, as its ending says (.csv, .json, .yaml; none: ROS bag). With "
-            "--pace by default beside PATH, in the format of that."
+            help="Write the motion to this file too; its ending gives the format (.csv, .json, .yaml; none: ROS bag). "
+            "Default with --pace: beside PATH, in its format."
         ),
     ] = None,
     topic: Topic = None,
@@ -64,7 +64,7 @@ def retime(
 ) -> None:
     """Find the fastest safe timing of joint waypoints, or of the path of a motion or a plan.
 
-    --pace only scales the time of a motion, also of a motion of the tray, and audits the result (--highest, --noise,
+    --pace only stretches a motion of the joints or of the tray in time, and audits the result (--highest, --noise,
     --gap: see `salver audit`).
 
     Example: `salver retime waypoints.csv --scenario panda-cube -o runs/retimed`
@@ -89,7 +89,7 @@ def retime(
     if reserve is not None:
         chosen = chosen.with_changes(contact__condition="exact", contact__margin=_share(reserve))
     if write is not None:
-        form_of(write)  # told before anything is computed
+        form_of(write)  # raises before anything is computed
     if pace is not None:
         if out is not None or stops or reserve is not None:
             raise typer.BadParameter(
@@ -140,12 +140,12 @@ def _share(reserve: str) -> float:
     except ValueError:
         share = -1.0
     if not 0 <= share < 1:
-        raise ScenarioError(f'--reserve "{reserve}" must be a share from 0 to below 100%, as 10% or 0.1.')
+        raise ScenarioError(f'--reserve "{reserve}" must be a share from 0 to below 100%, such as 10% or 0.1.')
     return share
 
 
 def _tell(plan: Plan) -> None:
-    """A plan along a given path, for a person, on standard output."""
+    """Print a plan along a given path."""
     from salver.planning.fastest.retiming import PATH_TOLERANCE
 
     tell = result_console().print
@@ -159,13 +159,13 @@ def _tell(plan: Plan) -> None:
     for sentence in sentences:
         if sentence is not None:
             tell(str(sentence))
-    tell(f"No law on this path is faster than {plan.solver['lower_bound']:.4f} s.")
+    tell(f"No timing of this path is faster than {plan.solver['lower_bound']:.4f} s.")
     if (missed := plan.solver["waypoints_missed"]) > PATH_TOLERANCE:
-        tell(f"The path passes the waypoints by up to {missed:.2g} rad: they are too many.")
+        tell(f"The path misses waypoints by up to {missed:.2g} rad, because they are too many.")
 
 
 def _beside(path: Path) -> Path:
-    """motion.csv: motion-paced.csv. A bag is a directory, whatever it came from."""
+    """Default output file: motion-paced.csv for motion.csv; a directory for a ROS bag."""
     ending = "" if path.is_dir() or path.suffix.lower() in (".bag", ".mcap", ".db3") else path.suffix
     return path.with_name(f"{path.stem}-paced{'.csv' if ending.lower() == '.tsv' else ending}")
 
@@ -179,7 +179,7 @@ def _at_pace(
     unsafe: bool,
     options: AuditOptions,
 ) -> None:
-    """Write the motion at another pace, and say what becomes of the load."""
+    """Write the motion stretched in time, and print its audit."""
     from salver.given import at_pace
     from salver.motion_files import JointSamples, MotionSeries, form_of, write
 
@@ -219,7 +219,10 @@ def _at_pace(
         for sentence in [*found.samples.notes, *(f"Wrote {file}" for file in files)]:
             say(sentence)
         if files and isinstance(found.samples, JointSamples) and found.samples.commanded and form_of(target) == "csv":
-            say("Judged as a command. A table is a recording: salver audit does not join its rows by their velocities.")
+            say(
+                "The verdict is for a command; salver audit would read this table as a recording, and not use its "
+                "velocities to interpolate."
+            )
     if refused is not None:
         raise refused
     if not found.ok:

@@ -1,4 +1,4 @@
-"""`salver scenarios`: what is ready-made."""
+"""`salver scenarios`: list the ready-made scenarios."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def scenarios(
 ) -> None:
     """List the ready-made scenarios.
 
-    With the schema, editors complete and check a file of your own: its first line says `#:schema scenario.schema.json`.
+    With the schema, editors complete and check your file, if its first line is `#:schema scenario.schema.json`.
 
     Example: `salver scenarios`, or `salver scenarios --schema > scenario.schema.json`
     """
@@ -71,6 +71,6 @@ def _objects_in_words(item: Scenario) -> str:
 
 
 def _uncertain_in_words(item: Scenario) -> str:
-    """The uncertain parameters, parts and axes taken together: "mass, com, friction"."""
+    """The kinds of uncertain parameters: "mass, com, friction"."""
     kinds = [parameter.kind for parameter in item.uncertain.parameters]
     return ", ".join(dict.fromkeys(kinds)) or "nothing"

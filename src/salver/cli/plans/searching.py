@@ -1,5 +1,5 @@
-"""A watch on a search that a command runs: its bar, its time limit, and Ctrl-C, which ends it with the best so far.
-And the stops that a plan is given."""
+"""Searches of commands: progress, time limit, and Ctrl-C, which ends a search with the best plan so far; and the
+planning of stops."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ if TYPE_CHECKING:
 
 Planned = TypeVar("Planned", bound="Plan | MultiLegPlan")
 
-ONCE = 0.3  # s within which a second signal is the same: some shells send it to a process and to its group
+ONCE = 0.3  # s within which signals count as one, because some shells send them to a process and to its group
 
 
 @contextmanager
 def searching(time_limit: float | None = None) -> Iterator[Watch]:
-    """The watch. Ctrl-C once more ends the command. time_limit: s, None for none."""
+    """The watch of a search; a second Ctrl-C ends the command. time_limit: s, or None."""
     from salver.planning.trajopt.watch import Watch
 
     def tell(watch: Watch) -> None:
@@ -59,23 +59,23 @@ def searching(time_limit: float | None = None) -> Iterator[Watch]:
 
 
 def stopping(plan: Planned, keep: Callable[[], object]) -> Planned:
-    """A plan with its stops, leg by leg; an unsafe plan stays as it is.
+    """A plan with stops for each leg; an unsafe plan is returned unchanged.
 
-    Interrupted, the plan without them is kept, by `keep`.
+    keep: called if the user interrupts, to save the plan without stops.
     """
     from salver.planning.round import MultiLegPlan
     from salver.planning.stops import with_stops
 
-    def told(what: str) -> Callable[[int, int], None]:
+    def progress_of(what: str) -> Callable[[int, int], None]:
         return lambda done, total: step(done, total, what)
 
     if not plan.ok:
         return plan
     try:
         if isinstance(plan, MultiLegPlan):
-            legs = (with_stops(leg, told(f"stops of leg {k}")) for k, leg in enumerate(plan.legs, 1))
+            legs = (with_stops(leg, progress_of(f"stops of leg {k}")) for k, leg in enumerate(plan.legs, 1))
             return replace(plan, legs=tuple(legs))
-        return replace(plan, stops=with_stops(plan, told("stops")).stops)
+        return replace(plan, stops=with_stops(plan, progress_of("stops")).stops)
     except KeyboardInterrupt:
         keep()
         raise

@@ -1,4 +1,4 @@
-"""`salver studio`: a task designed by hand, on a page."""
+"""`salver studio`: edit a task on a page in the browser."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ def studio(
         str | None,
         typer.Argument(help="A .toml file, which may be new, or a ready-made scenario to begin with; or nothing."),
     ] = None,
-    port: Annotated[int, typer.Option(min=0, max=65535, help="Of the page; 0 for one that is free.")] = 0,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port of the page; 0 for any free one.")] = 0,
     browser: Annotated[bool, typer.Option(help="Open the page in a browser.")] = True,
     json: Json = False,
 ) -> None:
-    """Design a task by hand, on a page in your browser, and see its margin move.
+    """Design a task on a page in your browser, and see its margin change.
 
     Drag start, goal, objects and obstacles, set masses and ranges with sliders, or edit the text: each is a change of
-    the scenario's file. You see at once whether the arm reaches both ends, what touches, and in which time a straight
-    line holds; then the fastest safe motion is planned and played. Saved, `salver plan` of the file finds the same.
-    Only this machine can open the page, which needs no network. Ctrl-C ends it. --json prints the page's address.
+    the scenario's file. The page shows at once whether the arm reaches start and goal, what collides, and in which time
+    a straight line holds; then the fastest safe motion is planned and played. `salver plan` of the saved file finds the
+    same motion. Only this machine can open the page, which needs no network. Ctrl-C ends it. --json prints its address.
 
     Example: `salver studio panda-cube`
     """
@@ -57,7 +57,7 @@ def served(studio: Studio, browser: bool, json: bool) -> None:
 
 
 def begun(scenario: str | None) -> tuple[str, Path, Path, bool]:
-    """The text to begin with, where it is saved, where files are that it names, and whether it is saved already.
+    """The initial text, the file in which it is saved, the folder of the files that it names, whether it is saved.
 
     A file may have mistakes, which the page shows; a ready-made scenario is saved in the working directory.
     """
@@ -68,7 +68,7 @@ def begun(scenario: str | None) -> tuple[str, Path, Path, bool]:
 
     place = Path(scenario or "scenario.toml")
     if place.suffix != ".toml":
-        load(place)  # says what there is
+        load(place)  # raises, with the names of the ready-made scenarios
         ready_made = SCENARIO_DIR / f"{scenario}.toml"
         if not ready_made.is_file():
             raise ScenarioError(f"{scenario} is a run directory; give a .toml file, or a ready-made scenario.")

@@ -1,4 +1,4 @@
-"""`salver tradeoff`: what robustness costs in time."""
+"""`salver tradeoff`: the shortest safe duration over the size of the uncertainty."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ def tradeoff(
     scales: Annotated[
         str, typer.Option(help="Sizes of the uncertainty, in multiples of the scenario's, separated by commas.")
     ] = "0,0.25,0.5,0.75,1,1.25,1.5,2",
-    file_format: Annotated[str, typer.Option("--format", help="Of the figure: pdf, svg or png.")] = "svg",
+    file_format: Annotated[str, typer.Option("--format", help="Format of the figure: pdf, svg or png.")] = "svg",
     json: Json = False,
 ) -> None:
-    """Shortest safe duration for ever larger uncertainty: a table and a figure.
+    """Find the shortest safe duration for increasing uncertainty, as a table and a figure.
 
-    Read off what being slower buys. Needs a scenario with an arm. At the scenario's own uncertainty it asks what
-    `salver plan --fastest` asks: the duration is left open, and the tray may tilt unless motion.orientation is "fixed".
+    The scenario needs an arm. At 1 times its uncertainty the result is that of `salver plan --fastest`: the duration is
+    free, and the tray may tilt unless motion.orientation is "fixed".
 
     Example: `salver tradeoff panda-cube --scales 0,0.5,1,2`
 
@@ -61,10 +61,10 @@ def tradeoff(
         if not json:
             say(f"{point.scale:g} times the uncertainty: {point.status}")
     directory = out if out is not None else Path("runs") / f"{chosen.name}-tradeoff"
-    told = {"asked": asked.sentence, "points": [point.record() for point in points]}
-    _write(directory, {**told, "provenance": provenance(chosen)}, points, file_format)
+    found = {"asked": asked.sentence, "points": [point.record() for point in points]}
+    _write(directory, {**found, "provenance": provenance(chosen)}, points, file_format)
     if json:
-        print_json({"directory": directory, **told})
+        print_json({"directory": directory, **found})
     else:
         show(chosen.name, points)
         say(f"Written to {directory}")
@@ -80,7 +80,7 @@ def _scales(text: str) -> list[float]:
 
 
 def _write(directory: Path, document: dict[str, Any], points: list[TradeoffPoint], file_format: str) -> None:
-    """The points, and a picture of those at which a motion was found."""
+    """Write the points, and a figure of those at which a motion was found."""
     from salver.files import to_json, write_atomic
     from salver.reports.pictures.figures import render, tradeoff_curve
     from salver.reports.style import paper_style
@@ -93,7 +93,7 @@ def _write(directory: Path, document: dict[str, Any], points: list[TradeoffPoint
 
 
 def show(name: str, points: list[TradeoffPoint]) -> None:
-    """The curve as a table, on standard output."""
+    """Print the curve as a table."""
     first = points[0].duration
     rows = [
         (
@@ -107,5 +107,5 @@ def show(name: str, points: list[TradeoffPoint]) -> None:
         else (f"{point.scale:g} x", "none", "", "", "")
         for point in points
     ]
-    result_console().print(headed(name, "fastest motion that is safe for so much uncertainty"))
+    result_console().print(headed(name, "fastest safe motion over the size of the uncertainty"))
     print_table(("uncertainty", "duration", "longer by", "friction needed", "nominal margin"), rows)

@@ -1,4 +1,4 @@
-"""Again, whenever a file is saved: edit, run, look."""
+"""Plan again whenever a file is saved."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ LOOK_EVERY = 0.3  # s
 def watched(path: Path, plan: Callable[[], None], directory: Callable[[], Path], pause: float = LOOK_EVERY) -> None:
     """Plan now and after every change of the file, and write the page each time, until interrupted.
 
-    directory: of the plan. A mistake in the file is told, and waited for until it is mended. Raises ScenarioError when
-    there is no such file: a ready-made scenario does not change.
+    directory: run directory of the plan. A mistake in the file is reported, and the next change is awaited. Raises
+    ScenarioError when there is no such file, because a ready-made scenario does not change.
     """
     from salver.reports.pages.page import write_report
 
@@ -28,7 +28,7 @@ def watched(path: Path, plan: Callable[[], None], directory: Callable[[], Path],
     while True:
         seen = _state(path)
         try:
-            with contextlib.suppress(typer.Exit):  # no safe plan; it has been told
+            with contextlib.suppress(typer.Exit):  # no safe plan, which has been reported
                 plan()
             page = write_report(directory(), None, say)
             say(f"Wrote {page}; watching {path}, Ctrl-C ends it.")
@@ -40,7 +40,7 @@ def watched(path: Path, plan: Callable[[], None], directory: Callable[[], Path],
 
 
 def _state(path: Path) -> tuple[int, int]:
-    """What changes when a file is saved; an editor may have it away for a moment."""
+    """Modification time and size of a file; zero while an editor has removed it."""
     try:
         found = path.stat()
     except OSError:

@@ -1,4 +1,4 @@
-"""`salver export`: a plan for other programs."""
+"""`salver export`: write a plan for other programs."""
 
 from __future__ import annotations
 
@@ -21,18 +21,16 @@ def export(
     stem: Annotated[
         str, typer.Option(help="Which motion: plan (all its legs), baseline or nominal; or a leg: leg1, leg2 ...")
     ] = "plan",
-    rate: Annotated[float | None, typer.Option(help="Samples per second; the plan's own instants by default.")] = None,
-    pause: Annotated[
-        float | None, typer.Option(help="Of a plan of several legs: seconds at rest between two; 5 by default.")
-    ] = None,
+    rate: Annotated[float | None, typer.Option(help="Samples per second; default: the plan's own instants.")] = None,
+    pause: Annotated[float | None, typer.Option(help="Seconds at rest between the legs of a plan; default 5.")] = None,
     scenario: Annotated[
         str | None,
-        typer.Option("-s", "--scenario", help="Whose arm names the joints of a motion file that only numbers them."),
+        typer.Option("-s", "--scenario", help="Scenario with the arm, for a motion file that only numbers joints."),
     ] = None,
     topic: Topic = None,
     units: Units = None,
     stop_input: Annotated[
-        int, typer.Option(help="urscript: the standard digital input, 0 to 7, that stops a plan with stops when low.")
+        int, typer.Option(help="urscript: standard digital input, 0 to 7, that requests a stop when it is low.")
     ] = 0,
     unsafe: Unsafe = False,
     json: Json = False,
@@ -40,11 +38,11 @@ def export(
     """Write a planned motion for other programs: CSV, JSON, ROS 2 bag (mcap), ROS 2 messages as YAML
     (moveit: a RobotTrajectory), MuJoCo scene, URScript program.
 
-    Numbers keep all their digits; times are whole nanoseconds. Or write a motion file (CSV, JSON, YAML, ROS bag, log of
-    a run) in another of these formats: its joints, where it tells them, and in a table the tray's poses.
+    Numbers keep all their digits; times are whole nanoseconds. It also converts a motion file (CSV, JSON, YAML, ROS
+    bag, log of a run) to another of these formats: its joint motion, if it has one, and in a table the tray's poses.
 
-    A motion that fails its verdict (its plan, its check, its arm) is written with --unsafe only, and then says UNSAFE
-    first and in its name: cube-UNSAFE.csv.
+    A motion that failed verification (of the plan, its check or its arm) is written only with --unsafe, with UNSAFE at
+    the beginning of the file and in its name: cube-UNSAFE.csv.
 
     Example: `salver export runs/panda-cube --format ros2 -o cube_bag`
 
@@ -66,13 +64,13 @@ def export(
             say(f"salver: {note}")
     else:
         if (scenario, topic, units) != (None, None, None):
-            raise SalverError(f"--scenario, --topic and --units are for motion files; {directory} is none.")
+            raise SalverError(f"--scenario, --topic and --units are for motion files; {directory} is not one.")
         from salver.export.motion import PAUSE
         from salver.planning.round import has_legs
 
         legs = stem == "plan" and has_legs(directory)
         if pause is not None and not legs:
-            raise SalverError(f"--pause is for all legs of a plan of several; {directory}, {stem}, is one motion.")
+            raise SalverError(f"--pause is for a plan of several legs; {directory}, {stem}, is one motion.")
         paths = write_export(
             directory, file_format, output, stem, rate, pause=pause, unsafe=unsafe, stop_input=stop_input
         )

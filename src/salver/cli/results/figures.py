@@ -1,4 +1,4 @@
-"""`salver figures`: the paper's figures from a run directory."""
+"""`salver figures`: draw the paper's figures for a run directory."""
 
 from __future__ import annotations
 

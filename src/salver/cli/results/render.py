@@ -1,4 +1,4 @@
-"""`salver render`: a film of a run."""
+"""`salver render`: make a film of a run."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ def render(
 ) -> None:
     """Film the simulated runs of a directory, without a display.
 
-    Pictures by MuJoCo where OpenGL works, a plain drawing where it does not; the film by ffmpeg (gif, webp: without).
-    With a name that ends in .mcap, one motion is written as a recording for Foxglove or RViz: as it was run, or else as
-    it is planned.
+    MuJoCo draws the pictures, or matplotlib if OpenGL does not work; ffmpeg makes the film (not needed for gif, webp).
+    With a name that ends in .mcap, one motion is written as a recording for Foxglove or RViz: the simulated one, or the
+    planned one if it was not simulated.
 
     Example: `salver render runs/panda-cube -o cube.mp4`
     """

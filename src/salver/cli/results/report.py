@@ -1,4 +1,4 @@
-"""`salver report`: the page, and with it the figures."""
+"""`salver report`: write a page about a run or an audit."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def report(
         Path, typer.Argument(help="A run directory, as `salver plan` makes it; or a motion file, with --scenario.")
     ],
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", help="Where to write it; DIR/report.html, FILE.html by default.")
+        Path | None, typer.Option("-o", "--output", help="Page to write; default: DIR/report.html or FILE.html.")
     ] = None,
     scenario: OnTray = None,
     topic: Topic = None,
@@ -28,10 +28,10 @@ def report(
 ) -> None:
     """Write one self-contained page about a run: verdict, 3-D replay, margins, tubes, results.
 
-    Or about the audit of a motion file, with the options of `salver audit`: `salver report motion.csv -s panda-cube`.
+    For a motion file it shows the audit, with the options of `salver audit`: `salver report motion.csv -s panda-cube`.
 
-    It opens from disk in any current browser and needs no network. It shows what the directory has: run it again
-    after `salver simulate` or `salver campaign`.
+    It opens from disk in any current browser and needs no network. It shows the present results of the directory: write
+    it again after `salver simulate` or `salver campaign`.
 
     Example: `salver report out/panda-cube`
     """

@@ -1,1 +1,1 @@
-"""Commands that drive: a plan on an arm, a motion steered by hand."""
+"""Commands that move an arm: by a plan, or by hand in a simulation."""

@@ -1,4 +1,4 @@
-"""`salver execute`: a plan on an arm."""
+"""`salver execute`: run a plan on an arm."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import typer
 from salver.cli.common import NOT_ACHIEVED, Json, numbers, print_json, result_console, say
 from salver.errors import SalverError
 
-CANNOT_TELL = 3  # as of an audit
+CANNOT_TELL = 3  # exit code, as for an audit
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -30,7 +30,7 @@ def execute(
     stem: Annotated[
         str, typer.Option(help="Which motion: plan (all its legs), baseline or nominal; or a leg: leg1, leg2 ...")
     ] = "plan",
-    watchdog: Annotated[float, typer.Option(help="Stop when a joint is this far off its reference, rad.")] = 0.05,
+    watchdog: Annotated[float, typer.Option(help="Stop when a joint is this far from its reference, rad.")] = 0.05,
     move_to_start: Annotated[
         bool, typer.Option("--move-to-start", help="First go slowly to the start posture, with an empty tray.")
     ] = False,
@@ -196,7 +196,7 @@ def _assent(yes: bool, json: bool) -> Any:
 
 
 def _pose(text: str | None) -> Any:
-    """(p, R) of "x y z roll pitch yaw" in m and degrees."""
+    """The pose (p, R) in "x y z roll pitch yaw", in m and degrees."""
     if text is None:
         return None
     import numpy as np
@@ -226,11 +226,11 @@ def _tell(result: Execution) -> None:
         tell(f"Largest e_p {1e3 * summary['e_p_peak']:.3f} mm, e_o {1e3 * summary['e_o_peak']:.3f} mrad.")
     tell(f"Stopped: {summary['stopped']}" if summary["stopped"] else f"Ran to its end; outcome: {summary['outcome']}.")
     if summary["bridged"]:
-        tell(f"Readings that could not be true; the model stood in for them: {summary['bridged']}.")
+        tell(f"Implausible readings that the model replaced: {summary['bridged']}.")
     if summary["load_kept_in_stop"] is False:
-        tell("The way to rest was not one that surely keeps the load: it may have moved or fallen.")
+        tell("The arm did not stop by a motion that is safe for the load: the load may have moved or fallen.")
     elif summary["load_kept_in_stop"]:
-        tell("It was brought to rest by a planned stop, and was where that is safe for the load all along.")
+        tell("A planned stop brought the arm to rest, always within the deviation for which that is safe for the load.")
     requests = summary.get("requests", {})
     if any(requests.values()):
         tell("Requests: " + ", ".join(f"{count} {what}" for what, count in requests.items()) + ".")

@@ -1,4 +1,4 @@
-"""`salver live`: a motion steered by hand."""
+"""`salver live`: steer a simulated arm by hand."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from salver.cli.common import Json
 
 def live(
     scenario: Annotated[str, typer.Argument(help="A ready-made scenario, or a .toml file, with an arm.")],
-    port: Annotated[int, typer.Option(min=0, max=65535, help="Of the page; 0 for one that is free.")] = 0,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port of the page; 0 for any free one.")] = 0,
     set_: Annotated[
         list[str] | None,
         typer.Option("--set", help="True value of a parameter, as mass=0.3 (SI units); repeat for several."),

@@ -202,7 +202,9 @@ def identify_runs(
 def _one_rigid_load(scenario: Scenario, runs: Sequence[LoggedRun]) -> None:
     """Raise ScenarioError where no arm carries the load, or what it carries is not one rigid load."""
     if scenario.arm is None or any(run.plan.joint is None for run in runs):
-        raise ScenarioError(f"{scenario.name} has no arm that moves; a load is identified by the arm that carries it.")
+        raise ScenarioError(
+            f"{scenario.name} has no joint motion; a load is identified from the torques of the arm that carries it."
+        )
     if len(scenario.objects) > 1:
         raise ScenarioError(
             f"{scenario.name} carries {len(scenario.objects)} objects, and an arm feels only their sum; load them one "
