@@ -44,12 +44,26 @@ from salver.scenario import Scenario
 from salver.scenario.cell import ArmLimits
 from salver.trajectory import JointMotion
 
-LONGEST = 120.0  # s of one run
-RESTING = 0.5  # s of the motion that stands for the arm before it is told anything
-LEAD = 0.1  # s to a hand-over, and
-EVERY = 20  # periods from one look at what is to be planned to the next, where time waits for the planner
-NO_HURRY = 60.0  # s that planning may take then: on a busy machine no clock is to decide what is done
-TOO_LONG = 10.0  # s after the last wish, at rest, in which the planner may find what it asks for
+
+@dataclass(frozen=True)
+class LiveRunOptions:
+    """Options of a run that follows a live motion.
+
+    longest: s of one run. patience: s after the last request, at rest, in which the planner may find what it asks for.
+    resting: s of the motion that stands for the arm before anything is requested.
+    lead, every, planning: where time waits for the planner: s to a hand-over; periods from one look at what is to be
+    planned to the next; s that planning may take, so many that no clock of a busy machine decides what is done.
+    """
+
+    longest: float = 120.0
+    patience: float = 10.0
+    resting: float = 0.5
+    lead: float = 0.1
+    every: int = 20
+    planning: float = 60.0
+
+
+STANDARD = LiveRunOptions()
 
 
 def commanded(scenario: Scenario, joint: JointMotion) -> Plan:
@@ -105,20 +119,21 @@ class LiveDrive(Drive):
     prompter: Prompter = field(kw_only=True)
     rest_after: float = field(kw_only=True)
     planned_here: Callable[[], Any] | None = field(kw_only=True, default=None)
+    options: LiveRunOptions = field(kw_only=True, default=STANDARD)
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        room = int(LONGEST / self.period) + 1
+        room = int(self.options.longest / self.period) + 1
         self.told_at, self.told = np.empty(room), np.empty((3, room, self.arm.n))
         self.begun, self.offset = 0.0, np.nan  # live time of the first period after 0, s; and of the live clock
         self.as_planned = True
-        self.count, self.periods, self.rested, self.patience = 0, 0, 0.0, TOO_LONG
+        self.count, self.periods, self.rested, self.patience = 0, 0, 0.0, self.options.patience
 
     def one_period(self, gate: Gate) -> bool:
         if self.stop is None:
             self.prompter.period(self.t)  # there is time before the next sample comes
         self.periods += 1
-        if self.planned_here is not None and self.periods % EVERY == 0:
+        if self.planned_here is not None and self.periods % self.options.every == 0:
             self.planned_here()
         last = super().one_period(gate)
         if self.count < len(self.told_at) and self.t >= 0:
@@ -128,7 +143,7 @@ class LiveDrive(Drive):
                 kept[:] = value
             self.count += 1
             self.noted()
-        if self.stop is None and self.t > LONGEST - self.rest_after - 5.0:
+        if self.stop is None and self.t > self.options.longest - self.rest_after - 5.0:
             self.signals.note(f"It was told what to do for {self.t:.0f} s, which is the most that one run may take")
         return last
 
@@ -155,7 +170,7 @@ class LiveDrive(Drive):
         if self.stop is not None:
             return super().over(sensed)
         if not (self.prompter.over and self.live.now >= self.live.committed.ends):
-            self.rested, self.patience = 0.0, TOO_LONG
+            self.rested, self.patience = 0.0, self.options.patience
             return False
         if not self.live.settled:  # somebody still looks for a way
             self.patience -= self.period
@@ -178,6 +193,7 @@ def run_live(
     listen: bool = False,
     signals: Signals | None = None,
     confirm: Callable[[list[Check]], bool] = lambda checks: True,
+    options: LiveRunOptions = STANDARD,
 ) -> Execution:
     """A live motion, told by lines of a script (`salver.live.script`), into a run directory: what was commanded is its
     plan, with a log in `execution`.
@@ -190,7 +206,7 @@ def run_live(
     Raises SalverError when the script or a check fails, ScenarioError when there is no arm or the load is not safe,
     MissingDependencyError without the robot's library.
     """
-    known = {"simulated": _simulated, "franka": _franka}[robot](scenario, address, realtime)
+    known = {"simulated": _simulated, "franka": _franka}[robot](scenario, address, realtime, options)
     directory, live, plan, driven = Path(directory), known.live, known.plan, known.robot
     scenario, arm, carried = plan.scenario, live.problem.arm, plan.scenario.payload.bodies
     prompter = Prompter(live)
@@ -224,17 +240,17 @@ def run_live(
 
     def plan_here() -> None:
         if not live.idle:
-            live.plan(NO_HURRY)
+            live.plan(options.planning)
         else:
-            live.prepare(NO_HURRY)
+            live.prepare(options.planning)
 
     began = time.perf_counter()
     with noted_signals():  # nothing may come between the run and its log
         with nullcontext() if known.waits else Worker(live, process=True, stops=True):
             drive = LiveDrive(
-                driven, controller, course, arm, carried, known.start, LONGEST, watchdog, stop_from,
+                driven, controller, course, arm, carried, known.start, options.longest, watchdog, stop_from,
                 signals or Signals(), live=live, prompter=prompter, rest_after=scenario.physics.settle_after,
-                planned_here=plan_here if known.waits else None,
+                planned_here=plan_here if known.waits else None, options=options,
             )  # fmt: skip
             log_ = drive.run()
         return _kept(drive, log_, known, directory, checks, began)
@@ -253,14 +269,14 @@ class _Standing:
     checks: list[Check]
 
 
-def _simulated(scenario: Scenario, address: str, realtime: bool) -> _Standing:
-    live = Live(scenario, lead=None if realtime else LEAD, record=LONGEST)
-    plan = _resting(scenario, live)
-    robot = SimulatedRobot(plan, live.problem.arm, LONGEST, realtime)
+def _simulated(scenario: Scenario, address: str, realtime: bool, options: LiveRunOptions) -> _Standing:
+    live = Live(scenario, lead=None if realtime else options.lead, record=options.longest)
+    plan = _resting(scenario, live, options.resting)
+    robot = SimulatedRobot(plan, live.problem.arm, options.longest, realtime)
     return _Standing(live, plan, robot, robot.start_time, not realtime, [])
 
 
-def _franka(scenario: Scenario, address: str, realtime: bool) -> _Standing:
+def _franka(scenario: Scenario, address: str, realtime: bool, options: LiveRunOptions) -> _Standing:
     tray = scenario.tray
     if scenario.arm is None:
         raise SalverError(f"{scenario.name} has no arm; give the scenario a table [arm] to execute it.")
@@ -268,8 +284,8 @@ def _franka(scenario: Scenario, address: str, realtime: bool) -> _Standing:
     arm = load_arm(scenario.arm, tray)
     scenario = scenario.with_changes(arm__limits=slower(arm.limits, FR3))
     robot = FrankaRobot(address, arm, tray.mass, np.array(tray.inertia), realtime)
-    live = Live(scenario, robot.look().q, permit=lambda motion: within_fr3(arm, motion), record=LONGEST)
-    plan = _resting(scenario, live)
+    live = Live(scenario, robot.look().q, permit=lambda motion: within_fr3(arm, motion), record=options.longest)
+    plan = _resting(scenario, live, options.resting)
     return _Standing(live, plan, robot, -scenario.physics.settle_before, False, check_franka(plan, arm))
 
 
@@ -280,11 +296,11 @@ def slower(limits: JointLimits, others: JointLimits) -> dict[str, list[float]]:
     return {name: values.tolist() for name, values in least.items() if np.all(np.isfinite(values))}
 
 
-def _resting(scenario: Scenario, live: Live) -> Plan:
-    """The arm where it is, as a plan."""
+def _resting(scenario: Scenario, live: Live, seconds: float) -> Plan:
+    """The arm where it is for some seconds, as a plan."""
     q = live.committed.motion.q[0]
     still = np.zeros((2, len(q)))
-    return commanded(scenario, JointMotion(np.array([0.0, RESTING]), np.tile(q, (2, 1)), still, still))
+    return commanded(scenario, JointMotion(np.array([0.0, seconds]), np.tile(q, (2, 1)), still, still))
 
 
 def _kept(

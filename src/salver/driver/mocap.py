@@ -23,10 +23,33 @@ if TYPE_CHECKING:
     from salver.models.bodies import Body
     from salver.trajectory import Reference
 
-REST = 0.1  # s before the motion, over which what is at rest is averaged
-SLIP = 2e-3  # m of displacement on the tray that motion capture can tell from its own noise
-LONGEST = 3600.0  # s of a recording in which the motion is looked for
-GAP = 0.1  # s between samples that are bridged
+
+@dataclass(frozen=True)
+class CaptureOptions:
+    """Assumptions about motion capture, and what a recording must fulfil to tell whether a load held.
+
+    rest: s before the motion, over which what is at rest is averaged; fewest: samples in it.
+    longest: s of a recording in which the motion is looked for. gap: s between samples that are bridged.
+    slip: m of displacement on the tray that is told from noise.
+    stray: m that markers may move at rest, where it is not their noise. sure: of a track's noise, by which hardly any
+    sample of a run is off another track's without a slip.
+    fits: m by which the tray may be seen elsewhere than the joints put it.
+    faster, spinning: m/s more than the reference, and rad/s; what moves faster did not move: its markers were mixed up.
+    """
+
+    rest: float = 0.1
+    fewest: int = 5
+    longest: float = 3600.0
+    gap: float = 0.1
+    slip: float = 2e-3
+    stray: float = 5e-4
+    sure: float = 4.5 * 2**0.5
+    fits: float = 0.02
+    faster: float = 3.0
+    spinning: float = 30.0
+
+
+STANDARD = CaptureOptions()
 
 
 @dataclass(frozen=True)
@@ -115,15 +138,17 @@ def _seen(t: Array, p: Array, R: Array) -> Track:
     return Track(t[good], p[good], R[good])
 
 
-def find_offset(track: Track, reference: Reference, p_BX: Array | None = None) -> float:
+def find_offset(
+    track: Track, reference: Reference, p_BX: Array | None = None, options: CaptureOptions = STANDARD
+) -> float:
     """Time of the track's own clock at which the motion starts, by the best fit of its speed to the reference's, of a
     point p_BX (3,) fixed to B.
     """
     step = 2e-3
-    if not 0 < track.t[-1] - track.t[0] < LONGEST:
+    if not 0 < track.t[-1] - track.t[0] < options.longest:
         raise SalverError(
             f"The motion capture goes from {track.t[0]:g} to {track.t[-1]:g} s; its times must be in s and go forwards "
-            f"for at most {LONGEST:g} s."
+            f"for at most {options.longest:g} s."
         )
     t = np.arange(track.t[0], track.t[-1], step)
     if len(t) * step < 0.5 * reference.duration:
@@ -157,6 +182,7 @@ def merge(
     offset: float | None = None,
     p_SV: Array | None = None,
     R_SV: Array | None = None,
+    options: CaptureOptions = STANDARD,
 ) -> dict[str, np.ndarray]:
     """Arrays of a log (t, p_SE, quat_SE_wxyz, ...) with the object as motion capture saw it: p_SB, quat_SB_wxyz, e_p,
     e_o, slip, slip_E, lift, mocap_offset.
@@ -173,20 +199,21 @@ def merge(
     if offset is not None:
         shift = offset
     elif tray_name:  # which does not slide
-        shift = find_offset(tracks[tray_name], reference, -body.R_EB.T @ body.p_EB)
+        shift = find_offset(tracks[tray_name], reference, -body.R_EB.T @ body.p_EB, options)
     else:
-        shift = find_offset(tracks[object_name], reference)
+        shift = find_offset(tracks[object_name], reference, options=options)
     world = (np.zeros(3) if p_SV is None else p_SV), (np.eye(3) if R_SV is None else R_SV)
     t = arrays["t"]
     start = reference.sample(0.0)
-    p_SB, R_SB = _in_world(tracks[object_name], shift, world, t, start.p_SB[0], start.R_SB[0])
+    p_SB, R_SB = _in_world(tracks[object_name], shift, world, t, start.p_SB[0], start.R_SB[0], options)
     p_SE, R_SE = arrays["p_SE"], matrix_from_quat_wxyz(arrays["quat_SE_wxyz"])
     if tray_name:
         R_start = start.R_SB[0] @ body.R_EB.T
-        p_SE, R_SE = _in_world(tracks[tray_name], shift, world, t, start.p_SB[0] - R_start @ body.p_EB, R_start)
+        p_start = start.p_SB[0] - R_start @ body.p_EB
+        p_SE, R_SE = _in_world(tracks[tray_name], shift, world, t, p_start, R_start, options)
     wanted = reference.sample(t)
     on_tray = compose(*invert(p_SE, R_SE), p_SB, R_SB)
-    place = (body.p_EB, body.R_EB) if tray_name else _mean_pose(*on_tray, _resting(t))
+    place = (body.p_EB, body.R_EB) if tray_name else _mean_pose(*on_tray, _resting(t, options.rest))
     away = _displaced(on_tray, place, body.base_polygon_B)
     turn = np.full(len(t), np.nan)
     seen = np.isfinite(R_SB).all(axis=(1, 2))
@@ -223,26 +250,25 @@ def _mean_pose(p: Array, R: Array, which: np.ndarray) -> tuple[Array, Array]:
     return p[seen].mean(axis=0), middle @ exp(log(middle.T @ R[seen]).mean(axis=0))
 
 
-def _resting(t: Array) -> np.ndarray:
-    """Samples of the rest before the motion; the first one when there are none."""
-    resting = (t >= -REST) & (t <= 0)
-    return resting if resting.any() else t == t[0]
+def _resting(t: Array, rest: float) -> np.ndarray:
+    """Samples of the rest before the motion; the one nearest to its start when there are none."""
+    resting = (t >= -rest) & (t <= 0)
+    return resting if resting.any() else t == t[np.argmin(np.abs(t))]
 
 
 def _in_world(
-    track: Track, shift: float, world: tuple[Array, Array], t: Array, p: Array, R: Array
+    track: Track, shift: float, world: tuple[Array, Array], t: Array, p: Array, R: Array, options: CaptureOptions
 ) -> tuple[Array, Array]:
     """Pose (T, 3), (T, 3, 3) in S at times t of the motion, given the pose (p, R) at its start; NaN where not seen."""
     own = track.t - shift
-    resting = (own >= -REST) & (own <= 0)
-    if not resting.any():
-        resting = own == own[np.argmin(np.abs(own))]
     p_V, R_V = compose(*world, track.p, track.R)
-    p_MB, R_MB = compose(*invert(*_mean_pose(p_V, R_V, resting)), p, R)  # marker frame to the body's own
+    p_MB, R_MB = compose(
+        *invert(*_mean_pose(p_V, R_V, _resting(own, options.rest))), p, R
+    )  # marker frame to the body's own
     i = np.clip(np.searchsorted(own, t) - 1, 0, len(own) - 2)
     u = (t - own[i]) / (own[i + 1] - own[i])
     between = R_V[i] @ exp(u[:, None] * log(np.swapaxes(R_V[i], 1, 2) @ R_V[i + 1]))
     p_t = p_V[i] + u[:, None] * (p_V[i + 1] - p_V[i])
     p_out, R_out = compose(p_t, between, p_MB, R_MB)
-    seen = (t >= own[0]) & (t <= own[-1]) & (own[i + 1] - own[i] <= GAP)
+    seen = (t >= own[0]) & (t <= own[-1]) & (own[i + 1] - own[i] <= options.gap)
     return np.where(seen[:, None], p_out, np.nan), np.where(seen[:, None, None], R_out, np.nan)

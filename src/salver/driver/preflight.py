@@ -32,14 +32,29 @@ if TYPE_CHECKING:
     from salver.models.bodies import Body
     from salver.planning.plan import Plan
 
-START_TOLERANCE = 0.01  # rad of each joint
-REST_TOLERANCE = 0.01  # rad/s
-STILL = 1e-6  # rad/s, rad/s^2 at the ends of the motion
-LOOK = 1e-3  # s between the instants at which a motion is judged, at most, and
-LONGEST = 600.0  # s, and as many milliseconds of samples
-LOOKS = 4  # pieces of each interval between its samples, at least
-SMOOTH = 0.15  # of the largest acceleration; what q, dq and ddq of neighbouring samples may disagree by
-AGREES = {"m, rad": 1e-5, "m/s, rad/s": 1e-4, "m/s^2, rad/s^2": 1e-2}  # of reference and joints; plans keep 1e-3 of it
+
+@dataclass(frozen=True)
+class PreflightOptions:
+    """Tolerances of the checks, and the instants at which a motion is judged.
+
+    posture, posture_rate: rad and rad/s of each joint by which the arm may stand elsewhere than where the motion
+    starts, and move. still: rad/s and rad/s^2 that the ends of the motion may have: rounding.
+    reference: m and rad, m/s and rad/s, m/s^2 and rad/s^2 by which the object's motion and where the joints take it may
+    differ; plans keep 1e-3 of it.
+    step: s between the instants, at most; pieces: of each interval between two samples, at least.
+    longest: s that a motion may last, and as many steps may be its samples.
+    """
+
+    posture: float = 0.01
+    posture_rate: float = 0.01
+    still: float = 1e-6
+    reference: tuple[float, float, float] = (1e-5, 1e-4, 1e-2)
+    step: float = 1e-3
+    pieces: int = 4
+    longest: float = 600.0
+
+
+STANDARD = PreflightOptions()
 
 
 @dataclass(frozen=True)
@@ -52,26 +67,31 @@ class Check:
     required: bool = True
 
 
-def check_plan(plan: Plan, arm: ArmModel, bodies: Sequence[Body], full_speed_only: bool = False) -> list[Check]:
+def check_plan(
+    plan: Plan,
+    arm: ArmModel,
+    bodies: Sequence[Body],
+    full_speed_only: bool = False,
+    options: PreflightOptions = STANDARD,
+) -> list[Check]:
     """Checks that need no robot. The plan must have a joint motion.
 
     full_speed_only: whether a plan may be sent that does not keep its load at every speed.
     """
     assert plan.joint is not None
-    numbers = _numbers(plan, arm)
+    numbers = _numbers(plan, arm, options)
     if not numbers.ok:  # nothing can be computed from what is no number
         return [numbers]
-    motion = looked_at(plan.joint)
+    motion = looked_at(plan.joint, options)
     given = _object_motion(arm, bodies, motion)
     return [
         numbers,
         Check("plan", plan.ok, plan.verification.sentence if plan.ok else f"The plan is not safe: {_complaint(plan)}"),
-        _smooth(plan.joint, arm),
         *_arm(motion, arm, bodies, plan),
-        _reference(plan, given),
+        _reference(plan, given, options.reference),
         _verdict(plan, given),
         _speeds(plan, full_speed_only),
-        _rest(plan.joint),
+        _rest(plan.joint, options.still),
         Check(
             "feedback",
             plan.scenario.physics.feedback == "joints",
@@ -90,15 +110,15 @@ def check_plan(plan: Plan, arm: ArmModel, bodies: Sequence[Body], full_speed_onl
     ]
 
 
-def looked_at(joint: JointMotion) -> JointMotion:
+def looked_at(joint: JointMotion, options: PreflightOptions = STANDARD) -> JointMotion:
     """The motion with more samples, at which it is judged."""
-    pieces = np.maximum(LOOKS, np.ceil(np.diff(joint.t) / LOOK)).astype(int)
+    pieces = np.maximum(options.pieces, np.ceil(np.diff(joint.t) / options.step)).astype(int)
     parts = [np.linspace(a, b, n, endpoint=False) for a, b, n in zip(joint.t[:-1], joint.t[1:], pieces, strict=True)]
     t = np.concatenate([*parts, joint.t[-1:]])
     return JointMotion(t, *joint.sample(t))
 
 
-def _numbers(plan: Plan, arm: ArmModel) -> Check:
+def _numbers(plan: Plan, arm: ArmModel, options: PreflightOptions) -> Check:
     """Numbers everywhere, as many as the arm has joints, at times that increase from 0."""
     joint = plan.joint
     assert joint is not None
@@ -116,11 +136,11 @@ def _numbers(plan: Plan, arm: ArmModel) -> Check:
             return check(f"{name} holds {array[~np.isfinite(array)][0]} where a number must be")
     if joint.t[0] != 0 or not np.all(np.diff(joint.t) > 0):
         return check("joint_t does not increase from 0")
-    if not joint.duration + len(joint.t) * LOOK < LONGEST:
+    if not joint.duration + len(joint.t) * options.step < options.longest:
         return check(f"{len(joint.t)} samples over {joint.duration:.6g} s are more than can be judged")
     if not abs(plan.duration - joint.duration) < 1e-9:
         return check(f"it lasts {joint.duration:.6g} s and the object's motion {plan.duration:.6g} s")
-    samples = plan.reference.sample(looked_at(joint).t)
+    samples = plan.reference.sample(looked_at(joint, options).t)
     for name, array in vars(samples).items():
         if not np.all(np.isfinite(array)):
             return check(f"{name} of the object's motion holds what is no number")
@@ -133,24 +153,6 @@ def _complaint(plan: Plan) -> str:
     if not plan.verification.ok:
         return plan.verification.sentence
     return "" if plan.arm_status is None else plan.arm_status.sentence
-
-
-def _smooth(joint: JointMotion, arm: ArmModel) -> Check:
-    """Between samples that belong together the acceleration goes from one to the next nearly straight."""
-    peak = max(float(np.abs(joint.ddq).max()), 1e-3)
-    share = np.linspace(0, 1, LOOKS + 1)[1:-1]
-    off = []
-    for u in share:
-        bend = joint.sample(joint.t[:-1] + u * np.diff(joint.t))[2]
-        off.append(np.abs(bend - ((1 - u) * joint.ddq[:-1] + u * joint.ddq[1:])).max(axis=0))
-    worst = np.max(off, axis=0)
-    j = int(np.argmax(worst))
-    return Check(
-        "smoothness",
-        bool(worst[j] <= SMOOTH * peak),
-        f"Position, speed and acceleration of the samples agree to {worst[j]:.2g} rad/s^2 ({arm.joint_names[j]}); "
-        f"{SMOOTH * peak:.2g} are allowed.",
-    )
 
 
 def _arm(motion: JointMotion, arm: ArmModel, bodies: Sequence[Body], plan: Plan) -> list[Check]:
@@ -181,7 +183,7 @@ def _object_motion(arm: ArmModel, bodies: Sequence[Body], motion: JointMotion) -
     return tray_motion(arm, motion).of_frame(bodies[0].p_EB, bodies[0].R_EB)
 
 
-def _reference(plan: Plan, given: MotionSamples) -> Check:
+def _reference(plan: Plan, given: MotionSamples, allowed: tuple[float, float, float]) -> Check:
     """The reference that the controller is given is what the joints give."""
     wanted = plan.reference.sample(given.t)
     turn = log(np.swapaxes(given.R_SB, 1, 2) @ wanted.R_SB)
@@ -190,13 +192,13 @@ def _reference(plan: Plan, given: MotionSamples) -> Check:
         "m/s, rad/s": (given.v_S - wanted.v_S, given.omega_B - wanted.omega_B),
         "m/s^2, rad/s^2": (given.a_S - wanted.a_S, given.alpha_B - wanted.alpha_B),
     }
-    off = {unit: max(float(np.abs(x).max()) for x in pair) for unit, pair in differences.items()}
-    worst = max(off, key=lambda unit: off[unit] / AGREES[unit])
+    off = [max(float(np.abs(x).max()) for x in pair) for pair in differences.values()]
+    worst = int(np.argmax(np.divide(off, allowed)))
     return Check(
         "reference",
-        all(off[unit] <= AGREES[unit] for unit in off),
-        f"The object's motion in the plan and where its joints take it differ by {off[worst]:.2g} {worst}; "
-        f"{AGREES[worst]:g} are allowed.",
+        bool(np.all(np.less_equal(off, allowed))),
+        f"The object's motion in the plan and where its joints take it differ by {off[worst]:.2g} "
+        f"{list(differences)[worst]}; {allowed[worst]:g} are allowed.",
     )
 
 
@@ -258,16 +260,18 @@ def _stops(plan: Plan, arm: ArmModel) -> Check:
     return Check("stops", True, stops.sentence)
 
 
-def _rest(joint: JointMotion) -> Check:
+def _rest(joint: JointMotion, allowed: float) -> Check:
     still = max(float(np.abs(x[[0, -1]]).max()) for x in (joint.dq, joint.ddq))
     return Check(
         "rest",
-        bool(still <= STILL),
+        bool(still <= allowed),
         f"The motion starts and ends with a joint rate of {still:.1g} rad/s or rad/s^2; it must be at rest there.",
     )
 
 
-def check_posture(joint: JointMotion, arm: ArmModel, state: ArmState) -> list[Check]:
+def check_posture(
+    joint: JointMotion, arm: ArmModel, state: ArmState, options: PreflightOptions = STANDARD
+) -> list[Check]:
     """Whether the arm stands at the start of the motion, at rest."""
     start = joint.q[0]
     q, dq = state.q, state.dq
@@ -279,14 +283,14 @@ def check_posture(joint: JointMotion, arm: ArmModel, state: ArmState) -> list[Ch
     return [
         Check(
             "start posture",
-            bool(error[j] <= START_TOLERANCE),
+            bool(error[j] <= options.posture),
             f"{arm.joint_names[j]} is at {q[j]:.4f} {arm.unit(j)}, the motion starts at {start[j]:.4f} {arm.unit(j)}; "
-            f"{START_TOLERANCE:g} {arm.unit(j)} apart are allowed (--move-to-start takes the arm there, slowly).",
+            f"{options.posture:g} {arm.unit(j)} apart are allowed (--move-to-start takes the arm there, slowly).",
         ),
         Check(
             "at rest",
-            bool(abs(dq[k]) <= REST_TOLERANCE),
-            f"{arm.joint_names[k]} moves at {dq[k]:.4f} {rate}; {REST_TOLERANCE:g} {rate} are allowed.",
+            bool(abs(dq[k]) <= options.posture_rate),
+            f"{arm.joint_names[k]} moves at {dq[k]:.4f} {rate}; {options.posture_rate:g} {rate} are allowed.",
         ),
     ]
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from salver.auditing.recorded import sensor_of
-from salver.driver.mocap import GAP, REST, SLIP, Track
+from salver.driver.mocap import STANDARD, CaptureOptions, Track
 from salver.errors import Status
 from salver.geometry import Array, continuous, log, quat_wxyz_from_matrix
 from salver.wording import listed
@@ -22,12 +22,6 @@ if TYPE_CHECKING:
     from salver.trajectory import Reference
 
 HOLDS, SLIDES, CANNOT_TELL = "holds", "slides", "cannot_tell"
-FEWEST_AT_REST = 5  # samples
-STRAY = 0.25 * SLIP  # m; what markers may move at rest, if it is not their noise
-SURE = 4.5 * 2**0.5  # of a track's noise, by which hardly any sample of a run is off another track's: no slip
-FITS = 0.02  # m; how far the tray may be seen from where the joints put it
-FASTER = 3.0  # m/s more than the reference, and
-SPINNING = 30.0  # rad/s: what moves faster did not move, its markers were mixed up
 
 
 def judge(
@@ -37,16 +31,17 @@ def judge(
     carried: Sequence[Body],
     object_name: str,
     tray_name: str,
+    options: CaptureOptions = STANDARD,
 ) -> Status:
     """Judge merged tracks (`mocap.merge`), with the log's own p_SE beside them (arrays of `merged`)."""
     shift = float(merged["mocap_offset"])
     doubts = [
         f"{name}: {doubt}"
         for name in (object_name, tray_name)
-        for doubt in _doubts(tracks[name], shift, reference, merged["t"])
+        for doubt in _doubts(tracks[name], shift, reference, merged["t"], options)
     ]
     if not doubts:
-        doubts += _misfits(merged)
+        doubts += _misfits(merged, options.fits)
     if len(carried) > 1:
         others = ", ".join(body.name for body in carried if body.name != object_name)
         doubts.append(f"nothing is known of {others}")
@@ -55,52 +50,54 @@ def judge(
     during = merged["t"] >= 0
     moved = np.maximum(merged["slip"][during, 0], merged["lift"][during, 0])
     k = int(np.argmax(moved))
-    where = f"{1e3 * moved[k]:.2f} mm at t = {merged['t'][during][k]:.2f} s; {1e3 * SLIP:g} mm can be told from noise"
-    if moved[k] > SLIP:
+    where = f"{1e3 * moved[k]:.2f} mm at t = {merged['t'][during][k]:.2f} s"
+    where += f"; {1e3 * options.slip:g} mm can be told from noise"
+    if moved[k] > options.slip:
         return Status(SLIDES, f"{object_name} moved on its tray by up to {where}.", False)
     inner = [x.inside for x in carried if x.inner is not None and np.isfinite(x.inner.edge(x.inner.value))]
     first = f"Not judged: what {listed(inner)} did, which motion capture does not see. " if inner else ""
     return Status(HOLDS, f"{first}{object_name} kept its place on the tray, to {where}.", True)
 
 
-def _doubts(track: Track, shift: float, reference: Reference, t: Array) -> Iterator[str]:
+def _doubts(track: Track, shift: float, reference: Reference, t: Array, options: CaptureOptions) -> Iterator[str]:
     """Why a track cannot be relied on, each as a part of a sentence."""
     own, end = track.t - shift, float(t[-1])
+    rest, slip, sure = options.rest, options.slip, options.sure
     if not np.all(np.diff(own) > 0):
         yield "its clock does not go on evenly forwards"
         return
     if own[0] > end or own[-1] < 0:
         yield f"the clocks do not overlap: it was seen from {own[0]:.2f} to {own[-1]:.2f} s of the motion's time"
         return
-    first, last = max(0, int(np.searchsorted(own, -REST)) - 1), int(np.searchsorted(own, end)) + 1
+    first, last = max(0, int(np.searchsorted(own, -rest)) - 1), int(np.searchsorted(own, end)) + 1
     part = slice(first, last)
     seen, p, R = own[part], track.p[part], track.R[part]
-    resting = (seen >= -REST) & (seen <= 0)
-    noise = sensor_of(seen, p, continuous(quat_wxyz_from_matrix(R))).displacement if len(seen) > FEWEST_AT_REST else 0.0
-    allowed = max(STRAY, SURE * noise)
-    if SURE * noise > SLIP:
-        yield f"its noise of {1e3 * noise:.2g} mm hides a slip of {1e3 * SLIP:g} mm ({1e3 * SLIP / SURE:.2g} mm do not)"
-    if resting.sum() < FEWEST_AT_REST:
-        yield f"it was not seen at rest before the motion ({resting.sum()} samples in the {REST:g} s before)"
+    resting = (seen >= -rest) & (seen <= 0)
+    noise = sensor_of(seen, p, continuous(quat_wxyz_from_matrix(R))).displacement if len(seen) > options.fewest else 0.0
+    allowed = max(options.stray, sure * noise)
+    if sure * noise > slip:
+        yield f"its noise of {1e3 * noise:.2g} mm hides a slip of {1e3 * slip:g} mm ({1e3 * slip / sure:.2g} mm do not)"
+    if resting.sum() < options.fewest:
+        yield f"it was not seen at rest before the motion ({resting.sum()} samples in the {rest:g} s before)"
     elif (stray := float(np.linalg.norm(p[resting] - p[resting].mean(axis=0), axis=1).max())) > allowed:
         yield f"at rest before the motion it strays by {1e3 * stray:.1f} mm ({1e3 * allowed:.2g} mm are allowed)"
     if seen[-1] < end:
         yield f"it was not seen after t = {seen[-1]:.2f} s of {end:.2f} s"
     steps = np.diff(seen)
     k = int(np.argmax(steps)) if len(steps) else 0
-    if len(steps) and steps[k] > GAP:
+    if len(steps) and steps[k] > options.gap:
         yield f"it was not seen from {seen[k]:.2f} to {seen[k + 1]:.2f} s"
     if len(steps):
         top = float(np.linalg.norm(reference.sample(np.linspace(0, reference.duration, 201)).v_S, axis=1).max())
         speed = np.linalg.norm(np.diff(p, axis=0), axis=1) / steps
         turning = np.linalg.norm(log(np.swapaxes(R[:-1], 1, 2) @ R[1:]), axis=1) / steps
-        for values, most, unit in ((speed, top + FASTER, "m/s"), (turning, SPINNING, "rad/s")):
+        for values, most, unit in ((speed, top + options.faster, "m/s"), (turning, options.spinning, "rad/s")):
             k = int(np.argmax(values))
             if values[k] > most:
                 yield f"it jumps at t = {seen[k]:.2f} s ({values[k]:.1f} {unit})"
 
 
-def _misfits(merged: Mapping[str, Array]) -> Iterator[str]:
+def _misfits(merged: Mapping[str, Array], fits: float) -> Iterator[str]:
     """Whether the recording is of this run."""
     during = merged["t"] >= 0
     if not np.all(np.isfinite(merged["slip"][during])):
@@ -108,9 +105,9 @@ def _misfits(merged: Mapping[str, Array]) -> Iterator[str]:
         return
     off = 1e3 * np.linalg.norm(merged["tray_seen"] - merged["p_SE"], axis=1)[during]
     k = int(np.argmax(off))
-    if not off[k] <= 1e3 * FITS:
+    if not off[k] <= 1e3 * fits:
         yield (
             f"at t = {merged['t'][during][k]:.2f} s the tray is seen {off[k]:.0f} mm from where the joints put it "
-            f"({1e3 * FITS:g} mm are allowed): the clock or the world does not fit (--mocap-offset, --mocap-world), or "
+            f"({1e3 * fits:g} mm are allowed): the clock or the world does not fit (--mocap-offset, --mocap-world), or "
             "it is the recording of another run"
         )

@@ -19,7 +19,7 @@ from typing import Any, Literal
 import numpy as np
 
 from salver.control.arm import controller_for
-from salver.driver.live import NO_HURRY
+from salver.driver.live import STANDARD
 from salver.errors import MissingDependencyError, SalverError, ScenarioError
 from salver.geometry import Array, quat_wxyz_from_matrix
 from salver.live import Live, LiveCourse
@@ -135,7 +135,7 @@ class Carry(gymnasium.Env[Array, Array]):
                 t = STEP * np.arange(1, 11)
                 limits, q = self.arm.limits, self.plant.q
                 self._live.chunk(t, joints=np.clip(q + t[:, None] * self._wanted, limits.q_min, limits.q_max))
-            self._live.plan(NO_HURRY)  # time waits for it
+            self._live.plan(STANDARD.planning)  # time waits for it
         self._advance(STEP)
         lost, before, self._distance = any(self.plant.became(self.fallen)), self._distance, self._away()
         arrived = not lost and self._distance <= self.near and bool(np.abs(self.plant.dq).max() <= self.still)

@@ -7,6 +7,7 @@ robot and interface specifications; the same numbers in libfranka, include/frank
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -32,14 +33,28 @@ if TYPE_CHECKING:
 
 ARMS = ("panda", "fr3")  # whose models this driver knows
 PERIOD = 1e-3  # s
-COMMAND_RATE_SHARE = 0.999  # of the limit: the arm refuses what touches it
-LONGEST_STEP = 0.02  # s between two states on the way to the start; then the arm has given up by itself
 
 _KNOWN = KNOWN_ARMS["fr3"]
 FR3 = JointLimits(
     **{key: np.array(values) for key, values in _KNOWN.limits.items()},
     velocity_by_position=_KNOWN.velocity_by_position,
 )
+
+
+@dataclass(frozen=True)
+class FrankaOptions:
+    """Options of driving a Franka.
+
+    rate_share: of the limit of the torque's rate, below 1: the arm refuses what touches it.
+    longest_step: s between two states on the way to the start; after more the arm has given up by itself.
+    contact, collision: N m of each joint, and N and N m of the flange, from where on the arm reports a contact, and
+    stops by itself; well above what planned accelerations need.
+    """
+
+    rate_share: float = 0.999
+    longest_step: float = 0.02
+    contact: tuple[float, float] = (40.0, 60.0)
+    collision: tuple[float, float] = (60.0, 90.0)
 
 
 class FrankaRobot:
@@ -58,7 +73,13 @@ class FrankaRobot:
         return check_franka(plan, arm)
 
     def __init__(
-        self, address: str, arm: ArmModel, tray_mass: float, tray_inertia: Array, realtime: bool = True
+        self,
+        address: str,
+        arm: ArmModel,
+        tray_mass: float,
+        tray_inertia: Array,
+        realtime: bool = True,
+        options: FrankaOptions = FrankaOptions(),
     ) -> None:
         """Connect and tell the arm of the tray. Raises MissingDependencyError without pylibfranka, SalverError when the
         arm does not answer.
@@ -72,12 +93,12 @@ class FrankaRobot:
             com_F = arm.p_FE + arm.R_FE @ arm.tray_com_E
             inertia_F = arm.R_FE @ np.diag(tray_inertia) @ arm.R_FE.T
             self._robot.set_load(tray_mass, com_F.tolist(), inertia_F.ravel().tolist())
-            # Thresholds of a collision, N m and N: well above what the planned accelerations need.
-            self._robot.set_collision_behavior([40.0] * 7, [60.0] * 7, [60.0] * 6, [90.0] * 6)
+            (contact, push), (collision, hit) = options.contact, options.collision
+            self._robot.set_collision_behavior([contact] * 7, [collision] * 7, [push] * 6, [hit] * 6)
             self._model = self._robot.load_model()
         except RuntimeError as error:  # pylibfranka's exceptions are RuntimeErrors, not all of them FrankaExceptions
             raise _said(address, error) from None
-        self._address, self._arm = address, arm
+        self._address, self._arm, self._options = address, arm, options
         self._control: Any = None
         self._state: Any = None
 
@@ -94,7 +115,7 @@ class FrankaRobot:
 
     def start(self) -> None:
         # The arm bears itself and the tray; what is commanded beyond that begins at nothing.
-        rate = COMMAND_RATE_SHARE * self._arm.limits.torque_rate
+        rate = self._options.rate_share * self._arm.limits.torque_rate
         limit = self._arm.limits.torque
         self._gate = Gate(-limit, limit, rate, PERIOD, np.zeros(self._arm.n))
         self._differs = np.zeros(self._arm.n)
@@ -148,7 +169,7 @@ class FrankaRobot:
         t = 0.0
         while t < motion.duration:
             elapsed = float(control.readOnce()[1].to_sec())
-            if not 0 <= elapsed <= LONGEST_STEP:
+            if not 0 <= elapsed <= self._options.longest_step:
                 raise SalverError(f"The arm at {self._address} says that {elapsed:g} s passed between two states.")
             if signals.seen:
                 raise SalverError(f"{signals.wish(t)} The arm was stopped on its way to the start.")
