@@ -183,7 +183,7 @@ def test_the_curve_of_clearance_is_of_the_plan(tmp_path: Path) -> None:
 def test_obstacles_are_drawn_as_large_as_they_are(shape: dict, lengths: tuple, volume: float) -> None:
     """Turned by 90 degrees about x: what was along z is along -y. Round ones lose a little to their facets."""
     obstacle = scenario.Obstacle(name="it", position=(1, 2, 3), rpy_deg=(90, 0, 0), **shape)
-    (mesh,) = obstacle_meshes([obstacle], (1, 1, 1))
+    (mesh,) = obstacle_meshes([obstacle])
     assert mesh.vertices.max(axis=0) + mesh.vertices.min(axis=0) == pytest.approx([2, 4, 6], abs=1e-9)
     x, y, z = lengths
     assert np.ptp(mesh.vertices, axis=0) == pytest.approx([x, z, y], rel=0.02)

@@ -197,14 +197,14 @@ def _drawn(scenario: Scenario, near: Sequence[float] | None, arm_drawn: str) -> 
         trays = [(np.array(p) - R_SE @ first.p_EB, R_SE) for p, R_SE in zip(line, turns, strict=True)]
         joints = np.tile(IDENTITY, (2, 1, 1))
         found: Look = {"blocked": "", "posture": None, "arm": name}
-        corners, base = np.array(line), np.zeros(3)
+        reach = np.zeros((0, 3))
     else:
         problem = transport_problem(task.with_changes(motion__duration=None), passing=True)
         postures, blocked = _postures(problem, near)
         trays = [arm.tray_pose(q) for q in postures]
         joints = joint_poses(np.stack(postures), arm)
         found = {"blocked": blocked, "posture": postures[0].tolist(), "arm": name}
-        corners, base = np.vstack([line, joints[:, :, :3].reshape(-1, 3)]), arm.base_position
+        reach = np.vstack([arm.base_position, joints[:, :, :3].reshape(-1, 3)])
         red = [_touching(problem, q) for q in postures]
     scene["variants"] = [
         {**still(key, colour, bodies, tray, q, line), "red": touching}
@@ -213,7 +213,7 @@ def _drawn(scenario: Scenario, near: Sequence[float] | None, arm_drawn: str) -> 
     if found["arm"] == arm_drawn and arm_drawn:  # the page keeps the links, and looks from where it did
         del scene["meshes"]
     else:
-        scene |= viewpoint(corners, base, np.mean(line, axis=0), task.floor)
+        scene |= viewpoint([np.array(line)], reach, task)
     if scenario.legs:
         found["blocked"] = found["blocked"] or "This task has several legs; the studio shows the first of them."
     return {"scene": scene, **found}

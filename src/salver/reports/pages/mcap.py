@@ -25,7 +25,6 @@ from salver.reports.pages.replay import joint_poses, poses
 from salver.reports.run import read_leg, read_run
 from salver.reports.style import OBJECT_COLOURS, TRAY_COLOUR, rgb
 from salver.run_directory import leg_number, plan_verdict
-from salver.simulation.pictures.drawing import OBSTACLE_COLOUR
 
 TRIANGLE_LIST = 11  # of visualization_msgs/msg/Marker
 Row = tuple[str, str, int, dict[str, Any]]  # topic, type, ns, content
@@ -59,7 +58,7 @@ def write_mcap(directory: str | Path, path: str | Path, stem: str = "plan") -> P
     markers = [_marker("tray", "tray", _tray(scenario.tray), rgb(TRAY_COLOUR))]
     for k, body in enumerate(run.bodies):
         markers.append(_marker("load", body.name, _body(body), rgb(OBJECT_COLOURS[k % len(OBJECT_COLOURS)])))
-    for mesh in obstacle_meshes(scenario.obstacles, tuple(rgb(OBSTACLE_COLOUR))):  # type: ignore[arg-type]
+    for mesh in obstacle_meshes(scenario.obstacles):
         markers.append(_marker("obstacles", WORLD_FRAME, mesh.vertices[mesh.triangles], mesh.colour))
     if arm is not None:
         at = joint_poses(source["q"], arm)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +12,8 @@ import numpy as np
 from salver.geometry import Array
 from salver.models.shapes.obstacle_shapes import obstacle_shapes
 from salver.models.shapes.surfaces import Surface, surface
+from salver.reports.style import rgb
+from salver.simulation.pictures.drawing import OBSTACLE_COLOUR
 
 if TYPE_CHECKING:
     from salver.models.arm.arm import ArmModel
@@ -33,7 +35,7 @@ class LinkMesh:
     joint: int
     vertices: Array
     triangles: np.ndarray
-    colour: tuple[float, float, float]
+    colour: Sequence[float]
 
 
 def link_meshes(arm: ArmModel, target: int = TRIANGLES_PER_LINK) -> list[LinkMesh]:
@@ -61,13 +63,13 @@ def link_meshes(arm: ArmModel, target: int = TRIANGLES_PER_LINK) -> list[LinkMes
     return meshes
 
 
-def obstacle_meshes(obstacles: Iterable[Obstacle], colour: tuple[float, float, float]) -> list[LinkMesh]:
+def obstacle_meshes(obstacles: Iterable[Obstacle]) -> list[LinkMesh]:
     """Obstacles as they are compared with the arm, in the world."""
     meshes = []
     for obstacle in obstacles:
         pieces = [surface(shape, placement) for shape, placement in obstacle_shapes(obstacle)]
         vertices, triangles = decimate(*joined(pieces), TRIANGLES_PER_LINK)
-        meshes.append(LinkMesh(obstacle.name, 0, vertices, triangles, colour))
+        meshes.append(LinkMesh(obstacle.name, 0, vertices, triangles, rgb(OBSTACLE_COLOUR)))
     return meshes
 
 

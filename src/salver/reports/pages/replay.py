@@ -14,9 +14,8 @@ from salver.models.bodies import Body
 from salver.models.load_dynamics import BEYOND_COLOUR, EDGE_COLOUR, Drawn, LoadDynamics
 from salver.models.shapes import hulls
 from salver.models.uncertain.parameters import Parameter
-from salver.reports.pages.meshes import LinkMesh, decimate, link_meshes, obstacle_meshes, pack
+from salver.reports.pages.meshes import decimate, link_meshes, obstacle_meshes, pack
 from salver.reports.style import OBJECT_COLOURS, ROLE_COLOURS, TRAY_COLOUR, rgb
-from salver.simulation.pictures.drawing import OBSTACLE_COLOUR
 from salver.simulation.record import drawn_inside
 from salver.simulation.scene.elements import WALL_OPACITY
 from salver.simulation.scene.loads import true_world
@@ -35,7 +34,7 @@ def stage(
     flange_E = invert(arm.p_FE, arm.R_FE)[0] if arm else np.array([0.0, 0.0, -tray.height])
     return {
         "meshes": links,
-        "obstacles": [pack(mesh) for mesh in _obstacles(scenario)],
+        "obstacles": [pack(mesh) for mesh in obstacle_meshes(scenario.obstacles)],
         "joints": arm.n + 1 if arm else 1,
         "tray": {
             "size": list(tray.size),
@@ -70,13 +69,14 @@ def _post(tray: Tray, flange_E: Array) -> list[list[float]]:
 
 def replay_scene(run: ReportedRun, arm: ArmModel | None) -> dict[str, Any]:
     """Everything that the viewer draws, ready for JSON; arrays are float32 in base64, time first."""
-    variants = [_variant(motion, run, arm) for motion in run.motions]
+    variants, reach = [_variant(motion, run, arm) for motion in run.motions], np.zeros((0, 3))
+    if arm:
+        joints = [joint_poses(m.arrays["q"][:: max(1, len(m.t) // 8)], arm)[..., :3] for m in run.motions]
+        reach = np.vstack([arm.base_position, *(p.reshape(-1, 3) for p in joints)])
     return {
         **stage(run.scenario, run.bodies, arm, [pack(mesh) for mesh in link_meshes(arm)] if arm else []),
         "variants": variants,
-        "bounds": _bounds(run, arm),
-        "azimuth": _azimuth(run, arm),
-        "floor": _floor(run, arm),
+        **viewpoint([m.arrays["p_SB"] for m in run.motions], reach, run.scenario),
         "start": min(float(v["t"][0]) for v in variants),
         "duration": max(float(v["t"][-1]) for v in variants),
     }
@@ -113,21 +113,28 @@ def _at_rest(body: Body, inner: LoadDynamics, R_SE: Array) -> dict[str, Any]:
     return inside(inner.drawn(body, inner.value, inner.at_rest(inner.value, slope), None), np.array([0]))
 
 
-def viewpoint(corners: Array, base: Array, ahead: Array, floor: float | None) -> dict[str, Any]:
-    """Where a live page looks from: a box around points (n, 3), the floor, and an azimuth a little off the way from the
-    arm's base to a point ahead of it."""
-    low, high = corners.min(axis=0) - [0.2, 0.2, 0.0], corners.max(axis=0) + 0.2
-    out = ahead[:2] - base[:2]
+def viewpoint(paths: Sequence[Array], arm: Array, scenario: Scenario) -> dict[str, Any]:
+    """Where the camera looks from: the first path runs across the picture, the arm behind it, seen a little obliquely.
+
+    paths: of the load, (N, 3) m each. arm (K, 3): its base, and where its joints are seen; none without one. In the
+    picture are these, and as much of the obstacles as is within 0.3 m; the floor is a little below them where the
+    scenario has none.
+    """
+    points, base = np.vstack(paths), arm[0, :2] if len(arm) else paths[0][:, :2].mean(axis=0) - [1.0, 0.0]
+    low, high = np.vstack([points - 0.12, arm]).min(axis=0), np.vstack([points + 0.12, arm]).max(axis=0)
+    if scenario.obstacles:
+        corners = np.vstack([mesh.vertices for mesh in obstacle_meshes(scenario.obstacles)])
+        low = np.minimum(low, np.maximum(corners.min(axis=0), low - 0.3))
+        high = np.maximum(high, np.minimum(corners.max(axis=0), high + 0.3))
+    path = paths[0][:, :2]
+    along, outward = path[-1] - path[0], path.mean(axis=0) - base
+    across = np.array([-along[1], along[0]]) if np.linalg.norm(along) > 0.05 else outward
+    across = across if across @ outward >= 0 else -across
     return {
         "bounds": [low.tolist(), high.tolist()],
-        "floor": float(low[2]) - 0.3 if floor is None else floor,
-        "azimuth": float(np.arctan2(out[1], out[0])) + 0.6,
+        "floor": float(low[2]) - 0.3 if scenario.floor is None else scenario.floor,
+        "azimuth": float(np.arctan2(across[1], across[0])) + 0.45,  # rad
     }
-
-
-def _obstacles(scenario: Scenario) -> list[LinkMesh]:
-    red, green, blue = rgb(OBSTACLE_COLOUR)
-    return obstacle_meshes(scenario.obstacles, (red, green, blue))
 
 
 def _variant(motion: ReportedMotion, run: ReportedRun, arm: ArmModel | None) -> dict[str, Any]:
@@ -273,41 +280,6 @@ def _outline(body: Body, shape: object, colour: str) -> dict[str, Any]:
     if body.solid.surface is not None:
         points, triangles = decimate(*body.solid.surface, 3000)
     return {"points": np.round(points + offset, 6).tolist(), "triangles": triangles.tolist(), "colour": rgb(colour)}
-
-
-def _bounds(run: ReportedRun, arm: ArmModel | None) -> list[list[float]]:
-    """Corners of a box around the whole motion, m, for the camera."""
-    paths = [m.arrays["p_SB"] for m in run.motions]
-    points = np.vstack(paths)
-    low, high = points.min(axis=0) - 0.12, points.max(axis=0) + 0.12
-    if arm:
-        low = np.minimum(low, arm.base_position)
-        joints = np.vstack(
-            [joint_poses(m.arrays["q"][:: max(1, len(m.t) // 8)], arm)[..., :3].reshape(-1, 3) for m in run.motions]
-        )
-        low, high = np.minimum(low, joints.min(axis=0)), np.maximum(high, joints.max(axis=0))
-    around = [mesh.vertices for mesh in _obstacles(run.scenario)]
-    if around:  # as much of them as is within 0.3 m
-        corners = np.vstack(around)
-        low = np.minimum(low, np.maximum(corners.min(axis=0), low - 0.3))
-        high = np.maximum(high, np.minimum(corners.max(axis=0), high + 0.3))
-    return [low.tolist(), high.tolist()]
-
-
-def _floor(run: ReportedRun, arm: ArmModel | None) -> float:
-    """Height of the ground, m: the scenario's floor, or, where there is none, a little below all that is drawn."""
-    return _bounds(run, arm)[0][2] - 0.3 if run.scenario.floor is None else run.scenario.floor
-
-
-def _azimuth(run: ReportedRun, arm: ArmModel | None) -> float:
-    """Azimuth of the camera, rad: the motion runs across the picture, the arm behind it, seen a little obliquely."""
-    path = run.plan.arrays["p_SB"]
-    along = path[-1, :2] - path[0, :2]
-    base = arm.base_position[:2] if arm else path[:, :2].mean(axis=0) - [1.0, 0.0]
-    outward = path[:, :2].mean(axis=0) - base
-    across = np.array([-along[1], along[0]]) if np.linalg.norm(along) > 0.05 else outward
-    across = across if across @ outward >= 0 else -across
-    return float(np.arctan2(across[1], across[0])) + 0.45  # rad
 
 
 def _frames(t: Array) -> np.ndarray:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import shutil
 import subprocess
-import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import chain
@@ -151,32 +150,12 @@ def _pictures(scene: _Scene, times: np.ndarray, note: str, width: int, height: i
             for k in frames_at(record, times):
                 yield paint(int(k))
 
-    # One renderer at a time: two OpenGL contexts would have to take turns at every picture.
-    *before, last = records.values()
-    parts = [*(_spooled(film(record)) for record in before), film(last)]
-    for row in zip(*parts, strict=True):
+    for row in zip(*(film(record) for record in records.values()), strict=True):
         titles = [
             f"{f'{UNSAFE}, ' if verdicts[stem].startswith(UNSAFE) else ''}{LABELS.get(stem, stem)}: {found.outcome}"
             for stem, found in records.items()
         ]
         yield _side_by_side([_titled(p, t) for p, t in zip(row, titles, strict=True)])
-
-
-def _spooled(pictures: Iterator[np.ndarray]) -> Iterator[np.ndarray]:
-    """Pictures made at once and kept on disk, because a film does not fit into memory."""
-    first = next(pictures)
-    store = tempfile.TemporaryFile()  # noqa: SIM115  (closed by the reader below)
-    store.write(first.tobytes())
-    for picture in pictures:
-        store.write(picture.tobytes())
-    store.seek(0)
-
-    def again() -> Iterator[np.ndarray]:
-        with store:
-            while content := store.read(first.nbytes):
-                yield np.frombuffer(content, dtype=np.uint8).reshape(first.shape)
-
-    return again()
 
 
 def _titled(picture: np.ndarray, title: str) -> np.ndarray:

@@ -120,6 +120,7 @@ def painter(
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, resources)
 
         def paint(k: int) -> np.ndarray:
+            context.make_current()  # several may paint in turn
             _pose(scene, data, record, k)
             mujoco.mjv_updateScene(scene.model, data, option, None, camera, mujoco.mjtCatBit.mjCAT_ALL.value, drawn)
             _add_trail(drawn, path)
@@ -132,6 +133,7 @@ def painter(
             return image[::-1]
 
         yield paint
+        context.make_current()
         resources.free()
     finally:
         context.free()
