@@ -81,7 +81,7 @@ class Plant:
         R = np.array([matrix_from_quat_wxyz(qpos[i + 3 : i + 7]) for i in self.scene.qpos_ids])
         return (p - p_SE) @ R_SE, R_SE.T @ R
 
-    def became(self, fallen: float) -> list[str]:
+    def became(self, fallen: float = 0.175) -> list[str]:
         """Of each object: "" on the tray, "lost" off it or at no known place, "fallen" over by so many rad, "spilt"."""
         p, R = self.on_tray()
         words = []

@@ -27,9 +27,6 @@ from salver.playground.unprotected import Unprotected
 from salver.scenario import Scenario
 from salver.simulation.scene.engine import mujoco
 
-BEHIND = 0.05  # s behind the clock, from where on the world's clock is slowed instead of caught up
-FALLEN = float(np.deg2rad(10.0))  # tipped over by so much
-
 
 class World:
     """The world of a scenario; one thread steps it, others may speak to it."""
@@ -92,16 +89,19 @@ class World:
 
     # --- the loop
 
-    def paced(self) -> Generator[float]:
+    def paced(self, behind: float = 0.05) -> Generator[float]:
         """Advance as fast as the clock; slower where the machine does not keep up. Yields 30 times a second the share
-        of real time at which it runs; ends where the arm can no longer be controlled, which `note` then says."""
-        begun = now = due = time.perf_counter()
-        begun, pace, marks = begun - self.t, 1.0, [(now, self.t)]
+        of real time at which it runs; ends where the arm can no longer be controlled, which `note` then says.
+
+        behind: s behind the clock, from where on the world is slowed instead of catching up.
+        """
+        now = due = time.perf_counter()
+        begun, pace, marks = now - self.t, 1.0, [(now, self.t)]
         while True:
             now = time.perf_counter()
-            begun = max(begun, now - self.t - BEHIND)
+            begun = max(begun, now - self.t - behind)
             try:
-                while self.t <= now - begun and time.perf_counter() - now <= BEHIND:
+                while self.t <= now - begun and time.perf_counter() - now <= behind:
                     self.advance()
             except SalverError as error:
                 self.note = str(error)
@@ -274,7 +274,7 @@ class World:
     def _became(self) -> list[str]:
         """Of each object: nothing, or what became of it."""
         slid = np.linalg.norm((self.plant.on_tray()[0] - self._rest)[:, :2], axis=1) > 5e-3  # m
-        return [word or ("slid" if k else "") for word, k in zip(self.plant.became(FALLEN), slid, strict=True)]
+        return [word or ("slid" if k else "") for word, k in zip(self.plant.became(), slid, strict=True)]
 
     def friction_used(self) -> list[float]:
         """Of each object: tangential force on its feet over what friction holds on its support; 1 slides, infinite
