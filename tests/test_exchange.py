@@ -14,11 +14,10 @@ import pytest
 from salver.geometry import Array
 from salver.planning.trajopt import exchange
 from salver.planning.trajopt.constraints.constraints import UNSEEN, Block, Constraint
-from salver.planning.trajopt.constraints.obstacles import TOUCHES
 from salver.planning.trajopt.curves import FreeCurve, Grid
 from salver.planning.trajopt.ends import AtPosture
 from salver.planning.trajopt.evaluation import Indices, MotionEvaluation
-from salver.planning.trajopt.exchange import BINDING, SHORTEST, _between, _touched, optimise
+from salver.planning.trajopt.exchange import SHORTEST, ExchangeOptions, _between, optimise
 from salver.planning.trajopt.objectives import Point
 from salver.planning.trajopt.problem import TransportProblem
 from salver.planning.trajopt.spline import RestSpline, SplineMotion, min_jerk_blend
@@ -79,31 +78,10 @@ def test_what_hinders_a_shorter_time_is_what_depends_on_time_and_is_at_its_edge(
     def block(name: str, value: float, **more: Any) -> Block:
         return Block(name, np.full((3, 1), value), nothing, np.arange(3), (0.0, 0.0), **more)
 
-    near, far = -0.5 * BINDING, -1.5 * BINDING
+    near, far = -0.5 * ExchangeOptions.binding, -1.5 * ExchangeOptions.binding
     blocks = block("at", near), block("below", far), block("place", 0.0, scales=False), block("beyond", 0.5)
     slows = block("by T", near, scales=False, by_duration=np.ones((3, 1)))
     assert checked(*blocks, slows, s=np.linspace(0, 1, 3))[1] == ("at", "beyond", "by T")
-
-
-def test_a_rough_motion_is_looked_at_again_where_it_is_deepest_in_something() -> None:
-    """Of all that is watched; not where it only comes near, and where nothing is watched nowhere."""
-    s = np.linspace(0.0, 1.0, 9)
-    distances = np.full((9, 2), 0.05)
-    distances[[1, 2, 3], 0] = -0.01, -0.02, -0.01
-    distances[6, 1] = -0.5 * TOUCHES
-    distances[8, 1] = -2.0 * TOUCHES
-
-    def touched(required: int) -> list[float]:
-        keep_out = SimpleNamespace(required=np.zeros(required), distances=lambda q: distances)
-        grid = SimpleNamespace(s=s)
-        fine: Any = SimpleNamespace(
-            grid=grid, problem=SimpleNamespace(keep_out=keep_out), motion=lambda *_: np.zeros((1, 9, 1))
-        )
-        found: Any = SimpleNamespace(coefficients=None, duration=1.0)
-        return _touched(fine, found).tolist()
-
-    assert touched(2) == [s[2], s[8]]
-    assert touched(0) == []
 
 
 @dataclass(frozen=True)

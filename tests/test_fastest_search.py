@@ -11,8 +11,7 @@ import pytest
 from salver import scenario
 from salver.planning.fastest import FastestOptions, fastest, search, transport_problem
 from salver.planning.fastest.optimum import few_pieces
-from salver.planning.seeds.sides import past
-from salver.planning.seeds.starts import ends
+from salver.planning.seeds.starts import around, ends
 from salver.planning.trajopt.bound import least_duration
 from salver.planning.trajopt.curves import FreeCurve
 from salver.planning.trajopt.exchange import rough
@@ -22,10 +21,15 @@ from salver.planning.trajopt.watch import Watch
 def test_a_start_that_cannot_be_the_best_is_given_up_early_and_one_that_can_is_not(behind_a_post):
     problem = behind_a_post
     few, watch = few_pieces(FastestOptions()), Watch()
-    begin = past(problem, ends(problem, np.random.default_rng(0))[0])[0].motion(problem, few)
-    whole = rough(problem, FreeCurve, begin, 2, watch)
+    rng = np.random.default_rng(0)
+    way = around(problem, ends(problem, rng), rng)
+    assert way is not None
+    begin = way.motion(problem, few)
+    whole = rough(problem, FreeCurve, begin, 2, watch, 0.01)
     assert whole.iterate.violation < 1e-3
-    better, worse = (rough(problem, FreeCurve, begin, 2, watch, beat=x * whole.iterate.duration) for x in (0.7, 1.5))
+    better, worse = (
+        rough(problem, FreeCurve, begin, 2, watch, 0.01, beat=x * whole.iterate.duration) for x in (0.7, 1.5)
+    )
     assert better.iterations < whole.iterations
     assert better.iterate.duration > 0.7 * whole.iterate.duration
     assert worse.iterations == whole.iterations
@@ -55,7 +59,7 @@ def test_a_search_that_is_interrupted_says_so_and_keeps_what_it_has(behind_a_pos
 
 def test_a_search_that_finds_nothing_answers_with_a_straight_line_that_holds(behind_a_post):
     """Where the time is up before anything was found too; never with a line through something."""
-    cube = scenario.load("panda-cube").with_changes(motion__duration=None)
+    cube = scenario.load("panda-cube").with_changes(motion__duration=None, objects__0__friction=0.1)
     for problem, ok in ((transport_problem(cube), True), (behind_a_post, False)):
         found = fastest(problem, watch=Watch(time_limit=0.0))
         assert found.status.ok == ok
@@ -65,8 +69,7 @@ def test_a_search_that_finds_nothing_answers_with_a_straight_line_that_holds(beh
         q = found.sample(np.linspace(0, found.duration, 9))[0]
         along = (q - q[0]) @ (q[-1] - q[0]) / np.sum((q[-1] - q[0]) ** 2)
         assert ok == np.allclose(q, q[0] + along[:, None] * (q[-1] - q[0]), atol=1e-3)
-    assert "violates clearance, by " in found.status.sentence
-    assert " mm. The search" in found.status.sentence
+    assert "the best attempt violates " in found.status.sentence
 
 
 def test_every_step_of_every_part_of_a_search_is_counted(monkeypatch):

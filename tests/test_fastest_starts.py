@@ -14,7 +14,6 @@ from salver.models.arm.known_arms import KNOWN_ARMS, robot_file
 from salver.planning.fastest import FastestOptions, fastest, transport_problem
 from salver.planning.follow.clearance import EXACT, RESOLUTION
 from salver.planning.seeds.around import LEAN, STEP, FreeSpace, way_around
-from salver.planning.seeds.sides import DetourOptions, past
 from salver.planning.seeds.starts import (
     EndOptions,
     Ends,
@@ -144,25 +143,6 @@ def test_a_path_that_tips_the_load_off_is_not_open_and_nor_is_one_through_a_post
         lean = np.arccos(problem.arm.tray_pose(middle)[1][2, 2])
         assert lean == pytest.approx(share * np.arctan(friction), abs=0.01)
         assert open_to(bare, Start("nod", np.stack([pair.start, middle, pair.start]))) == is_open
-
-
-def test_paths_pass_a_post_over_it_and_on_the_near_side(behind_a_post):
-    """From end to end, hardly touching; it is 0.4 m tall, and a way over it twice as long as one before it."""
-    post = {**POST, "position": [0.55, -0.02, 0.2], "length": 0.4}
-    problem = transport_problem(behind_a_post.scenario.with_changes(obstacles=[post]))
-    pair = ends(problem, np.random.default_rng(0))[0]
-    least = {}
-    for start in past(problem, pair):
-        assert np.array_equal(start.postures[0], pair.start)
-        assert np.array_equal(start.postures[-1], pair.goal)
-        assert touches(problem, start) <= DetourOptions().deepest < touches(problem, straight(pair))
-        p = np.array([problem.arm.tray_pose(q)[0] for q in start.path(np.linspace(0, 1, 60))])
-        there = p[np.abs(p[:, 1] + 0.02).argmin()]
-        side = "over" if there[2] > 0.55 else "before" if there[0] < 0.5 else "through"
-        least[side] = min(start.least(problem), least.get(side, np.inf))
-    assert sorted(least) == ["before", "over"]
-    assert least["before"] < least["over"]
-    assert past(replace(problem, keep_out=None), pair) == []
 
 
 @pytest.mark.slow

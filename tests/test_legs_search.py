@@ -13,7 +13,7 @@ import pytest
 
 from salver.geometry import Array
 from salver.planning.fastest import FastestOptions, legs
-from salver.planning.fastest.legs import HALF, ROUGHS, _merit, chains, in_turn
+from salver.planning.fastest.legs import _merit, chains, in_turn
 from salver.planning.fastest.together import LegsCurve, LegsProgramme
 from salver.planning.seeds.starts import Ends
 from salver.planning.trajopt.constraints.constraints import Block, Constraint
@@ -77,7 +77,7 @@ def planned_in_turn(monkeypatch, begin: list[SplineMotion] | None, done: float, 
 
 
 def test_each_leg_begins_where_the_one_before_it_ended(monkeypatch) -> None:
-    asked = planned_in_turn(monkeypatch, None, HALF)
+    asked = planned_in_turn(monkeypatch, None, 0.5)
     assert asked[0][0].start == "start 0"
     assert [problem.start.q.tolist() for problem, *_ in asked[1:]] == [[1.0], [2.0]]
     assert [problem.goal for problem, *_ in asked] == ["goal 0", "goal 1", "goal 2"]
@@ -91,14 +91,14 @@ def test_along_a_motion_of_all_legs_each_keeps_the_ends_that_it_has_there(monkey
     begin = [SplineMotion(spline, a + (b - a) * u, 1.0) for a, b in ((0.1, 1.2), (1.2, 2.3), (2.3, 3.4))]
     for ok, count in (("yyy", 3), ("yny", 2), ("nyy", 1)):
         pairs.clear()
-        asked = planned_in_turn(monkeypatch, begin, ROUGHS, ok)
+        asked = planned_in_turn(monkeypatch, begin, 0.0, ok)
         assert len(asked) == count
         ends = [(0.1, 1.2), (1.2, 2.3), (2.3, 3.4)][:count]
         assert [(p.start.q.tolist(), p.goal.q.tolist()) for p, *_ in asked] == [([a], [b]) for a, b in ends]
         assert [(pair.start.tolist(), pair.goal.tolist()) for pair in pairs] == [([a], [b]) for a, b in ends]
 
 
-@pytest.mark.parametrize(("done", "until"), [(ROUGHS, HALF), (HALF, 1.0)])
+@pytest.mark.parametrize(("done", "until"), [(0.0, 0.5), (0.5, 1.0)])
 def test_the_legs_share_the_work_that_is_left_evenly(monkeypatch, done: float, until: float) -> None:
     """What is told of how far a search is goes on from one leg to the next."""
     told = []

@@ -11,13 +11,10 @@ import pytest
 
 from salver import scenario
 from salver.errors import Status
-from salver.geometry import Array
 from salver.models.arm.arm_limits import POSITION
 from salver.planning.fastest import FastestOptions, search, transport_problem
 from salver.planning.fastest.found import FastestMotion
 from salver.planning.fastest.optimum import few_pieces
-from salver.planning.seeds import sides
-from salver.planning.seeds.sides import DetourOptions, past
 from salver.planning.seeds.starts import (
     EndOptions,
     Ends,
@@ -38,12 +35,11 @@ from salver.planning.seeds.starts import (
 )
 from salver.planning.trajopt.constraints.obstacles import ENOUGH_AT_ENDS, KeepOut
 from salver.planning.trajopt.ends import AtPose, AtPosture
-from salver.planning.trajopt.exchange import ROUGH_GAIN
 from salver.planning.trajopt.problem import TransportProblem
 from salver.planning.trajopt.spline import RestSpline
 from salver.planning.trajopt.watch import Watch
 
-SOUGHT, PAST = EndOptions(), DetourOptions()
+SOUGHT = EndOptions()
 
 
 @pytest.fixture(scope="module")
@@ -172,43 +168,6 @@ def test_a_posture_that_is_slid_free_has_the_room_that_an_end_needs(behind_a_pos
 # Past what stands in the way ------------------------------------------------------------------------------------
 
 
-def moved(problem: TransportProblem, pair: Ends) -> tuple[Array, Array, list[list[Array]]]:
-    """The middle of the straight path, which way the tray goes, and the postures to each side."""
-    q = straight(pair).path(np.array([0.5]))[0]
-    p_0, p_1 = (problem.arm.tray_pose(x)[0] for x in (pair.start, pair.goal))
-    return q, p_1 - p_0, [list(postures) for postures in sides._moved(problem, pair, q, PAST)]
-
-
-def test_the_tray_is_moved_across_its_way_to_eight_sides_step_by_step(behind_a_post, pair) -> None:
-    q, along, found = moved(behind_a_post, pair)
-    arm, (p, _) = behind_a_post.arm, behind_a_post.arm.tray_pose(q)
-    away = [np.array([arm.tray_pose(x)[0] - p for x in postures]) for postures in found[: PAST.sides]]
-    directions = np.array([way[0] for way in away if len(way)]) / PAST.step
-    assert len(directions) >= 6
-    assert np.abs(directions @ along).max() < 1e-4
-    assert np.linalg.norm(directions, axis=1) == pytest.approx(1.0, abs=1e-4)
-    nearest = [np.sort(directions @ x)[-2] for x in directions]
-    assert np.max(nearest) == pytest.approx(np.sqrt(0.5), abs=1e-3)  # 45 degrees apart
-    for way in away:
-        assert np.linalg.norm(way, axis=1) == pytest.approx(PAST.step * np.arange(1, len(way) + 1), abs=1e-4)
-    assert max(len(way) for way in away) == round(PAST.furthest / PAST.step)
-    for postures in found[: PAST.sides]:
-        assert all(arm.tray_pose(x)[1][2, 2] > 1 - 1e-6 for x in postures)
-
-
-def test_a_path_past_something_is_moved_as_far_as_was_looked_and_no_further(behind_a_post, pair) -> None:
-    """Beside the straight one by what was found there, wherever that is the most."""
-    arm, u = behind_a_post.arm, np.linspace(0, 1, 61)
-    line = np.array([arm.tray_pose(q)[0] for q in straight(pair).path(u)])
-    found = past(behind_a_post, pair)
-    assert found
-    for start in found:
-        p = np.array([arm.tray_pose(q)[0] for q in start.postures])
-        far = np.linalg.norm(p[:, None] - line, axis=2).min(axis=1)
-        assert far.max() < PAST.furthest + 0.05
-        assert far[[0, -1]].max() < 1e-9
-
-
 # Which of them are begun, and how long ---------------------------------------------------------------------------
 
 
@@ -226,8 +185,8 @@ def searching(problem: TransportProblem, **options: Any) -> search._Search:
 def test_another_start_has_to_be_a_hundredth_shorter_than_those_that_are_refined(plain) -> None:
     one = searching(plain, starts=2)
     roughs = [(plain, a_rough(x, y)) for x, y in ((1.5, 0.0), (0.7, 0.1), (1.0, 0.0), (1.2, 0.0))]
-    assert one._beat(roughs) == pytest.approx((1 - ROUGH_GAIN) * 1.2)  # what breaks a row does not count
-    assert one._beat(roughs[:3]) == pytest.approx((1 - ROUGH_GAIN) * 1.5)
+    assert one._beat(roughs) == pytest.approx((1 - FastestOptions.rough_gain) * 1.2)  # what breaks a row does not count
+    assert one._beat(roughs[:3]) == pytest.approx((1 - FastestOptions.rough_gain) * 1.5)
     assert one._beat(roughs[:2]) == np.inf
 
 
@@ -239,13 +198,15 @@ def test_a_path_promises_the_less_the_deeper_it_is_in_something(behind_a_post, p
     assert search._promise((free, line)) == pytest.approx(line.least(free))
 
 
-def test_where_a_straight_path_is_blocked_paths_past_and_at_last_ways_around_are_begun(behind_a_post, pair) -> None:
+def test_where_a_straight_path_is_blocked_ways_around_and_straight_paths_are_begun(behind_a_post, pair) -> None:
     """Each from a start to a goal."""
     one = searching(behind_a_post, ways=1)
     one.pairs = [pair]
     begun = one._first()
-    assert {"straight path of the joints", "path past what is in the way"} <= {start.name for _, start in begun}
-    promises = [search._promise(begin) for begin in begun]
+    names = [start.name for _, start in begun]
+    assert names[0] == "way around"
+    assert "straight path of the joints" in names
+    promises = [search._promise(begin) for begin in begun[names.count("way around") :]]
     assert promises == sorted(promises)
     way = next(one._further())
     assert way[1].name == "way around"
@@ -254,14 +215,11 @@ def test_where_a_straight_path_is_blocked_paths_past_and_at_last_ways_around_are
         assert np.abs(problem.goal.residual(problem.arm, start.postures[-1])[0]).max() < 1e-6
 
 
-def test_where_few_paths_lead_past_what_is_in_the_way_the_shortest_ways_around_come_first(
-    behind_a_post, pair, monkeypatch
-) -> None:
+def test_the_shortest_ways_around_come_first(behind_a_post, pair, monkeypatch) -> None:
     """Of three times as many as are wanted."""
     one, lengths = searching(behind_a_post, ways=1), iter((0.3, 0.0, 0.2))
     one.pairs = [pair]
     aside = np.linspace(0.0, 1.0, 7)
-    monkeypatch.setattr(search, "past", lambda *_: [])
     monkeypatch.setattr(
         search, "around", lambda *_: Start("way", np.stack([pair.start, pair.goal + next(lengths) * aside, pair.goal]))
     )

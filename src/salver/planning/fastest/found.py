@@ -25,6 +25,8 @@ class FastestOptions:
     way, the shortest of thrice as many. starts: local optima refined, of which the best is taken. Doubling any of these
     three at most doubles the work; a hard task may gain by it. patience: rough optima in turn, for each of `starts`,
     that are no shorter than what was found, after which the others are left out.
+    rough_gain: relative shortening below which a rough optimum is good enough, and by which another must promise to be
+    shorter. mendable: violation of a rough optimum that more pieces may mend; doubled, worse ones are refined.
     iterations: of each optimum at most, as a multiple of the usual 60, and of the 25 of a rough one. seed: of all that
     is random. time_limit: s, None for none: then no clock decides anything.
     """
@@ -35,6 +37,8 @@ class FastestOptions:
     ways: int = 2
     starts: int = 1
     patience: int = 6
+    rough_gain: float = 1e-2
+    mendable: float = 1e-2
     iterations: float = 1.0
     seed: int = 0
     time_limit: float | None = None

@@ -18,7 +18,6 @@ from salver.geometry import Array, quat_wxyz_from_matrix
 from salver.planning.fastest.found import FastestOptions, object_motion
 from salver.planning.fastest.optimum import few_pieces, refitted
 from salver.planning.fastest.planned import plan_problem
-from salver.planning.fastest.search import NEARLY
 from salver.planning.fastest.together import together
 from salver.planning.plan import Plan
 from salver.planning.plan_files import begun_at
@@ -29,8 +28,6 @@ from salver.planning.trajopt.problem import TransportProblem, transport_problem
 from salver.planning.trajopt.spline import SplineMotion
 from salver.planning.trajopt.watch import WHY, Watch
 from salver.scenario import Scenario
-
-ROUGHS, HALF = 0.2, 0.6  # share of the work that rough optima are, about, and that and legs along the best of them
 
 
 def plan_legs(scenario: Scenario, *, options: FastestOptions | None = None, watch: Watch | None = None) -> MultiLegPlan:
@@ -51,7 +48,7 @@ def plan_legs(scenario: Scenario, *, options: FastestOptions | None = None, watc
     legs: list[Plan] = []
     for begin in _begins(problems, options, watch):
         try:
-            found = in_turn(problems, begin, options, watch, ROUGHS if begin is not None else HALF)
+            found = in_turn(problems, begin, options, watch, 0.0 if begin is not None else 0.5)
         except UnreachableError:
             if not legs or _merit(legs, problems)[0]:
                 raise
@@ -73,13 +70,13 @@ def _begins(
     it ends, which no rough optimum of all may have led to."""
     roughs: list[tuple[bool, float, list[SplineMotion]]] = []
     few, rng = few_pieces(options), np.random.default_rng(options.seed)
-    tried = chains(problems, rng)[: options.pairs]
-    for chain in tried:
+    for chain in chains(problems, rng)[: options.pairs]:
         each = [between(p, Ends(q[0], q[-1], 0.0, True)) for p, q in zip(problems, chain, strict=True)]
         begin = [Start("straight", q).motion(problem, few) for problem, q in zip(each, chain, strict=True)]
-        found, violation = together(each, begin, options.nodes_per_span, watch, options.most_roughly)
-        roughs.append((violation >= NEARLY, sum(motion.duration for motion in found), found))
-        watch.share = ROUGHS * len(roughs) / len(tried)
+        found, violation = together(
+            each, begin, options.nodes_per_span, watch, options.rough_gain, options.most_roughly
+        )
+        roughs.append((violation >= options.mendable, sum(motion.duration for motion in found), found))
         if watch.over():
             break
     roughs.sort(key=lambda rough: rough[:2])
@@ -117,12 +114,12 @@ def in_turn(
     begin: list[SplineMotion] | None,
     options: FastestOptions,
     watch: Watch,
-    done: float = HALF,
+    done: float = 0.5,
 ) -> list[Plan]:
     """Plans of the legs, each from the posture in which the one before it ends; to that in which its motion of `begin`
     does, if there are any: then no further than to the first leg that is not safe.
 
-    done: share of the work before it.
+    done: share of the work before it, of which this is half.
     """
     legs: list[Plan] = []
     for k, problem in enumerate(problems):
@@ -134,7 +131,7 @@ def in_turn(
             q = near.coefficients
             problem = between(replace(problem, goal=AtPosture(q[-1])), Ends(q[0], q[-1], 0.0, True))
             problem = replace(problem, start=AtPosture(q[0]))
-        part = watch.part(done + (1 - HALF) * k / len(problems), (1 - HALF) / len(problems))
+        part = watch.part(done + 0.5 * k / len(problems), 0.5 / len(problems))
         legs.append(plan_problem(problem, options=options, watch=part, near=near))
         if begin is not None and not legs[-1].ok and not watch.ended:
             break

@@ -18,7 +18,6 @@ from salver.geometry import Array
 from salver.planning.fastest.found import FastestMotion, FastestOptions
 from salver.planning.fastest.optimum import DEGREE, NEAR, REFINED, few_pieces, optimum, refitted
 from salver.planning.seeds.blocked import why_blocked, why_touching, why_unreached
-from salver.planning.seeds.sides import past
 from salver.planning.seeds.starts import (
     ALONG,
     Ends,
@@ -32,14 +31,12 @@ from salver.planning.seeds.starts import (
     tray_line,
 )
 from salver.planning.trajopt.curves import FreeCurve
-from salver.planning.trajopt.exchange import ROUGH_GAIN, rough
+from salver.planning.trajopt.exchange import rough
 from salver.planning.trajopt.problem import TransportProblem
 from salver.planning.trajopt.programme import Iterate
 from salver.planning.trajopt.spline import RestSpline, SplineMotion
 from salver.planning.trajopt.sqp import SqpSolution
 from salver.planning.trajopt.watch import WHY, Watch
-
-NEARLY = 1e-2  # violation of a rough optimum that more pieces may mend
 
 
 def fastest(
@@ -100,8 +97,8 @@ class _Search:
         best: FastestMotion | None = None
         begun = 0
         while True:
-            roughs.sort(key=_merit)
-            hopeful = bool(roughs) and roughs[0][1].iterate.violation < NEARLY
+            roughs.sort(key=self._merit)
+            hopeful = bool(roughs) and roughs[0][1].iterate.violation < self.options.mendable
             safe = best is not None and best.status.ok
             more = None if hopeful or safe or self.watch.over() else next(further, None)
             if more is not None:
@@ -166,9 +163,11 @@ class _Search:
 
     def _beat(self, roughs: list[Rough]) -> float:
         """Duration, s, below which another rough optimum is refined."""
-        hopeful = sorted(found.iterate.duration for _, found in roughs if found.iterate.violation < NEARLY)
+        hopeful = sorted(
+            found.iterate.duration for _, found in roughs if found.iterate.violation < self.options.mendable
+        )
         enough = self.options.starts
-        return (1 - ROUGH_GAIN) * hopeful[enough - 1] if len(hopeful) >= enough else np.inf
+        return (1 - self.options.rough_gain) * hopeful[enough - 1] if len(hopeful) >= enough else np.inf
 
     def _new(self, begins: Iterable[Begin]) -> Iterator[Begin]:
         """Those along paths not tried before: where nothing is in the way, a way around is the straight path."""
@@ -179,22 +178,19 @@ class _Search:
                 yield problem, start
 
     def _first(self) -> list[Begin]:
-        """Straight paths between the most promising ends; where those cannot be gone along, straight ones between
-        others and what passes on either side, the most promising first. Ways around come before these where a pair of
-        ends has few such paths: there they are often the shortest."""
+        """Straight paths between the most promising ends; where those cannot be gone along, the shortest ways around,
+        and then straight paths between these and other ends, the most promising first."""
         count = self.options.first(self.problem)
         lines = [(between(self.problem, pair), straight(pair)) for pair in self.pairs]
         free = [open_to(problem, line) for problem, line in lines[:count]]
         if all(free):
             return lines[:count]
         free += [open_to(problem, line) for problem, line in lines[count:]]
-        found, few = [line for line, is_free in zip(lines, free, strict=True) if is_free], False
+        found = [line for line, is_free in zip(lines, free, strict=True) if is_free]
         for pair, (problem, line), is_free in zip(self.pairs[: 2 * count], lines, free, strict=False):
             if not is_free:
-                beside = past(problem, pair)
-                few |= len(beside) < 3  # of eight sides
-                found += [(problem, path) for path in (line, tray_line(problem, pair), *beside) if path is not None]
-        return [*(self._ways() if few else []), *sorted(found, key=_promise)]
+                found += [(problem, path) for path in (line, tray_line(problem, pair)) if path is not None]
+        return [*self._ways(), *sorted(found, key=_promise)]
 
     def _ways(self) -> list[Begin]:
         """The shortest of thrice as many random ways around, from any start to any goal that is known, with the problem
@@ -222,8 +218,8 @@ class _Search:
     def _rough(self, problem: TransportProblem, start: Start, beat: float = np.inf) -> Rough:
         """A first optimum with few spline pieces, from a comfortable duration."""
         self.watch.trying = start.name
-        begin, per_span, most = start.motion(problem, self._few), self.options.nodes_per_span, self.options.most_roughly
-        found = rough(problem, FreeCurve, begin, per_span, self.watch, iterations=most, beat=beat)
+        begin, o = start.motion(problem, self._few), self.options
+        found = rough(problem, FreeCurve, begin, o.nodes_per_span, self.watch, o.rough_gain, o.most_roughly, beat)
         self.iterations += found.iterations
         return problem, found
 
@@ -238,6 +234,9 @@ class _Search:
         self.iterations += best.iterations
         return best
 
+    def _merit(self, found: Rough) -> tuple[bool, float]:
+        return found[1].iterate.violation >= self.options.mendable, found[1].iterate.duration
+
     @property
     def _few(self) -> RestSpline:
         return few_pieces(self.options)
@@ -247,10 +246,6 @@ def _promise(begin: Begin) -> float:
     """About how long a motion from there may take, s: longer, the deeper the path is in something."""
     problem, start = begin
     return start.least(problem) * (1 + 8.0 * touches(problem, start))  # 1/m: by 8 % for each centimetre
-
-
-def _merit(found: Rough) -> tuple[bool, float]:
-    return found[1].iterate.violation >= NEARLY, found[1].iterate.duration
 
 
 def _ended(status: Status, watch: Watch) -> Status:

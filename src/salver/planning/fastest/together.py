@@ -18,7 +18,7 @@ from salver.planning.trajopt.constraints.constraints import Block, Constraint, e
 from salver.planning.trajopt.curves import ORDERS, Grid, end_equalities, with_ends
 from salver.planning.trajopt.ends import End
 from salver.planning.trajopt.evaluation import MotionEvaluation
-from salver.planning.trajopt.exchange import ROUGH_GAIN, SHORTEST
+from salver.planning.trajopt.exchange import SHORTEST
 from salver.planning.trajopt.objectives import Point
 from salver.planning.trajopt.problem import TransportProblem
 from salver.planning.trajopt.programme import Iterate, Programme
@@ -175,11 +175,12 @@ def together(
     begin: Sequence[SplineMotion],
     nodes_per_span: int,
     watch: Watch,
+    gain: float,
     iterations: int = 25,
 ) -> tuple[list[SplineMotion], float]:
     """A first optimum of all legs, unchecked between nodes and without inner dynamics, and its largest violation.
 
-    begin: a motion of each leg, of one spline, each from where the one before it ends.
+    begin: a motion of each leg, of one spline, each from where the one before it ends. gain: as of `optimise`.
     """
     rough, spline = tuple(problem.roughly for problem in problems), begin[0].spline
     times = np.array([motion.duration for motion in begin])
@@ -194,7 +195,7 @@ def together(
     ]
     programme = LegsProgramme(curve, (), SHORTEST, tuple(each))
     start = programme.begin(coefficients, float(times.sum()))
-    found = minimise(programme, start, SqpOptions(iterations, watch, gain=ROUGH_GAIN), Trust()).iterate
+    found = minimise(programme, start, SqpOptions(iterations, watch, gain=gain), Trust()).iterate
     durations = curve.durations(found.coefficients, found.duration)
     motions = [SplineMotion(spline, found.coefficients[curve.rows(k)], float(t)) for k, t in enumerate(durations)]
     return motions, found.violation

@@ -13,19 +13,15 @@ import numpy as np
 from salver.errors import Status
 from salver.geometry import Array, Indices
 from salver.planning.trajopt.constraints.constraints import Constraint, evaluate, violated
-from salver.planning.trajopt.constraints.obstacles import TOUCHES
 from salver.planning.trajopt.curves import Curve, Grid, united
 from salver.planning.trajopt.evaluation import MotionEvaluation
 from salver.planning.trajopt.objectives import Duration, Objective, Point, Scalar
 from salver.planning.trajopt.problem import TransportProblem, with_missed_cases
-from salver.planning.trajopt.programme import Iterate, Programme
+from salver.planning.trajopt.programme import Programme
 from salver.planning.trajopt.spline import SplineMotion
 from salver.planning.trajopt.sqp import SqpOptions, SqpSolution, minimise
 from salver.planning.trajopt.trust import Trust
 from salver.planning.trajopt.watch import Watch
-
-ROUGH_GAIN = 1e-2  # relative shortening below which a rough optimum is good enough
-BINDING = 0.02  # rows nearer than this to their edge, in their unit, bind
 
 SHORTEST = Duration()
 
@@ -45,6 +41,7 @@ class ExchangeOptions:
     not repaired.
     left: violation that is left to a repair: what the nodes keep from the edge and the check does not.
     excess: what is broken by less is left to a slightly longer duration; doubled, fewer rounds and longer motions.
+    binding: rows nearer than this to their edge are said to hinder a shorter time; doubled, more are named.
     """
 
     rounds: int = 6
@@ -56,6 +53,7 @@ class ExchangeOptions:
     hopeless_at_nodes: float = 1e-2
     left: float = 9e-4
     excess: float = 2e-3
+    binding: float = 0.02
 
     @classmethod
     def of(cls, problem: TransportProblem) -> ExchangeOptions:
@@ -192,52 +190,17 @@ def rough(
     start: SplineMotion,
     nodes_per_span: int,
     watch: Watch,
-    damping: float = 1.0,
+    gain: float,
     iterations: int = 25,
     beat: float = np.inf,
 ) -> SqpSolution:
-    """A rough optimum with few pieces: an initial guess for one with more. Between its nodes only what touches is
-    checked: a thin obstacle would fit between two of them.
+    """A rough optimum with few pieces, unchecked between its nodes: an initial guess for one with more.
 
-    beat: s; given up where it will hardly be shorter than this. Nodes that are added only make it longer.
+    gain: as of `optimise`. beat: s; given up where it will hardly be shorter than this.
     """
-    nodes, at, done, how = start.spline.nodes(nodes_per_span), start, 0, ExchangeOptions()
-    for exchange in range(3):
-        programme = programme_of(problem.roughly, curve_of, at, nodes, points=1)
-        begun = programme.begin(at.coefficients, at.duration)
-        first = begun if exchange else hastened(programme, begun)
-        trust = Trust(damping if first is begun else min(damping, 0.03))  # hastened, it has far to go: long steps
-        solution = minimise(programme, first, SqpOptions(iterations, watch, gain=ROUGH_GAIN, beat=beat), trust)
-        done += solution.iterations
-        touched = _touched(curve_of(problem, Grid.of(start.spline, nodes, 4)), solution.iterate)
-        beaten = solution.iterate.duration > beat
-        if beaten or solution.iterate.violation > how.hopeless_at_nodes or not len(touched) or watch.over():
-            break
-        nodes, damping, iterations = united(nodes, touched), how.repair, min(iterations, how.repairs)
-        at = SplineMotion(start.spline, solution.iterate.coefficients, solution.iterate.duration)
-    return replace(solution, iterations=done)
-
-
-def _touched(fine: Curve, found: Iterate) -> Array:
-    """s (N,) on a fine grid at which a motion is deepest in something, of all pairs that are watched."""
-    keep_out = fine.problem.keep_out
-    if keep_out is None or not len(keep_out.required):
-        return np.zeros(0)
-    nearest = keep_out.distances(fine.motion(found.coefficients, found.duration)[0]).min(axis=1)
-    padded = np.pad(nearest, 1, constant_values=np.inf)
-    least = (nearest <= padded[:-2]) & (nearest <= padded[2:])
-    return np.asarray(fine.grid.s[least & (nearest < -TOUCHES)])
-
-
-def hastened(programme: Programme, begun: Iterate) -> Iterate:
-    """The path in less time, by at most a fifth in an iteration, as long as no constraint that depends on time comes
-    near its boundary."""
-    while True:
-        point = replace(begun.point, duration=0.8 * begun.duration)
-        shorter = programme.at(point)
-        if any(block.by_time and block.values.max() > 0 for block in shorter.blocks):
-            return begun
-        begun = shorter
+    programme = programme_of(problem.roughly, curve_of, start, start.spline.nodes(nodes_per_span), points=1)
+    begun = programme.begin(start.coefficients, start.duration)
+    return minimise(programme, begun, SqpOptions(iterations, watch, gain=gain, beat=beat))
 
 
 def reached(sought: str, duration: float) -> Status:
@@ -302,5 +265,5 @@ def _between(
         if block.following is not None:
             marked[block.points[index + 1]] = True
     slower = max(0.0, *(block.slows * largest[block.name] for block in blocks))
-    binding = tuple(dict.fromkeys(b.name for b in blocks if b.by_time and largest[b.name] > -BINDING))
+    binding = tuple(dict.fromkeys(b.name for b in blocks if b.by_time and largest[b.name] > -ExchangeOptions.binding))
     return largest, binding, slower, np.flatnonzero(marked)
