@@ -9,7 +9,7 @@ DOCS   := $(VENV)/.docs-ready
 OUT    ?= out/demo
 SOURCES = src tests $(wildcard benchmarks examples docs tools ros2)
 
-.PHONY: help setup demo test quick mutate fuzz lint format types layers check bench scenario-table pages notebooks docs dist lock clean
+.PHONY: help setup demo test quick mutate fuzz lint format types layers check bench scenario-table pages notebooks docs dist release lock clean
 
 help:
 	@echo "make demo    the paper's experiment and a tall bottle, planned, checked and simulated; pages and figures in $(OUT)"
@@ -24,6 +24,7 @@ help:
 	@echo "make notebooks   run the notebooks and keep them with their outputs"
 	@echo "make docs    build the documentation into site/"
 	@echo "make dist    build wheel and sdist into dist/, the same bytes each time"
+	@echo "make release is HEAD tagged as its version, and does the wheel do what the README says? PYTHONS=\"python3.11 python3.13\""
 	@echo "make lock    resolve the dependencies again"
 	@echo "make clean   remove what was built (the virtual environment too)"
 
@@ -98,8 +99,10 @@ docs: $(DOCS)
 	@! grep -rnoE '<(script|link|img|iframe)[^>]*(src|href)="?(https?:)?//[^ >]*' site --include='*.html' | grep -v 'rel="canonical"' || { echo 'the site would ask other servers' >&2; exit 1; }
 	@echo "Open site/index.html"
 
-dist: $(READY)
-	SOURCE_DATE_EPOCH=$$(git log -1 --format=%ct) $(BIN)/python tools/dist.py
+PYTHONS ?= $(PYTHON)
+
+dist release: $(READY)
+	SOURCE_DATE_EPOCH=$$(git log -1 --format=%ct) $(BIN)/python tools/dist.py $(if $(filter release,$@),--release $(PYTHONS))
 
 LOCK = $(BIN)/uv pip compile --universal --python-version 3.11 --generate-hashes --no-emit-index-url \
   --no-emit-find-links --custom-compile-command "make lock" --quiet

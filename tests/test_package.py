@@ -71,3 +71,27 @@ def test_the_pythons_it_names_are_the_pythons_it_takes():
     minor = range(int(low.split(".")[1]), int(high.split(".")[1]))
     assert named == {f"3.{k}" for k in minor}
     assert f"({low.replace('.', ', ')}) <= sys.version_info" in (ROOT / "Makefile").read_text(encoding="utf-8")
+
+
+def test_a_release_is_a_clean_checkout_at_the_tag_of_its_version(tmp_path):
+    def git(*words):
+        subprocess.run(["git", "-C", tmp_path, "-c", "user.name=a", "-c", "user.email=a@b", *words], check=True)
+
+    wheel = Path("salver-0.1.0-py3-none-any.whl")
+    git("init", "-q")
+    (tmp_path / "file").write_text("1")
+    git("add", "file")
+    git("commit", "-q", "-m", "first")
+    assert "a release is at the tag of its version, v0.1.0." in dist.untagged(tmp_path, wheel)
+    git("tag", "v0.1.0")
+    assert dist.untagged(tmp_path, wheel) == ""
+    assert "The checkout is v0.1.0;" in dist.untagged(tmp_path, Path("salver-0.2.0-py3-none-any.whl"))
+    (tmp_path / "file").write_text("2")
+    assert "The checkout is v0.1.0-dirty;" in dist.untagged(tmp_path, wheel)
+
+
+def test_a_release_runs_the_lines_of_the_readme():
+    code, says = dist.first_example((ROOT / "README.md").read_text(encoding="utf-8"))
+    assert code.startswith("import salver as sv\n")
+    assert len(code.splitlines()) == 6
+    assert says.count(" s: ") == 2

@@ -1,9 +1,12 @@
 """Builds sdist and wheel: the same bytes from the same files, whenever and wherever they were checked out.
 
-    SOURCE_DATE_EPOCH=1700000000 python tools/dist.py [SOURCE] [-o dist]
+    SOURCE_DATE_EPOCH=1700000000 python tools/dist.py [SOURCE] [-o dist] [--release PYTHON ...]
 
 The wheel is built from the sdist, so that the one holds all that the other needs. Setuptools writes the times of files
 and of the build into an sdist; they become SOURCE_DATE_EPOCH here (reproducible-builds.org), owners and modes plain.
+
+With --release the checkout must be at the tag of its version, and the wheel must do what the README says in a fresh
+environment of each Python. Nothing is published.
 """
 
 from __future__ import annotations
@@ -12,9 +15,11 @@ import argparse
 import gzip
 import io
 import os
+import re
 import subprocess
 import sys
 import tarfile
+import tempfile
 from pathlib import Path
 
 SDIST = "import sys; from setuptools import build_meta; build_meta.build_sdist(sys.argv[1])"
@@ -46,10 +51,46 @@ def plain(content: bytes, stamp: int) -> bytes:
     return gzip.compress(made.getvalue(), mtime=0)
 
 
+def untagged(source: Path, wheel: Path) -> str:
+    """Why the checkout is not the release of this wheel, or nothing."""
+    tag = f"v{wheel.name.split('-')[1]}"
+    describe = ["git", "-C", source, "describe", "--tags", "--always", "--dirty"]
+    found = subprocess.run(describe, check=True, capture_output=True, text=True).stdout.strip()
+    return "" if found == tag else f"The checkout is {found}; a release is at the tag of its version, {tag}."
+
+
+def first_example(readme: str) -> tuple[str, str]:
+    """The README's first Python listing, and what it says that it prints."""
+    found = re.search(r"```python\n(.*?)```\n\n```text\n(.*?)```", readme, re.S)
+    assert found, "README.md has no Python listing with its output"
+    return found[1], found[2]
+
+
+def tried(wheel: Path, python: str, code: str, says: str) -> str:
+    """A line on what the wheel does in a fresh environment of a Python; ends the program if that is something else."""
+    with tempfile.TemporaryDirectory() as folder:
+        subprocess.run([python, "-m", "venv", folder], check=True)
+        own = Path(folder, "bin", "python")
+        bare = sum(p.lstat().st_blocks for p in Path(folder).rglob("*"))
+        subprocess.run([own, "-m", "pip", "install", "-q", "--disable-pip-version-check", wheel.resolve()], check=True)
+        done = subprocess.run([own, "-I", "-c", code], cwd=folder, capture_output=True, text=True, check=False)
+        if done.stdout != says:
+            sys.exit(f"{python}: the README's lines print\n{done.stdout}{done.stderr}and not\n{says}")
+        size = sum(p.lstat().st_blocks for p in Path(folder).rglob("*")) - bare
+    return f"{python}: installed in {512 * size / 1e6:.0f} MB; the README's lines print what it says"
+
+
 if __name__ == "__main__":
     options = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     options.add_argument("source", nargs="?", type=Path, default=Path(__file__).parents[1])
     options.add_argument("-o", type=Path, default=Path("dist"))
+    options.add_argument("--release", nargs="+", metavar="PYTHON", help="check the release, in these Pythons")
     chosen = options.parse_args()
-    for path in build(chosen.source, chosen.o):
-        print(path)
+    made = build(chosen.source, chosen.o)
+    print(*made, sep="\n")
+    if chosen.release:
+        if why := untagged(chosen.source, made[1]):
+            sys.exit(why)
+        code, says = first_example((chosen.source / "README.md").read_text(encoding="utf-8"))
+        for python in chosen.release:
+            print(tried(made[1], python, code, says), flush=True)
