@@ -42,20 +42,14 @@ def overview(
             )
         )
     head = ("", "on the tray", "to", "then", "duration", "left in the worst case", "safe, as far as checked", "engine")
-    made.titles.append(("legs", "Legs"))
-    made.html += Markup('<section id="legs"><h2>Leg by leg</h2>{}</section>\n').format(table(head, rows, (4, 5)))
+    made.add("legs", "Legs", "", extra=table(head, rows, (4, 5)))
     if campaign:
-        found = [(outcome_cell(word), f"{rate['count']} of {rate['of']}") for word, rate in held.items()]
-        made.titles.append(("campaign", "Perturbed runs"))
-        made.html += Markup(
-            '<section id="campaign"><h2>Perturbed runs of all legs</h2><p>The same true objects on all legs of a run; '
-            "a run is called by its worst leg.</p>{}</section>\n"
-        ).format(table(("outcome", "runs"), found, (1,)))
+        outcomes = [(outcome_cell(word), f"{rate['count']} of {rate['of']}") for word, rate in held.items()]
+        intro = "The same true objects on all legs of a run; a run is called by its worst leg."
+        made.add("campaign", "Perturbed runs of all legs", intro, extra=table(("outcome", "runs"), outcomes, (1,)))
     told = [(f"leg {k}", part["status"]["sentence"]) for k, part in enumerate(record["legs"], 1)]
-    made.titles.append(("provenance", "What was found"))
-    made.html += Markup('<section id="provenance"><h2>What was found</h2>{}</section>\n').format(
-        table(("", "status"), [("all", record["status"]["sentence"]), *told])
-    )
+    found = table(("", "status"), [("all", record["status"]["sentence"]), *told])
+    made.add("provenance", "What was found", "", extra=found)
     least = min(float(run.contact["plan"].worst.min()) for run in runs)
     tiles = tile_list(
         (

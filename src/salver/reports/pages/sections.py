@@ -21,29 +21,13 @@ if TYPE_CHECKING:
     from salver.models.arm.arm import ArmModel
 from salver.reports.run import Record, ReportedMotion, ReportedRun
 
-NAVIGATION = {
-    "replay": "Replay",
-    "margins": "Margins",
-    "known": "How it is known",
-    "inside": "Inside",
-    "campaign": "Perturbed runs",
-    "simulation": "Simulation",
-    "what_if": "What if",
-    "execution": "On the arm",
-    "forces": "Contact forces",
-    "sensitivity": "Sensitivity",
-    "motion": "Motion",
-    "arm": "Arm",
-    "provenance": "Task and provenance",
-}
-
 
 @dataclass
 class Sections:
     """Sections that `build` gathers: HTML, (anchor, title) of each, chart specs by key."""
 
     html: Markup = NOTHING
-    titles: list[tuple[str, str]] = field(default_factory=lambda: [("replay", NAVIGATION["replay"])])
+    titles: list[tuple[str, str]] = field(default_factory=lambda: [("replay", "Replay")])
     specs: dict[str, charts.Spec] = field(default_factory=dict)
 
     def add(
@@ -58,7 +42,7 @@ class Sections:
         figures = joined(self._figure(key, i, spec) for i, spec in enumerate(specs))
         if not figures and not extra:
             return
-        self.titles.append((key, NAVIGATION[key]))
+        self.titles.append((key, title))
         self.html += Markup('<section id="{}"><h2>{}</h2>').format(key, title)
         self.html += Markup("<p>{}</p>").format(intro) if intro else ""
         self.html += Markup('<div class="charts {}">{}</div>').format(grid, figures) if figures else ""
@@ -93,7 +77,7 @@ def build(run: ReportedRun, arm: ArmModel | None) -> Sections:
         _run_section(page, run, kind)
     page.add(
         "forces",
-        "Contact forces and their tubes",
+        "Contact forces",
         "Every friction cone is spanned by its edges; Λ are the coefficients along them, in newtons. Lines: nominal. "
         "Shaded: the tube in which they stay, to first order, for every body in the uncertain set.",
         charts.cone_charts(run),
@@ -101,7 +85,7 @@ def build(run: ReportedRun, arm: ArmModel | None) -> Sections:
     sensitivity = charts.sensitivity_charts(run)
     page.add(
         "sensitivity",
-        "Sensitivity to what is not known",
+        "Sensitivity",
         "What the assumed ranges do to the closed loop of plant and controller. Smaller is more robust.",
         sensitivity,
         grid="three" if len(sensitivity) == 3 else "",
@@ -111,12 +95,12 @@ def build(run: ReportedRun, arm: ArmModel | None) -> Sections:
     if arm is not None:
         page.add(
             "arm",
-            "Joint motion against limits",
+            "The arm",
             _limits_in_words(arm),
             charts.joint_charts(run, arm.limits) + charts.clearance_charts(run, arm),
             _usage_table(run, arm),
         )
-    page.add("provenance", "What was asked, and what made this", "", extra=_provenance(run))
+    page.add("provenance", "Task and provenance", "", extra=_provenance(run))
     return page
 
 
