@@ -24,7 +24,6 @@ from salver.planning.seeds.starts import (
     open_to,
     straight,
     touches,
-    tray_line,
 )
 from salver.planning.trajopt.bound import least_duration
 from salver.planning.trajopt.constraints.constraints import Clearance, evaluate
@@ -214,28 +213,6 @@ def test_where_an_end_is_very_near_nothing_may_touch_all_the_same(behind_a_post,
         near = true < 1e-3
         assert near.any()
         assert block.values[near] == pytest.approx(-10 * (true - asked)[near], abs=1e-9)
-
-
-def test_the_tray_goes_straight_along_its_line():
-    problem = transport_problem(scenario.load("panda-cube"))
-    pair = ends(problem, np.random.default_rng(0))[0]
-    line = tray_line(problem, pair)
-    assert line is not None
-    p = np.array([problem.arm.tray_pose(q)[0] for q in line.postures])
-    along = (p[-1] - p[0]) / np.linalg.norm(p[-1] - p[0])
-    assert np.abs(np.cross(p - p[0], along)).max() < 1e-9
-    assert np.all(np.diff((p - p[0]) @ along) > 0)
-    assert np.abs(problem.goal.residual(problem.arm, line.postures[-1])[0]).max() < 1e-9
-
-
-def test_the_tray_leans_evenly_along_its_line_to_a_goal_that_leans():
-    free = {"motion__orientation": "free", "motion__max_tilt_deg": 20.0, "motion__goal__rpy_deg": [12.0, 0.0, 0.0]}
-    problem = transport_problem(scenario.load("panda-cube").with_changes(**free))
-    line = tray_line(problem, ends(problem, np.random.default_rng(0))[0])
-    assert line is not None
-    up = np.array([problem.arm.tray_pose(q)[1][:, 2] for q in line.postures])
-    angles = np.rad2deg(np.arccos(np.clip(up @ up[0], -1.0, 1.0)))
-    assert angles == pytest.approx(np.linspace(0.0, 12.0, len(up)), abs=1e-5)
 
 
 def cube_from(q: list[float], orientation: str) -> TransportProblem:

@@ -19,7 +19,7 @@ from salver.planning.fastest.planned import joint_plan, judged, solver_record
 from salver.planning.fastest.search import fastest
 from salver.planning.fastest.speeds import at_every_speed
 from salver.planning.round import MultiLegPlan
-from salver.planning.seeds.starts import Ends, between, straight, tray_line
+from salver.planning.seeds.starts import Ends, between, straight
 from salver.planning.trajopt.constraints.constraints import ContactConstraint
 from salver.planning.trajopt.ends import AtPosture
 from salver.planning.trajopt.objectives import LeastMargin, Objective
@@ -39,7 +39,8 @@ def plan_safest(
     limits, in the scenario's duration, at the worst parameters of the uncertain set, or at nominal ones; the arm's
     limits are kept and obstacles avoided, the tray may tilt unless motion.orientation is "fixed".
 
-    It is the best of the local optima from the shortest motion, made slower, and from straight paths between its ends.
+    It is the better of the local optima from the shortest motion, made slower, and from the straight path between its
+    ends.
     Raises ScenarioError without an arm or a duration, UnreachableError when no motion was found that is as short.
     """
     options = options or FastestOptions()
@@ -106,14 +107,14 @@ def optima(
     watch: Watch,
     anew: bool = True,
 ) -> list[FastestMotion]:
-    """Local optima of an objective in a duration, s: from a motion made slower and, anew, from straight paths between
-    its ends."""
+    """Local optima of an objective in a duration, s: from a motion made slower and, anew, from the straight path
+    between its ends."""
     pair = Ends(quickest.coefficients[0], quickest.coefficients[-1], 0.0, True)
-    begins = [None, straight(pair), tray_line(quickest.problem, pair)] if anew else [None]
+    begins = [None, straight(pair)] if anew else [None]
     return [
         nearby(quickest, objective, duration, options, begin=begin, watch=watch)
         for k, begin in enumerate(begins)
-        if k == 0 or (begin is not None and not watch.ended)
+        if k == 0 or not watch.ended
     ]
 
 

@@ -28,7 +28,6 @@ from salver.planning.seeds.starts import (
     open_to,
     straight,
     touches,
-    tray_line,
 )
 from salver.planning.trajopt.curves import FreeCurve
 from salver.planning.trajopt.exchange import rough
@@ -126,17 +125,15 @@ class _Search:
         spline, at_once = RestSpline(DEGREE, self.options.spans), replace(self.options, iterations=0.0)
         for pair in self.pairs[: self.options.first(self.problem)]:
             problem = between(self.problem, pair)
-            for line in (straight(pair), tray_line(problem, pair)):
-                if line is None:
-                    continue
-                begin = line.motion(problem, spline)
-                for slower in 2.0 ** np.arange(5):  # sixteen times the comfortable time at most
-                    self.watch.trying = f"{line.name}, slowly"
-                    slow = replace(begin, duration=slower * begin.duration)
-                    found = optimum(problem, at_once, slow, Watch(), NEAR)
-                    self.iterations += found.iterations
-                    if found.status.ok:
-                        return self._shorter(problem, found, line.name)
+            line = straight(pair)
+            begin = line.motion(problem, spline)
+            for slower in 2.0 ** np.arange(5):  # sixteen times the comfortable time at most
+                self.watch.trying = f"{line.name}, slowly"
+                slow = replace(begin, duration=slower * begin.duration)
+                found = optimum(problem, at_once, slow, Watch(), NEAR)
+                self.iterations += found.iterations
+                if found.status.ok:
+                    return self._shorter(problem, found, line.name)
         return None
 
     def _shorter(self, problem: TransportProblem, line: FastestMotion, name: str) -> FastestMotion:
@@ -186,10 +183,7 @@ class _Search:
         if all(free):
             return lines[:count]
         free += [open_to(problem, line) for problem, line in lines[count:]]
-        found = [line for line, is_free in zip(lines, free, strict=True) if is_free]
-        for pair, (problem, line), is_free in zip(self.pairs[: 2 * count], lines, free, strict=False):
-            if not is_free:
-                found += [(problem, path) for path in (line, tray_line(problem, pair)) if path is not None]
+        found = [line for k, line in enumerate(lines) if free[k] or k < 2 * count]
         return [*self._ways(), *sorted(found, key=_promise)]
 
     def _ways(self) -> list[Begin]:
@@ -205,14 +199,9 @@ class _Search:
         yield from self._ways()
         if self.problem.start_posture is not None:  # so far only the first of them were sought
             self.pairs = ends(self.problem, self.rng)
-        few = max(2, self.options.pairs)
-        for pair in self.pairs[:few]:
-            line = tray_line(self.problem, pair)
-            if line is not None:
-                yield between(self.problem, pair), line
         self.pairs = ends(self.problem, self.rng, more=True)
         yield from self._ways()
-        for pair in self.pairs[: 2 * few]:
+        for pair in self.pairs[: 2 * max(2, self.options.pairs)]:
             yield between(self.problem, pair), straight(pair)
 
     def _rough(self, problem: TransportProblem, start: Start, beat: float = np.inf) -> Rough:

@@ -118,7 +118,8 @@ def plan_least_sensitive(
     the arm's limits kept, obstacles avoided and every contact kept for the whole uncertain set by the exact condition;
     the tray may tilt unless motion.orientation is "fixed".
 
-    It is the best of the local optima from the shortest motion, made slower, and from straight paths between its ends.
+    It is the better of the local optima from the shortest motion, made slower, and from the straight path between its
+    ends.
     Raises ScenarioError without an arm or a duration, and where nothing uncertain acts on the closed loop,
     UnreachableError when no motion was found that is as short.
     """

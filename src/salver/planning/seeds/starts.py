@@ -9,14 +9,13 @@ from itertools import chain
 
 import numpy as np
 
-from salver.geometry import GRAVITY_S, Array, exp, interpolated
+from salver.geometry import GRAVITY_S, Array, interpolated
 from salver.models.arm.arm_limits import POSITION
-from salver.planning.postures import postures_along
 from salver.planning.seeds.around import way_around
 from salver.planning.trajopt.bound import least_duration, least_time
 from salver.planning.trajopt.constraints.obstacles import APART as APART_FROM_TOUCHING
 from salver.planning.trajopt.constraints.obstacles import ENOUGH_AT_ENDS, TOUCHES
-from salver.planning.trajopt.ends import AtPose, AtPosture, End
+from salver.planning.trajopt.ends import AtPosture, End
 from salver.planning.trajopt.problem import TransportProblem
 from salver.planning.trajopt.spline import RestSpline, SplineMotion, min_jerk_blend
 
@@ -323,27 +322,6 @@ def between(problem: TransportProblem, pair: Ends) -> TransportProblem:
 def straight(pair: Ends) -> Start:
     """Straight in joint space."""
     return Start("straight path of the joints", np.stack([pair.start, pair.goal]))
-
-
-def tray_line(problem: TransportProblem, pair: Ends) -> Start | None:
-    """The tray straight from pose to pose, as plans of a given duration carry it, leaning evenly from how it leans at
-    one to how at the other; None where the arm cannot."""
-    arm, limits = problem.arm, problem.limits
-    if not isinstance(problem.goal, AtPose):
-        return None
-    (p_0, R_0), (p_1, R_1) = arm.tray_pose(pair.start), arm.tray_pose(pair.goal)
-    u = np.linspace(0, 1, ALONG)[:, None]
-    axis = np.cross(R_0[:, 2], R_1[:, 2])  # of the least turn from one lean to the other; which way it points is free
-    size = float(np.linalg.norm(axis))
-    lean = axis * (np.arctan2(size, R_0[:, 2] @ R_1[:, 2]) / max(size, 1e-12))
-    postures, reached = postures_along(arm, p_0 + u * (p_1 - p_0), exp(u * lean) @ R_0, pair.start)
-    last = problem.goal.nearest(arm, limits, postures[-1])
-    if reached < ALONG or last is None or np.any(postures < limits.q_min) or np.any(postures > limits.q_max):
-        return None
-    if np.abs(last - postures[-1]).max() > APART:
-        return None
-    postures[-1] = last
-    return Start("straight path of the tray", postures)
 
 
 def around(problem: TransportProblem, pairs: list[Ends], rng: np.random.Generator) -> Start | None:
