@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,7 +16,6 @@ from salver.errors import ScenarioError
 from salver.models.contact.wrench_cone import facets
 from salver.models.uncertain.parameters import Parameter
 from salver.planning.fastest.found import EFFORTS, object_motion
-from salver.planning.fastest.planned import SPARE, _sterner
 from salver.planning.fastest.retiming import plan_retimed
 from salver.planning.fastest.safest import plan_safest
 from salver.planning.make import make_plan
@@ -345,18 +343,6 @@ def test_waves_that_an_arm_with_a_known_load_feels_are_nearly_those_that_were_pl
     assert np.abs(thrice - twice).max() < 0.8 * np.abs(twice - once).max()
 
 
-def test_what_a_check_misses_of_a_room_is_kept_more_and_a_little_besides(coffee):
-    """Beyond what the optimiser has seen there; the second time on top of what was kept the first time."""
-    lacking = SimpleNamespace(verification=SimpleNamespace(body="liquid in cup", violation=0.03))
-    worst = {"contact of cup": 0.0, "waves in cup": -0.2, "steepness in cup": -0.01, "waves in mug": 0.0}
-    once = _sterner(SimpleNamespace(problem=transport_problem(coffee), worst=worst), lacking)
-    assert once.spare == pytest.approx(0.03 + 0.01 + SPARE)
-    twice = _sterner(SimpleNamespace(problem=once, worst=worst | {"waves in cup": 0.0}), lacking)
-    assert twice.spare == pytest.approx(once.spare + 0.03 + SPARE)
-    brim = next(x for x in once.constraints if isinstance(x, LoadConstraint))
-    assert brim.margin == once.spare
-
-
 def to_a_goal_that_leans(coffee, degrees):
     motion = {"motion__goal__rpy_deg": [degrees, 0, 0], "motion__speeds": "full"}
     return sv.fastest(coffee.with_changes(**motion, objects__0__friction=0.3, objects__0__liquid__fill=0.035))
@@ -372,15 +358,11 @@ def test_a_plan_to_a_goal_that_leans_leaves_so_little_of_a_wave_that_contact_las
 
 
 @pytest.mark.slow
-def test_a_plan_to_a_goal_that_leans_is_checked_in_the_wave_after_it(coffee):
+def test_no_plan_leads_to_a_goal_that_leans_so_far_that_the_wave_after_it_loses_contact(coffee):
     """At rest on 14.5 degrees .259 is needed of .27: of a liquid that swings back nothing can be left."""
     plan = to_a_goal_that_leans(coffee, 14.5)
-    assert plan.margins.exact_worst.min() > 0.0  # up to its end it holds
     assert not plan.ok
-    assert "contact condition is missed" in plan.status.sentence
-    assert plan.verification.time > plan.duration
-    run = simulate(plan, parameters={"friction": 0.27})
-    assert run.slip.max() > 1e-3
+    assert "the best attempt violates contact of cup after the motion" in plan.status.sentence
     level = to_a_goal_that_leans(coffee, 0.0)
     assert level.ok, level.status.sentence
 

@@ -1,6 +1,7 @@
 """What the verdict on live motions may miss between its instants is less than what it keeps for that."""
 
 from dataclasses import replace
+from functools import cached_property
 from itertools import pairwise, product
 
 import numpy as np
@@ -8,13 +9,12 @@ import pytest
 
 import salver as sv
 from live_runs import JUST, Linear
-from salver.live import Live
 from salver.live.committed.commit import committed_of, verified
 from salver.live.committed.motion import resting
 from salver.models.arm.arm_limits import LIMITS
 from salver.models.tray_motion import Speed
 from salver.models.uncertain.worst_case import Drift, WorstCase
-from salver.planning.fastest import fastest, transport_problem
+from salver.planning.fastest import fastest, plan_fastest, transport_problem
 from salver.planning.trajopt.constraints.constraints import (
     FINEST,
     Block,
@@ -23,9 +23,13 @@ from salver.planning.trajopt.constraints.constraints import (
     JointLimit,
     strayed,
 )
+from salver.planning.trajopt.constraints.load_limits import AtRest
+from salver.planning.trajopt.problem import TransportProblem
+from salver.planning.trajopt.spline import min_jerk_blend
 from salver.planning.verdict.judged import PLANNED, STANDARD, Judged, no_gradient
 from salver.planning.verdict.margins import ConstraintMargins
-from salver.planning.verdict.verify import Verdict, clearance, torque_rate
+from salver.planning.verdict.verify import Verdict, clearance, torque_rate, verify
+from salver.scenario import parse
 from salver.trajectory import JointMotion, extremes, hulls
 
 
@@ -372,11 +376,47 @@ def _leaning(problem, q):
 
 
 def test_the_room_of_a_liquid_alone_refuses_a_motion(coffee):
-    """At rest, where more of it is to be kept than there is."""
-    live = Live(coffee)
-    problem, still = live.problem, live.committed.motion
-    assert verified(problem, still, 0.0, None).committed is not None
-    assert verified(replace(problem, spare=1.5), still, 0.0, None).what.endswith(" in cup")
+    """A turn of the first joint by 0.4 rad, without any other limit."""
+    problem = transport_problem(coffee)
+    free = {kind.key: np.full(problem.n, np.inf) for kind in LIMITS if kind.key != "position"}
+    problem = replace(problem, contacts=(), keep_out=None, limits=replace(problem.limits, **free))
+    s, turn = np.linspace(0.0, 1.0, 41), 0.4 * np.eye(problem.n)[0]
+    for duration, held in ((1.2, True), (0.8, False)):
+        rates = [30 * s**2 * (1 - s) ** 2 / duration, 60 * s * (1 - s) * (1 - 2 * s) / duration**2]
+        swung = problem.start_posture + np.outer(min_jerk_blend(s), turn)
+        motion = JointMotion(s * duration, swung, *(np.outer(rate, turn) for rate in rates))
+        found = verified(problem, motion, 0.0, None)
+        assert (found.committed is not None) == held
+        assert held or found.what.startswith("waves")
+
+
+class Hasty(TransportProblem):
+    """One whose motions may leave whatever they like behind."""
+
+    @cached_property
+    def constraints(self):
+        return tuple(each for each in super().constraints if not isinstance(each, AtRest))
+
+
+def test_what_happens_in_a_load_while_the_arm_settles_is_judged_and_planned_for():
+    """A cup of oil, at the end of a motion as fast as an xarm7 may stop: the arm that gives way makes waves steeper
+    than those that are left."""
+    liquid = {"kind": "oil", "radius": 0.0345, "fill": 0.0218, "brim": 0.0466}
+    cup = {"name": "cup", "mass": 0.09, "friction": 0.516, "support_inset": 0.002, "liquid": liquid}
+    cup["shape"] = {"type": "cylinder", "radius": 0.0387, "height": 0.0508}
+    cup["uncertainty"] = {"mass": "10%", "com": [0.002, 0.002, 0.003], "friction": "10%"}
+    ends = {"start": {"position": [0.313, 0.260, 0.296]}, "goal": {"position": [0.422, -0.004, 0.313]}}
+    motion = {**ends, "goal_yaw": "free", "speeds": "full"}
+    contact, arm = {"condition": "exact"}, {"model": "xarm7"}
+    case = parse({"name": "oil", "motion": motion, "objects": [cup], "contact": contact, "arm": arm}, "oil")
+    problem = transport_problem(case)
+    found = fastest(Hasty(**vars(problem)))
+    refused = verify(problem, found.joint_motion(), None, PLANNED)
+    assert refused.what == "steepness in cup after the motion"
+    assert refused.excess > 0.01
+    plan = plan_fastest(case)
+    assert plan.ok, plan.told
+    assert plan.duration < 1.04 * found.duration
 
 
 @pytest.mark.parametrize("more", [10.0, np.nan])

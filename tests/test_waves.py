@@ -247,5 +247,5 @@ def test_walls_of_a_box_that_turns_take_waves_along_as_a_flow_without_friction_i
     np.testing.assert_array_less(2 * missed, lacked)
     assert lacked[0] > 0.2 * largest[0]
     # Gone on with from where it turns fastest, it is the same.
-    later = SurfaceMotion.along((case,), t[150:], shaken(t)[150:], whole.states().at(t, t[150]))
+    later = SurfaceMotion.along((case,), t[150:], shaken(t)[150:], whole.states.at(t, t[150]))
     assert np.abs(later.r - whole.r[:, 150:]).max() < 2e-3 * np.abs(whole.r).max()

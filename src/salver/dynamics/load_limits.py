@@ -22,7 +22,7 @@ class LoadLimit:
     """One thing that a load may not exceed in any of K cases: values (K, T), or (K, 1) of what is left after the
     motion, are to be no larger than `most` (K,). by, bends: first derivatives (m, c) of values (m,) of cases at nodes
     by unknowns of the motion, and factors (m, k, c) of second ones: their squares summed over k. group: limits that a
-    verdict names together. residual: whether it is what is left of a swing, which a calmer plan lowers.
+    verdict names together.
     """
 
     name: str
@@ -31,7 +31,6 @@ class LoadLimit:
     by: Callable[[Indices, Indices, Unknowns], Array]
     bends: Callable[[Indices, Indices, Unknowns], Array]
     group: str
-    residual: bool = False
 
     def left(self, instants: int) -> Array:
         """(K, T) of what is allowed the shares that are left, at so many instants; infinite where nothing is asked."""

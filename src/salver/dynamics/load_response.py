@@ -72,7 +72,10 @@ class LoadResponse(ABC):
 
     def along(self, planned: ModalMotion) -> Self:
         """The response of other planned modes, with the arm's compliance as here."""
-        modes = planned.shifted(self.modes.w - self.planned.w, self.modes.start)
+        start = self.modes.start
+        if start is not None and planned.start is not None and self.planned.start is not None:
+            start = planned.start.since(self.planned.start.since(start))
+        modes = planned.shifted(self.modes.w - self.planned.w, start)
         return replace(self, modes=modes, wrench=modes.wrench, planned=planned)
 
     def at(self, index: Indices) -> Self:

@@ -15,11 +15,15 @@ from salver.geometry import Array, Indices
 class Change:
     """First-order effect of c changes of the tray's motion regressor on the modes.
 
-    r: (K, T, n_modes, 2, c) m, of each mass's place. spun: (K or 1, T, 1, c) rad, of `ModalMotion.spin`. wrench: (K, T,
-    6, c) at E. ending: of each mode, (K, n_modes, 2, c) of its place and of its speed over its frequency, m.
+    r, rate: (K, T, n_modes, 2, c) m and m/s, of each mass's place and speed. angle, turning: (K or 1, T, c) rad and
+    rad/s, of the body about its axis. spun: (K or 1, T, 1, c) rad, of `ModalMotion.spin`. wrench: (K, T, 6, c) at E.
+    ending: of each mode, (K, n_modes, 2, c) of its place and of its speed over its frequency, m.
     """
 
     r: Array
+    rate: Array
+    angle: Array
+    turning: Array
     spun: Array
     wrench: Array
     ending: tuple[Array, Array]
@@ -27,14 +31,22 @@ class Change:
     def part(self, some: slice | Indices) -> Change:
         """The effect in some of the cases."""
         ending = self.ending[0][some], self.ending[1][some]
-        spun = self.spun if len(self.spun) == 1 else self.spun[some]
-        return Change(self.r[some], spun, self.wrench[some], ending)
+        angle, turning, spun = (x if len(x) == 1 else x[some] for x in (self.angle, self.turning, self.spun))
+        return Change(self.r[some], self.rate[some], angle, turning, spun, self.wrench[some], ending)
+
+    @property
+    def states(self) -> ModalState:
+        """What is made of the modes at each node, (T, K, ..., c)."""
+        K, T, *_, c = self.r.shape
+        turned = (np.broadcast_to(x, (K, T, c)) for x in (self.angle, self.turning))
+        return ModalState(*(x.swapaxes(0, 1) for x in (self.r, self.rate, *turned, np.zeros((K, T, c)))))
 
 
 def changed(modes: ModalMotion, dw: Array, start: ModalState | None = None) -> Change:
     """To first order, by changes dw (K or 1, T, 12, c) of the tray's motion regressor, before the motion too. start:
     what they have made of the modes till then, where these do not begin at rest."""
-    which, spun = modes.cases, modes.spun(dw, start)
+    which, (angle, turning) = modes.cases, modes.turned_by(dw, start)
+    spun = angle if which.round else turning
     r, rate, second = modes.pushed(dw, before=True, start=start, spun=spun)
     spun = spun[:, :, None] * modes.cases.round  # (K or 1, T, 1, c)
     force = which.at_O[:, None] @ dw  # (K, T, 3, c)
@@ -60,7 +72,7 @@ def changed(modes: ModalMotion, dw: Array, start: ModalState | None = None) -> C
     out[:, :, 4] = tilted[:, :, 0] - hangs[:, :, 0] * f[:, :, 2] - hung[:, :, 0] * force[:, :, 2]
     out[:, :, 5] = hangs[:, :, 0] * f[:, :, 1] - hangs[:, :, 1] * f[:, :, 0]
     out[:, :, 5] += hung[:, :, 0] * force[:, :, 1] - hung[:, :, 1] * force[:, :, 0]
-    return Change(r, spun, which.to_E[:, None] @ out, ending)
+    return Change(r, rate, angle, turning, spun, which.to_E[:, None] @ out, ending)
 
 
 def turned_each(x: Array, angle: Array) -> Array:

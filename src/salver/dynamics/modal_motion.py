@@ -234,6 +234,12 @@ class ModalMotion:
         begin = self._level(drive)
         return np.concatenate([begin, self._taken_along(drive, begin)], axis=3)
 
+    def begun_by(self, r: Array, rate: Array) -> Array:
+        """What moves each mass, as `swung` has it, where it begins otherwise by r and r' (K, n_modes, 2, c), and is not
+        driven otherwise."""
+        begin = self._by_filter(np.stack([r, rate], axis=1))
+        return np.pad(begin, [(0, 0)] * 3 + [(0, len(self.t)), (0, 0)])
+
     def swinging(self, order: int, node: Indices, moving: Array) -> Array:
         """(K, m, n_modes, 2, c) of r (order 0) or r' (1) at nodes (m,) in order, by what moves the masses (see
         `swung`)."""
@@ -269,12 +275,18 @@ class ModalMotion:
 
     def spun(self, dw: Array, start: ModalState | None = None) -> Array:
         """(K or 1, T, c) change of `spin` by changes dw (K or 1, T, 12, c), of a box of `turns`: the same of all
-        that are alike. start: what they have made of it till then, nothing unless given."""
+        that are alike. start: as of `turned_by`."""
+        return self.turned_by(dw, start)[0 if self.cases.round else 1]
+
+    def turned_by(self, dw: Array, start: ModalState | None = None) -> tuple[Array, Array]:
+        """(K or 1, T, c) changes of `spin` and of `turns` by changes dw (K or 1, T, 12, c). start: what they have made
+        of them till then, nothing unless given."""
         drive, begun = dw[:, :, 5].swapaxes(0, 1), None
         if start is not None:
             drive = np.broadcast_to(drive, (len(drive), len(start.spin), drive.shape[2]))
             begun = np.stack([x.reshape(len(x), -1) for x in (start.spin, start.turning)])
-        return self.turning.respond(drive, begun)[0 if self.cases.round else 1].swapaxes(0, 1)
+        angle, rate = self.turning.respond(drive, begun)
+        return angle.swapaxes(0, 1), rate.swapaxes(0, 1)
 
     @cached_property
     def ending(self) -> tuple[Array, Array]:
@@ -367,34 +379,29 @@ class ModalMotion:
             return 2 * self.spin
         return 2 * (self.spin - self.start.spin[:, None]) - np.outer(self.start.turning, self.t - self.t[0])
 
-    def states(self, dw: Array | None = None, start: ModalState | None = None) -> ModalState:
-        """How these modes are at each node, (T, K, ...); or, to first order, what changes dw (K, T, 12, c) of the
-        tray's motion regressor, before the motion too, have made of them. start: as of `pushed`."""
-        if dw is None:
-            moved, drive, start = (self.r, self.rate), self.w[:, :, 5], self.start
-            peak = np.maximum.accumulate(self.height, axis=1)
-            if start is not None:
-                peak = np.maximum(peak, start.peak[:, None])
-        else:
-            moved, drive = self.pushed(dw, before=True, start=start)[:2], dw[:, :, 5]
-            peak = np.zeros(drive.shape)
-        begun = None if start is None else np.stack([start.spin, start.turning])
-        spins = self.turning.respond(drive.swapaxes(0, 1), begun)
-        r, rate = (x.swapaxes(0, 1) for x in moved)
-        return ModalState(r, rate, *spins, peak.swapaxes(0, 1))
+    @property
+    def states(self) -> ModalState:
+        """How these modes are at each node, (T, K, ...)."""
+        start, peak = self.start, np.maximum.accumulate(self.height, axis=1)
+        if start is not None:
+            peak = np.maximum(peak, start.peak[:, None])
+        spins = _turning(self.turning, self.w, start)
+        return ModalState(*(x.swapaxes(0, 1) for x in (self.r, self.rate, *spins, peak)))
 
-    def rested(self, t: Array, dw: Array | None = None, start: ModalState | None = None) -> ModalState:
-        """The modes t (T,), s, after the end, with the tray at rest."""
-        last = ModalState(*(x[-1] for x in vars(self.states(dw, start)).values()))
-        which, upward = self.cases, self.upward[:, -1, None, None]
-        shape = (*which.omega.shape, *(1,) * (last.r.ndim - 3))
-        sigma, kp = (x.reshape(shape) for x in (0.5 * which.kd, which.omega**2 / GRAVITY * upward))
-        if dw is None:
-            rest = -self.at_modes[:, -1] / kp
-        else:
-            drive, stiffness = self._driven(dw, self.spun(dw, start)), np.asarray(self.filters.kp)[..., None]
-            rest = self._by_mode(drive[:, :, :, -1:] / stiffness[:, :, :, -1:])[:, 0]
-        return last.later(t, sigma, kp, rest)
+    @property
+    def equilibrium(self) -> Array:
+        """(K, n_modes, 2) m, where each mass rests on the tray as it is at the end."""
+        return -self.at_modes[:, -1] / self.stiffness
+
+    @property
+    def stiffness(self) -> Array:
+        """(K, n_modes, 2) 1/s^2, as of `omega` squared, at the end."""
+        return np.asarray(self.cases.omega**2 / GRAVITY * self.upward[:, -1, None, None])
+
+    def equilibrium_by(self, dw: Array, spun: Array) -> Array:
+        """(K, n_modes, 2, c) its change by changes dw (K or 1, T, 12, c); spun: as `spun` has it."""
+        drive, stiffness = self._driven(dw, spun), np.asarray(self.filters.kp)[..., None]
+        return self._by_mode(drive[:, :, :, -1:] / stiffness[:, :, :, -1:])[:, 0]
 
 
 def turned(x: Array, angle: Array) -> Array:

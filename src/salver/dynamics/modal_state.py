@@ -28,6 +28,11 @@ class ModalState:
         """The states of some of the cases."""
         return ModalState(*(x[some] for x in vars(self).values()))
 
+    @property
+    def last(self) -> ModalState:
+        """Of states at several instants, those at the last."""
+        return ModalState(*(x[-1] for x in vars(self).values()))
+
     def of_terms(self, count: int) -> ModalState:
         """The states that the first of c changes cause."""
         return ModalState(*(x[..., :count] for x in vars(self).values()))

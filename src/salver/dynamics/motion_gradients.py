@@ -6,6 +6,7 @@ Each answer is (m, c).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -72,6 +73,18 @@ class Unknowns:
         if id(modes) not in self._known:
             self._known[id(modes)] = modes, self._swings(modes)
         return self._known[id(modes)][1]
+
+    def after(self, pairs: Sequence[tuple[ModalMotion, ModalMotion]]) -> Unknowns:
+        """The same of modes at rest, each with those of the motion before it; the tray's posture is taken as given."""
+        count = self.felt.shape[2]
+        found = Unknowns(np.zeros((len(pairs[0][0].t), N_MOTION, count)))
+        for rest, motion in pairs:
+            swings, every = self.of(motion), np.arange(len(motion.r))
+            last = np.full_like(every, len(motion.t) - 1)
+            moving = rest.begun_by(*(swings.at(order, every, last) for order in range(2)))
+            spun = swings.spun_at(every, last)[:, None] * rest.cases.round
+            found._known[id(rest)] = rest, Swings(rest, moving, spun, np.zeros(count))
+        return found
 
     def _swings(self, modes: ModalMotion) -> Swings:
         key = modes.turning, modes.cases.round

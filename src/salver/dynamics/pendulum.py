@@ -41,7 +41,7 @@ class PendulumResponse(LoadResponse):
         return [
             self.weight_limit,
             LoadLimit("swing", self.modes.height + self.higher, room, self._by, self._bends, ROOM),
-            LoadLimit("swing left", left, room, by, bends, ROOM, residual=True),
+            LoadLimit("swing left", left, room, by, bends, ROOM),
         ]
 
     def _by(self, case: Indices, node: Indices, unknowns: Unknowns) -> Array:

@@ -33,7 +33,7 @@ from salver.planning.trajopt.curves import BrakingCurve, FreeCurve, Grid, launch
 from salver.planning.trajopt.ends import Anywhere, AtPosture
 from salver.planning.trajopt.evaluation import EASING
 from salver.planning.trajopt.exchange import CurveOf, optimise
-from salver.planning.trajopt.problem import SPARE, TransportProblem, transport_problem
+from salver.planning.trajopt.problem import TransportProblem, transport_problem
 from salver.planning.trajopt.spline import RestSpline, SplineMotion, min_jerk_blend
 from salver.planning.verdict.judged import PLANNED, VerdictOptions
 from salver.planning.verdict.verify import Verdict, verify
@@ -74,7 +74,7 @@ def stop_problem(plan: Plan) -> TransportProblem:
     assert plan.joint is not None
     q = plan.joint.sample(np.linspace(0.0, plan.joint.duration, 401))[0]
     free = plan.scenario.with_changes(arm__start_posture=None, motion__through=[])
-    problem = replace(transport_problem(free), spare=SPARE)  # whoever judges a stop looks between its nodes
+    problem = transport_problem(free)
     tilt = max(float(lean(problem.arm.tray_pose(x)[1])) for x in q)
     if tilt > max(problem.max_tilt, LEVEL_TOLERANCE):
         problem = replace(problem, max_tilt=1.01 * tilt)  # between the instants that were looked at it may be more

@@ -71,7 +71,7 @@ class SloshingResponse(LoadResponse):
         found = [
             LoadLimit("steepness", self.free_height, which.steepest, self.free_by, self.free_bends, STEEP),
             self.weight_limit,
-            LoadLimit("steepness left", *left, STEEP, residual=True),
+            LoadLimit("steepness left", *left, STEEP),
         ]
         if np.isfinite(which.room).all():
             found.append(LoadLimit("waves", self.crest, which.room, self.crest_by, self.crest_bends, HIGH))

@@ -14,7 +14,7 @@ from salver.dynamics.modal_history import Past
 from salver.geometry import Array
 from salver.live.committed.profile import SpeedProfile
 from salver.planning.fastest import TransportProblem
-from salver.planning.verdict.after import standing_still
+from salver.planning.verdict.judged import standing_still
 from salver.planning.verdict.margins import ConstraintMargins
 from salver.trajectory import JointMotion
 

@@ -69,7 +69,7 @@ EFFORTS = {
 class FastestMotion:
     """Result. spline, coefficients (size, n), duration: the motion. worst: largest row of each block on the fine
     grid (<= 0: kept). binding: the blocks that hinder a shorter time. wall_time: s. iterations: of all rounds and
-    starts. margin: that was sought, when it was (`LeastMargin`). looked: as in `Checked`.
+    starts. margin: that was sought, when it was (`LeastMargin`).
     """
 
     problem: TransportProblem
@@ -82,7 +82,6 @@ class FastestMotion:
     wall_time: float
     iterations: int
     margin: float = 0.0
-    looked: bool = False
 
     def after(self, *before: FastestMotion) -> FastestMotion:
         """The motion with the time and the iterations of earlier searches added."""

@@ -68,4 +68,4 @@ def optimum(
     found = optimise(problem, FreeCurve, start, per_span, watch, damping, objective, options.most, also=also)
     wall, result = time.perf_counter() - begun, (found.coefficients, found.duration, found.status, found.worst)
     spent = wall, found.iterations
-    return FastestMotion(found.problem, start.spline, *result, found.binding, *spent, found.margin, found.looked)
+    return FastestMotion(found.problem, start.spline, *result, found.binding, *spent, found.margin)

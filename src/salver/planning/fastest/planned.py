@@ -10,19 +10,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from salver.errors import Status, UnreachableError
-from salver.geometry import Array
 from salver.planning.fastest.found import FastestMotion, FastestOptions, object_motion
 from salver.planning.fastest.search import fastest
 from salver.planning.fastest.speeds import at_every_speed
 from salver.planning.follow.limits import LIMIT_EXCEEDED
-from salver.planning.object.conditions import of_load
 from salver.planning.trajopt.bound import least_by_friction, least_duration
 from salver.planning.trajopt.constraints.constraints import LEVEL_TOLERANCE, ContactConstraint
 from salver.planning.trajopt.exchange import SHORTEST, reached
-from salver.planning.trajopt.problem import SPARE, TransportProblem, transport_problem, with_missed_cases
+from salver.planning.trajopt.problem import TransportProblem, transport_problem, with_failing_cases
 from salver.planning.trajopt.spline import SplineMotion
 from salver.planning.trajopt.watch import Watch
-from salver.planning.verdict.after import calmer
 from salver.planning.verdict.judged import PLANNED
 from salver.planning.verdict.verify import verify
 from salver.scenario import Scenario
@@ -84,24 +81,18 @@ def _found(
     """The motion that is found and its plan; inner dynamics hold at the speeds that the problem names."""
     scenario = problem.scenario
     found = fastest(problem, options, near, watch)
-    for _ in range(4):  # each adds every case that is missed, and few motions miss any
-        more = _missed(found) if found.status.ok else None
-        if more is None:
-            break
-        again = fastest(more, options, near=found, watch=watch)
-        found = again.after(found)
-    else:
-        if found.status.ok and _missed(found) is not None:
-            spilt = "in some case in its range what moves inside a load exceeds its limits when the arm gives way"
-            found = replace(found, status=Status("unsafe", f"{found.duration:.4f} s is too fast: {spilt}.", False))
     if not np.isfinite(found.duration):
         raise UnreachableError(f"{scenario.name}: {found.status.sentence}")
     plan = _planned(scenario, found, robust)
-    if robust and found.status.ok and plan.verification.violation > 0:
-        again = fastest(_sterner(found, plan), options, near=found, watch=watch)
-        if again.status.ok and _missed(again) is None:
-            found = again.after(found)
-            plan = _planned(scenario, found, robust)
+    for _ in range(4):  # each adds what the checks of the plan miss, and few motions miss anything
+        sterner = _sterner(found, plan, robust) if found.status.ok else None
+        if sterner is None:
+            break
+        again = fastest(sterner, options, near=found, watch=watch)
+        if not again.status.ok:
+            break
+        found = again.after(found)
+        plan = _planned(scenario, found, robust)
     if found.status.ok and not _passes(plan, robust):
         found, plan = slow_enough(scenario, found, plan, robust)
     if robust and plan.status.ok and not plan.verification.ok:
@@ -110,18 +101,29 @@ def _found(
     return found, plan
 
 
-def _sterner(found: FastestMotion, plan: Plan) -> TransportProblem:
-    """The problem with what a plan of a motion lacks for its check, which looks at other things too."""
-    problem, body = found.problem, plan.verification.body
-    if of_load(body):  # driven by what nodes interpolate, which may see room where there is none
-        own = f" in {body.partition(' in ')[2]}"
-        seen = -max(value for name, value in found.worst.items() if name.endswith(own))
-        return replace(problem, spare=problem.spare + plan.verification.violation + seen + SPARE)
-    if plan.verification.time > found.duration:
-        return calmer(problem, *_looked_at(found))
+def _sterner(found: FastestMotion, plan: Plan, robust: bool) -> TransportProblem | None:
+    """The problem with the cases of loads that the motion does not keep although it keeps those that were asked for, or
+    else with nodes where it violates something; or with the contact of an arm that follows exactly, where the plan's
+    own check misses that; None for none of these."""
+    problem = found.problem
+    if not plan.status.ok and problem.cases:
+        verdict = verify(problem, found.joint_motion(), None, PLANNED, thoroughly=True)
+        assert verdict.judged is not None
+        assert verdict.margins is not None
+        along = verdict.judged.along
+        motion = problem.at(along.s, along.z, along.duration, imposed=False)
+        more = with_failing_cases(problem, motion.knowing(terms=along.terms, response=along.response))
+        violated = np.convolve(verdict.margins.row > 0.0, np.ones(3), "same") > 0
+        return more or replace(problem, nodes=(*problem.nodes, *along.s[violated].tolist()))
+    if not robust or plan.verification.violation <= 0 or any(x.exactly for x in _contacts(problem)):
+        return None
     # Rows allow for an arm that misses the motion, and in quick turns even the motion itself lies outside of that.
     exactly = tuple(ContactConstraint(rows, plan.scenario.contact.margin, exactly=True) for rows in problem.contacts)
     return replace(problem, extra=(*problem.extra, *exactly))
+
+
+def _contacts(problem: TransportProblem) -> list[ContactConstraint]:
+    return [constraint for constraint in problem.constraints if isinstance(constraint, ContactConstraint)]
 
 
 def slow_enough(scenario: Scenario, found: FastestMotion, plan: Plan, robust: bool) -> tuple[FastestMotion, Plan]:
@@ -131,8 +133,8 @@ def slow_enough(scenario: Scenario, found: FastestMotion, plan: Plan, robust: bo
     for share in (1e-4, 1e-3, 4e-3, 1.6e-2):
         duration = found.duration * (1 + share)
         status = reached(SHORTEST.sought, duration) if found.status.code == "optimal" else found.status
-        slower = replace(found, duration=duration, status=status, looked=False)
-        if _missed(slower) is None and _passes(made := _planned(scenario, slower, robust), robust):
+        slower = replace(found, duration=duration, status=status)
+        if _passes(made := _planned(scenario, slower, robust), robust):
             return slower, made
     return found, plan
 
@@ -159,10 +161,8 @@ def _planned(scenario: Scenario, found: FastestMotion, robust: bool) -> Plan:
 
 def judged(plan: Plan, problem: TransportProblem) -> Plan:
     """The plan of a motion that was found for a problem; unsafe, if the motion fails the verdict
-    (`salver.planning.verdict.verify`). With load dynamics the plan's own check and `_missed` decide: the verdict finds
-    waves up to 8 % steeper for 7 ms after a motion, where the jerk ends, and with it what a held command is short of.
-    """
-    if not plan.status.ok or problem.cases:
+    (`salver.planning.verdict.verify`)."""
+    if not plan.status.ok:
         return plan
     assert plan.joint is not None
     found = verify(problem, plan.joint, None, PLANNED)
@@ -205,20 +205,6 @@ def solver_record(found: FastestMotion, robust: bool) -> dict[str, Any]:
         "binding": found.binding,
         **tracking_record(found),
     }
-
-
-def _missed(found: FastestMotion) -> TransportProblem | None:
-    """The problem with the cases of loads that the motion does not keep although it keeps those that were asked for."""
-    if found.looked or not found.problem.cases:
-        return None
-    t, z = _looked_at(found)
-    return with_missed_cases(found.problem, found.problem.at(t / t[-1], z, found.duration, imposed=False))
-
-
-def _looked_at(found: FastestMotion) -> tuple[Array, Array]:
-    """t (P,), s, and q and its derivatives (4, P, n) there."""
-    t = np.linspace(0.0, found.duration, 401)
-    return t, np.stack(found.sample(t))
 
 
 def joint_plan(

@@ -67,8 +67,7 @@ class Checked:
 
     problem: with all the cases of inner dynamics that were checked.
     worst: largest row of each block there, <= 0 when kept. binding: names of those blocks that hinder a shorter time:
-    that depend on time, and come near their edge. iterations: of all rounds. looked: whether the check looked at every
-    case of a load, along this very motion.
+    that depend on time, and come near their edge. iterations: of all rounds.
     """
 
     problem: TransportProblem
@@ -79,7 +78,6 @@ class Checked:
     worst: dict[str, float]
     binding: tuple[str, ...]
     iterations: int
-    looked: bool = False
 
 
 def programme_of(
@@ -124,7 +122,7 @@ def optimise(
     """
     watch, how = watch or Watch(), ExchangeOptions.of(problem)
     spline = start.spline
-    nodes = spline.nodes(nodes_per_span + how.added)
+    nodes = united(spline.nodes(nodes_per_span + how.added), problem.nodes)
     nodes = nodes if also is None else united(nodes, also)
     check = Grid.of(spline, Grid.of(spline, nodes, how.finer).s, 5)  # the joints' limits are looked at so much finer
     fine = curve_of(problem, check)
@@ -168,8 +166,7 @@ def optimise(
         solution = minimise(programme, begun, options, Trust(repair, 0.02))  # of rows only what is near
         done += solution.iterations
     status = _status(solution, worst, objective.sought, fine, point, how)
-    looked = point is solution.iterate.point
-    return Checked(problem, point.coefficients, point.duration, point.margin, status, worst, binding, done, looked)
+    return Checked(problem, point.coefficients, point.duration, point.margin, status, worst, binding, done)
 
 
 def _repair(

@@ -35,8 +35,10 @@ from salver.planning.trajopt.constraints.constraints import (
     TiltConstraint,
     TorqueLimit,
     TorqueRateLimit,
+    evaluate,
+    worst_of,
 )
-from salver.planning.trajopt.constraints.load_limits import LoadConstraint
+from salver.planning.trajopt.constraints.load_limits import AtRest, LoadConstraint
 from salver.planning.trajopt.constraints.obstacles import KeepOut
 from salver.planning.trajopt.constraints.via_poses import PassPose
 from salver.planning.trajopt.ends import AtPose, AtPosture, End
@@ -44,10 +46,6 @@ from salver.planning.trajopt.evaluation import MotionEvaluation
 from salver.scenario import Motion, Scenario
 from salver.sensitivity.arm.compliance import LoadResponses
 from salver.sensitivity.arm.tracking import JointLoop, joint_loop
-
-SPARE = (
-    2e-3  # share of the room of what moves inside loads that is kept more where another check looks between the nodes
-)
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,8 +62,8 @@ class TransportProblem:
     keep_out: what must not touch: parts of the arm, tray, load, obstacles; None for nothing.
     speeds: at which contact must hold. extra: constraints beside those that follow from all this.
     cases: of what moves inside each load, those that stand for all there are; every_case: those that a verdict looks
-    at; past: what they come from where the motion begins moving. through: poses that are passed on the way. spare:
-    share of their room that loads keep. calm: share of the limits of what is left of their swing at the end."""
+    at; past: what they come from where the motion begins moving. through: poses that are passed on the way. nodes:
+    shares of the time at which constraints are imposed beside where they usually are."""
 
     scenario: Scenario
     arm: ArmModel
@@ -85,8 +83,7 @@ class TransportProblem:
     every_case: CaseGroups = ()
     past: Past | None = None
     through: tuple[AtPose, ...] = ()
-    spare: float = 0.0
-    calm: float = 1.0
+    nodes: tuple[float, ...] = ()
 
     @property
     def items(self) -> tuple[Body, ...]:
@@ -136,7 +133,9 @@ class TransportProblem:
         if self.moving and self.past is None:
             self.check_still("a motion that begins moving")
         moving = [speed for speed in self.speeds if speed.factor]
-        found += [LoadConstraint(each[0].body, self.spare, self.calm, speed) for each in self.cases for speed in moving]
+        found += [LoadConstraint(each[0].body, speed) for each in self.cases for speed in moving]
+        swinging = (c for c in found if isinstance(c, LoadConstraint | ContactConstraint) and c.speed.factor)
+        found += [AtRest(constraint) for constraint in swinging] if self.cases else []
         found += [PassPose(self.arm, end.target, f"pose {k} to pass") for k, end in enumerate(self.through, 1)]
         if self.keep_out is not None:
             found.append(Clearance(self.keep_out))
@@ -147,10 +146,9 @@ class TransportProblem:
     ) -> MotionEvaluation:
         """A motion z (4, P, n) of this arm and load at points s (P,) in [0, 1] of its duration."""
         nodes = np.arange(len(s)) if nodes is None else nodes
-        frame_id = self.arm.tray_id
-        return MotionEvaluation(
-            self.model, frame_id, self.tracking, s, duration, z, nodes, imposed, self.moving, self.cases, self.past
-        )
+        arm = self.model, self.arm.tray_id, self.tracking
+        motion = MotionEvaluation(*arm, s, duration, z, nodes, imposed, self.moving, self.cases, self.past)
+        return replace(motion, resting=self.payload.slowest_period) if self.cases else motion
 
 
 def with_missed_cases(
@@ -167,6 +165,21 @@ def with_missed_cases(
         parts = responses.get(known[0].body.name, ())
         left = np.min([np.ones(len(others)), *(slacks(part).min(axis=1) for part in parts)], axis=0)
         found.append((*known, *(others[k] for k in np.flatnonzero(left < FINEST + margin))))
+    return replace(problem, cases=tuple(found)) if found != list(problem.cases) else None
+
+
+def with_failing_cases(problem: TransportProblem, motion: MotionEvaluation) -> TransportProblem | None:
+    """The problem with those cases added each of which alone, in the place of those of its load, violates a constraint;
+    None for none."""
+    constraints = [c for c in problem.constraints if isinstance(c, ContactConstraint | LoadConstraint | AtRest)]
+    motion, found = motion.knowing(terms=motion.terms, response=motion.response), []
+    for k, (known, every) in enumerate(zip(problem.cases, problem.every_case, strict=True)):
+
+        def fails(case: LoadCase, k: int = k) -> bool:
+            cases = (*problem.cases[:k], (case,), *problem.cases[k + 1 :])
+            return worst_of(evaluate(constraints, replace(motion, cases=cases), margins=False))[0] > 0.0
+
+        found.append((*known, *filter(fails, _others(known, every))))
     return replace(problem, cases=tuple(found)) if found != list(problem.cases) else None
 
 

@@ -30,6 +30,8 @@ from salver.sensitivity.arm.terms import MotionTerms
 from salver.sensitivity.arm.tracking import Deviation
 from salver.trajectory import JointMotion, extremes, hulls
 
+HOLD_STEP = 1e-2  # s between instants of an arm at rest
+
 
 @dataclass(frozen=True)
 class VerdictOptions:
@@ -245,6 +247,14 @@ class Judged:
         if tracking is None or self.deviation is None:
             return problem
         return replace(problem, tracking=tracking.begun(self.deviation[-1]))
+
+
+def standing_still(problem: TransportProblem, q: Array, seconds: float) -> MotionEvaluation:
+    """The arm at rest in a posture (n,) for so long, s, from the deviation and the modal states with which the problem
+    begins."""
+    z = np.zeros((4, max(5, int(np.ceil(seconds / HOLD_STEP)) + 1), problem.n))
+    z[0] = q
+    return problem.at(np.linspace(0.0, 1.0, z.shape[1]), z, seconds)
 
 
 def no_gradient(node: Indices, row: Indices) -> Array:

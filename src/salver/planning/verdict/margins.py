@@ -47,6 +47,7 @@ class ConstraintMargins:
                 continue  # a tray that has to stay level is always as near to that, and nothing is limited by it
             at = block.points[: len(value)]
             above = np.flatnonzero(value > largest[at])
+            above = above[np.argsort(value[above])]  # several rows may be of one point
             if len(above):
                 label = _labels(block, problem)
                 row = np.argmax(block.values[above], axis=1) if len(label) > 1 else 0

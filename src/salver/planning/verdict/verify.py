@@ -29,10 +29,9 @@ from salver.planning.trajopt.constraints.constraints import (
     both_sides,
     strayed,
 )
-from salver.planning.trajopt.constraints.load_limits import LoadConstraint
+from salver.planning.trajopt.constraints.load_limits import AtRest, LoadConstraint
 from salver.planning.trajopt.problem import TransportProblem
-from salver.planning.verdict.after import standing_still, stays
-from salver.planning.verdict.judged import STANDARD, Judged, VerdictOptions, no_gradient, subsample
+from salver.planning.verdict.judged import STANDARD, Judged, VerdictOptions, no_gradient, standing_still, subsample
 from salver.planning.verdict.margins import ConstraintMargins
 from salver.trajectory import JointMotion, ways
 
@@ -132,9 +131,17 @@ def contact_standing(judged: Judged) -> Iterator[Block]:
 
 def load_limits(judged: Judged) -> Iterator[Block]:
     """What moves inside loads within its limits (a liquid below its brim), in every case that a verdict
-    looks at, during the motion and after it."""
+    looks at, during the motion, and of what is left after it."""
     for constraint in judged.of_kind(LoadConstraint):
         yield from judged.rows(constraint)
+
+
+def at_rest(judged: Judged) -> Iterator[Block]:
+    """`contact` and `load_limits` for a period of the slowest load after the end, in which the arm settles: it leans,
+    and what swings back there pushes more than when the tray stopped."""
+    for constraint in judged.of_kind(AtRest):
+        assert isinstance(constraint, AtRest)
+        yield from judged.rows(constraint.of, constraint.blocks(judged.along))
 
 
 def clearance(judged: Judged) -> Iterator[Block]:
@@ -146,7 +153,8 @@ def clearance(judged: Judged) -> Iterator[Block]:
 
 def others(judged: Judged) -> Iterator[Block]:
     """Whatever else the problem asks for: what is predicted to pass, and constraints of one's own."""
-    known = JointLimit, LevelConstraint, TiltConstraint, TorqueRateLimit, TorqueLimit, ContactConstraint, LoadConstraint
+    limits = JointLimit, LevelConstraint, TiltConstraint, TorqueRateLimit, TorqueLimit
+    known = *limits, ContactConstraint, LoadConstraint, AtRest
     for constraint in judged.problem.constraints:
         own = type(constraint) is Clearance and constraint.keep_out is judged.problem.keep_out
         if type(constraint) not in known and not own:
@@ -156,7 +164,7 @@ def others(judged: Judged) -> Iterator[Block]:
 # In the order of their price: the reference alone, its dynamics, the deviation, everything.
 CHECKS: tuple[Check, ...] = (
     *(acceleration, jerk, tilt, torque_rate, torque, position, velocity),
-    *(contact_standing, contact, load_limits, clearance, others),
+    *(contact_standing, contact, load_limits, at_rest, clearance, others),
 )
 
 
@@ -189,9 +197,6 @@ def verify(
     if excess > 0.0:
         sentence = f"{what} would be exceeded by {100 * excess:.2g} % while the arm settles at its end"
         return Verdict(sentence, excess, what, judged=judged, margins=margins)
-    if not rests(judged):
-        sentence = "what is carried would not stay in the swing after it"
-        return Verdict(sentence, judged=judged, margins=margins)
     return Verdict("", float(margins.row.max()), judged=judged, margins=margins)
 
 
@@ -236,12 +241,6 @@ def settles(judged: Judged, blocks: Sequence[Block]) -> tuple[float, str]:
     more = PER_METRE * (further.max() - further[0])
     clearances = (block for block in blocks if isinstance(block.of, Clearance) and block.values.size)
     return max(((block.values[-1].max() + more, block.name) for block in clearances), default=(-np.inf, ""))
-
-
-def rests(judged: Judged) -> bool:
-    """Whether what is carried stays while what moves inside dies away after the end."""
-    end = np.pad(judged.motion.q[-1:], ((0, 3), (0, 0)))[:, None]
-    return not judged.problem.cases or stays(judged.after, np.zeros(1), end)
 
 
 def _refused(blocks: Sequence[Block], judged: Judged) -> Verdict:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -53,11 +54,13 @@ class LoadResponses:
             found.append((group, given[-1].responses))
         return cls(tuple(found), tuple(given))
 
-    def along(self, t: Array, w: Array) -> LoadResponses:
-        """The loads along another motion, with the arm's compliance of this one."""
+    def along(self, t: Array, w: Array, after: LoadResponses | None = None) -> LoadResponses:
+        """The loads along another motion, with the arm's compliance of this one. after: the loads along the motion that
+        it continues, if it is another one too."""
         found = []
-        for group, (old, *given) in self.together:
-            planned = type(old).of(old.modes.along(all_cases(group), t, w, old.modes.start))
+        for k, (group, (old, *given)) in enumerate(self.together):
+            start = old.modes.start if after is None else after.together[k][1][0].modes.states.last
+            planned = type(old).of(old.modes.along(all_cases(group), t, w, start))
             found.append((group, (planned, *(part.along(planned.modes) for part in given))))
         return LoadResponses(tuple(found))
 
@@ -138,40 +141,47 @@ class GroupResponse:
             modes = planned.shifted(known + reaction.w, begun.compliant)
         return cls(kind, planned, begun, modes, reaction, unknown)
 
-    @property
+    @cached_property
     def responses(self) -> tuple[LoadResponse, ...]:
         """As planned, and with the compliance of the arm."""
         if self.modes is None or self.reaction is None or self.unknown is None:
             return (self.kind.of(self.planned),)
-        return self.kind.of(self.planned), self.kind.compliant(self.modes, self.planned, self.reaction, *self.changing)
-
-    @property
-    def changing(self) -> tuple[Array, ModalState | None]:
-        """Uncertain changes of the tray's motion regressor, and what they have caused till then."""
-        assert self.unknown is not None
         change = self.begun.change
         if change is not None:  # of fewer terms where those loads are left out that know most of them
             change = change.of_terms(self.unknown.shape[3])
-        return self.unknown, change
+        return (
+            self.kind.of(self.planned),
+            self.kind.compliant(self.modes, self.planned, self.reaction, self.unknown, change),
+        )
 
     @property
     def states(self) -> InitialState:
         """All of it at the instants of the motion."""
-        planned = self.planned.states()
         if self.modes is None or self.reaction is None:
-            return InitialState(planned)
-        joints = self.reaction.joints
+            return InitialState(self.planned.states)
+        joints, change = self.reaction.joints, self.responses[1].change
+        assert change is not None
         reaction = -np.stack([joints.q, joints.dq], axis=1)
-        return InitialState(planned, self.modes.states(), self.modes.states(*self.changing), reaction)
+        return InitialState(self.planned.states, self.modes.states, change.states, reaction)
 
     def rested(self, t: Array) -> InitialState:
         """All of it t (T,), s, after the motion, the arm taken for still."""
-        planned = self.planned.rested(t)
-        if self.modes is None or self.reaction is None:
+
+        def later(modes: ModalMotion, states: ModalState, rest: Array) -> ModalState:
+            shape = (*modes.cases.omega.shape, *(1,) * (rest.ndim - 3))
+            sigma, kp = (x.reshape(shape) for x in (0.5 * modes.cases.kd, modes.stiffness))
+            return states.last.later(t, sigma, kp, rest)
+
+        planned = later(self.planned, self.planned.states, self.planned.equilibrium)
+        if self.modes is None or self.reaction is None or self.unknown is None:
             return InitialState(planned)
         n, K = self.reaction.joints.missing.shape[1:]
-        still = np.zeros((len(t), 2, n, K))
-        return InitialState(planned, self.modes.rested(t), self.modes.rested(t, *self.changing), still)
+        still, change = np.zeros((len(t), 2, n, K)), self.responses[1].change
+        assert change is not None
+        turned = change.angle if self.modes.cases.round else change.turning
+        free = self.modes.equilibrium_by(self.unknown, turned)
+        compliant = later(self.modes, self.modes.states, self.modes.equilibrium)
+        return InitialState(planned, compliant, later(self.modes, change.states, free), still)
 
 
 def of_cases(several: Sequence[LoadCase], load: LoadChange, dw: Array) -> tuple[Array, Array]:

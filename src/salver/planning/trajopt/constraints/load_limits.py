@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -13,19 +14,16 @@ from salver.dynamics.motion_gradients import Unknowns
 from salver.geometry import Array, Indices
 from salver.models.bodies import Body
 from salver.models.tray_motion import FULL_SPEED, Speed
-from salver.planning.trajopt.constraints.constraints import FINEST, Block, Constraint
+from salver.planning.trajopt.constraints.constraints import FINEST, Block, Constraint, ContactConstraint, History
 from salver.planning.trajopt.evaluation import MotionEvaluation
 
 
 @dataclass(frozen=True, eq=False)
 class LoadConstraint(Constraint):
     """What moves inside a body keeps its limits (`LoadResponse.limits`), during the motion and after it, in all its
-    cases. In units of the room that it has, of which `margin` is kept. calm: share of residual limits that may be left.
-    speed: at which, above 0."""
+    cases. In units of the room that it has. speed: at which, above 0."""
 
     body: Body
-    margin: float = 0.0
-    calm: float = 1.0
     speed: Speed = FULL_SPEED
 
     def blocks(self, motion: MotionEvaluation) -> Iterator[Block]:
@@ -36,7 +34,7 @@ class LoadConstraint(Constraint):
     def _block(self, motion: MotionEvaluation, each: Sequence[LoadLimit]) -> Block:
         """Rows of one kind of limit, the cases of its parts one after the other."""
         name, counts = each[0].name, [len(part.most) for part in each]
-        most = np.concatenate([part.most for part in each]) * (self.calm if each[0].residual else 1.0)
+        most = np.concatenate([part.most for part in each])
 
         def history(i: Indices, f: Indices, unknowns: Unknowns) -> Array:
             found = np.zeros((len(i), unknowns.felt.shape[2]))
@@ -49,13 +47,12 @@ class LoadConstraint(Constraint):
             order = np.argsort(np.concatenate([mine for mine, _ in found]))
             return np.concatenate([factors for _, factors in found])[order] / np.sqrt(most[f, None, None])
 
-        finest = max(self.margin, FINEST)
         block = Block(
             f"{name} in {self.body.name}{self.speed.words}",
             (np.concatenate([part.values for part in each]) / most[:, None] - 1).T,
             lambda i, f: np.zeros((len(i), 4 * motion.n)),
             motion.nodes,
-            margins=(5e-3 + self.margin, finest),  # between nodes modes are driven by what was interpolated
+            margins=(5e-3, FINEST),  # between nodes modes are driven by what was interpolated
             history=history,
             curvature=curvature,
             kinked=True,
@@ -66,4 +63,39 @@ class LoadConstraint(Constraint):
         if len(block.values) > 1:
             return block
         # All of the motion adds up to what is left after it.
-        return block.having(points=motion.nodes[-1:], margins=(0.03 + self.margin, finest), most=None, reach=np.inf)
+        return block.having(points=motion.nodes[-1:], margins=(0.03, FINEST), most=None, reach=np.inf)
+
+
+@dataclass(frozen=True, eq=False)
+class AtRest(Constraint):
+    """A constraint in the rest after a motion, while what moves inside loads and the arm that gives way to it come to
+    rest: of its rows those that are known at each instant. They depend on the states at the end, and on the posture."""
+
+    of: ContactConstraint | LoadConstraint
+
+    def blocks(self, motion: MotionEvaluation) -> Iterator[Block]:
+        whole = motion.at_factor(self.of.speed.factor)
+        for block in replace(self.of, speed=FULL_SPEED).blocks(whole.rest):
+            if len(block.values) > 1:
+                yield block.having(
+                    name=f"{block.name}{self.of.speed.words} after the motion",
+                    points=np.full(len(block.values), motion.nodes[-1]),
+                    gradient=partial(_of_posture, block),
+                    history=block.history and partial(_of_states, block.history, whole),
+                    curvature=block.curvature and partial(_of_states, block.curvature, whole),
+                    inherits=False,
+                    factor=self.of.speed.factor,
+                )
+
+
+def _of_posture(block: Block, i: Indices, f: Indices) -> Array:
+    """Derivatives (r, 4 n) of rows at rest by the last node: nothing moves there."""
+    rows = block.gradient(i, f)
+    rows[:, rows.shape[1] // 4 :] = 0.0
+    return rows
+
+
+def _of_states(history: History, motion: MotionEvaluation, i: Indices, f: Indices, unknowns: Unknowns) -> Array:
+    """Derivatives of rows at rest by unknowns of the motion before it."""
+    pairs = [(motion.rest.loads[name][0].planned, parts[0].planned) for name, parts in motion.loads.items()]
+    return history(i, f, unknowns.after(pairs))
