@@ -213,6 +213,15 @@ def test_links_between_pages_lead_somewhere():
             assert not anchor or anchor in anchors(there), f"{page.name} links to {target}#{anchor}"
 
 
+def test_every_how_to_is_at_most_two_clicks_from_the_home_page():
+    """By the links in the text of the pages, without the site's menu."""
+    near = [ROOT / "docs" / "index.md"]
+    for _ in range(2):
+        texts = [(page.parent, FENCE.sub("", page.read_text(encoding="utf-8"))) for page in near]
+        near += {(folder / at).resolve() for folder, text in texts for at in re.findall(r"\]\(([\w./-]+\.md)", text)}
+    assert not {*(ROOT / "docs" / "howto").glob("*.md")} - set(near)
+
+
 def test_the_comparison_of_outputs_notices_differences():
     assert_output("mass 0.256 kg\n in 12.1 ms", "mass 0.25 kg in ... ms")
     assert_output("mass 0.256 kg in 12.1 ms", "mass 0.2... kg in 1... ms")
