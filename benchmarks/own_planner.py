@@ -1,4 +1,4 @@
-"""A planner of one's own in the benchmark: a trapezoid of speed along the line, its acceleration below the friction's.
+"""A user-defined planner in the benchmark: a trapezoid of speed along the line, its acceleration below the friction's.
 
 python benchmarks/own_planner.py -n 20 --only "cube, friction 0.4" --planners trapezoid toppra
 """

@@ -10,7 +10,7 @@ parameters drawn from the scenario's uncertain set, its corners first, the same 
     duration         s
     kept             runs in which the load stays and the arm keeps its limits; and those in which the load stays;
                      with the 95 % interval that the runs drawn at random give (the extremes of the ranges come first)
-    limits broken    of the planned motion itself: the worst joint's share of the maker's limit, where that is above 1
+    limits violated  of the planned motion itself: the worst joint's share of the maker's limit, where that is above 1
     planning time    processor time, s, from the task to the motion
 
 Live planners need their packages (pip install toppra ruckig drake). What is not installed is read from
@@ -231,7 +231,7 @@ def tables(results: dict[str, Any]) -> list[str]:
     lines = [
         counts(results),
         "",
-        "| planner | plans for | mean duration | kept | 95 % interval | load stays | limits broken by the plan "
+        "| planner | plans for | mean duration | kept | 95 % interval | load stays | limits violated by the plan "
         "| planning time | |",
         "|---|---|---|---|---|---|---|---|---|",
     ]

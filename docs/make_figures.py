@@ -226,22 +226,22 @@ def ranges() -> Any:
     from salver.planning.fastest import plan_fastest
 
     scenario = scenarios.load("panda-tall-bottle")
-    pace, left = _figure(6.4, 3.6).subplots(2, 1, sharex=True)
+    speeding, left = _figure(6.4, 3.6).subplots(2, 1, sharex=True)
     way = np.subtract(scenario.motion.goal.position, scenario.motion.start.position)
     for role, robust in (("plan", True), ("nominal", False)):
         plan = plan_fastest(scenario, robust=robust)
         label = "planned for the ranges" if robust else "planned for the nominal values"
         look = {"color": style.ROLE_COLOURS[role], "linestyle": style.ROLE_DASHES[role], "label": label}
         samples = plan.evaluation.samples
-        pace.plot(samples.t, samples.a_S @ way / np.linalg.norm(way), **look)
+        speeding.plot(samples.t, samples.a_S @ way / np.linalg.norm(way), **look)
         left.plot(plan.margins.t, 100 * plan.margins.exact_worst, **look)
-    for axes in (pace, left):
+    for axes in (speeding, left):
         axes.axhline(0, color=style.BLACK, linewidth=0.6)
-    pace.set(ylabel="acceleration along\nthe way, m/s²")
-    pace.legend(loc="upper right")
+    speeding.set(ylabel="acceleration along\nthe way, m/s²")
+    speeding.legend(loc="upper right")
     left.set(xlabel="time, s", ylabel="worst-case margin,\n% of the weight", xlim=(0, None))
     left.annotate("below 0 the bottle may slide or tip", (0.2, -16), fontsize=8)
-    return _tight(pace.figure)
+    return _tight(speeding.figure)
 
 
 def overview() -> Any:
@@ -290,28 +290,28 @@ def committed() -> Any:
 
     moving = Live("panda-tall-bottle", lead=0.04)
     arm, period, silent = moving.problem.arm, 1e-3, 1.5
-    now, wanted, told, stops, seen = [], [], [], [], None
+    now, requested, commanded, stops, seen = [], [], [], [], None
     for k in range(2300):
         t = k * period
-        wish = 0.0 if t < 0.1 else 0.30 if t < 0.9 else -0.20
+        request = 0.0 if t < 0.1 else 0.30 if t < 0.9 else -0.20
         if k % 20 == 0 and t < silent:
-            moving.twist((0.0, wish, 0.0))
+            moving.twist((0.0, request, 0.0))
             moving.plan()
         q, dq, *_ = moving.command(t)
         now.append(t)
-        wanted.append(wish if t < silent else np.nan)
-        told.append(_speed(arm, q, dq))
+        requested.append(request if t < silent else np.nan)
+        commanded.append(_speed(arm, q, dq))
         if moving.committed is not seen:
             seen = moving.committed
             own = np.linspace(0.0, seen.motion.duration, 60)
             q, dq, _ = seen.motion.sample(own)
             stops.append((seen.begins + own, [_speed(arm, *state) for state in zip(q, dq, strict=True)]))
     axes = _figure(6.9, 2.9).add_subplot()
-    axes.plot(now, wanted, color=style.BLACK, linewidth=0.8, linestyle=(0, (1, 1)), label="twist requested")
+    axes.plot(now, requested, color=style.BLACK, linewidth=0.8, linestyle=(0, (1, 1)), label="twist requested")
     for k, (t, speed) in enumerate(stops):
         axes.plot(t, speed, color=style.SKY, linewidth=0.5, label="committed, and replaced later" if k == 1 else None)
     t, speed = stops[-1]
-    axes.plot(now, told, color=style.BLUE, linewidth=1.8, label="carried out")
+    axes.plot(now, commanded, color=style.BLUE, linewidth=1.8, label="carried out")
     axes.plot(t, speed, color=style.VERMILION, linewidth=1.8, label="the last one, to rest")
     axes.axvline(silent, color=style.GREY, linewidth=0.8)
     axes.annotate(

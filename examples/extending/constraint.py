@@ -1,4 +1,4 @@
-"""A constraint of one's own on the fastest motion: the tray goes no faster than 0.8 m/s."""
+"""A user-defined constraint on the fastest motion: the tray goes no faster than 0.8 m/s."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass

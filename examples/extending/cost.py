@@ -1,4 +1,4 @@
-"""A cost of one's own: the calmest motion, the one with the least mean square of acceleration, at a given duration."""
+"""A user-defined cost: the calmest motion, the one with the least mean square of acceleration, at a given duration."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""An uncertainty of one's own: a draught of up to 0.1 N along x and along y, beside what the scenario says."""
+"""A user-defined uncertainty: a draught of up to 0.1 N along x and along y, beside what the scenario says."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
