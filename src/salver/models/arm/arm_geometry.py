@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterable, Sequence, Set
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import Any
 
 import coal
@@ -29,10 +29,7 @@ from salver.wording import listed
 TRAY = "tray"
 _TOUCHING = 1e-3  # m into a link by which a load that stands on it may seem to reach
 _STILL = 1e-6  # m: a distance that changes by less does not change
-_STRIDES = (64, 16, 4, 1)  # from coarse to fine, distances along a path are taken where they may be short
 _REMEMBERED = 4  # paths of different numbers of postures of which distances are remembered
-_FEW = 4  # pairs up to which all distances are taken, of up to so many postures:
-_LONG = 100
 
 
 @dataclass(frozen=True)
@@ -84,23 +81,17 @@ class ArmGeometry:
         """(N, pairs) distance of each pair at postures (N, n), m; negative where they overlap.
 
         within: distances larger than this (m), of all or of each pair, need not be exact, only no larger than the true
-        ones: a pair that is far away is not checked again before the joints have turned far enough to bring it near;
-        from a neighbour, or from the posture in its place when as many were asked for last.
+        ones: a pair that was far away when as many postures were asked for last is not checked again before the joints
+        have turned far enough to bring it near.
         """
         low = np.full((len(q), len(self.pairs)), -np.inf)
         if not np.isfinite(within).all():
-            self._measure(q, low, np.arange(len(q)), within)
+            self._measure(q, low, within)
             return low
-        levers = self.levers(q).T
         if len(q) in self._last:
             before, there = self._last.pop(len(q))
-            low = there - np.abs(q - before) @ levers
-            self._measure(q, low, np.arange(len(q)), within)
-        else:
-            for new, *known in _passes(len(q), len(self.pairs) > _FEW or len(q) > _LONG):
-                if known:
-                    low[new] = np.maximum(*(low[near] - np.abs(q[new] - q[near]) @ levers for near in known))
-                self._measure(q, low, new, within)
+            low = there - np.abs(q - before) @ self.levers(q).T
+        self._measure(q, low, within)
         self._remember(q, low)
         return low
 
@@ -109,21 +100,11 @@ class ArmGeometry:
         if len(self._last) > _REMEMBERED:
             del self._last[next(iter(self._last))]
 
-    def _measure(self, q: Array, low: Array, nodes: Indices, within: float | Array) -> None:
-        """Put exact distances where those in `low` (N, pairs) are below `within`, at some of the postures (N, n)."""
-        due = low[nodes] < within
-        if not due.any():
-            return
+    def _measure(self, q: Array, low: Array, within: float | Array) -> None:
+        """Put exact distances where those in `low` (N, pairs) are below `within`, at postures (N, n)."""
         arm, data, place, results = self.arm.pin_model, self.arm.data, (self.model, self.data), self._results
-        whole = np.asarray(due.all(axis=1))
-        measured = []
-        for k in nodes[whole].tolist():
-            pin.computeDistances(arm, data, *place, q[k])
-            measured.append([result.min_distance for result in results])
-        if measured:
-            low[nodes[whole]] = measured
-        row, pairs = (due & ~whole[:, None]).nonzero()
-        postures, found, last = nodes[row], [], -1
+        postures, pairs = np.nonzero(low < within)
+        found, last = [], -1
         for k, pair in zip(postures.tolist(), pairs.tolist(), strict=True):
             if k != last:
                 pin.updateGeometryPlacements(arm, data, *place, q[k])
@@ -217,32 +198,11 @@ class ArmGeometry:
 
     def near(self, q: Array, distance: float) -> ArmGeometry:
         """The geometry with only those pairs that come within a distance (m) at one of the postures (N, n)."""
-        low, close = self._coming_near(q, distance)
-        self._remember(q, low)
-        pairs = np.flatnonzero(close)
+        low = self.clearance(q, distance)
+        pairs = np.flatnonzero(low.min(axis=0) < distance)
         found = self.only(pairs)  # made anew: where Coal begins to look hangs on what a shape was asked before
         found._remember(q, low[:, pairs])
         return found
-
-    def _coming_near(self, q: Array, distance: float) -> tuple[Array, Mask]:
-        """Bounds (N, pairs) of the distances at postures (N, n), and the pairs that come near at one of them."""
-        if len(q) > _LONG:
-            low = self.clearance(q, distance)
-            return low, low.min(axis=0) < distance
-        levers = self.levers(q).T
-        before, there = self._last.pop(len(q), (q, np.full((len(q), len(self.pairs)), -np.inf)))
-        low = there - np.abs(q - before) @ levers
-        # One posture is enough to know that a pair comes near: first that at which each may be nearest.
-        nearest, maybe = low.argmin(axis=0), low.min(axis=0) < distance
-        first = np.unique(nearest[maybe])
-        self._measure(q, low, first, np.where(nearest == first[:, None], distance, -np.inf))
-        close = maybe & (low[nearest, np.arange(len(self.pairs))] < distance)
-        if np.any(~close & (low < distance)):
-            for k in first:
-                low = np.maximum(low, low[k] - np.abs(q - q[k]) @ levers)
-            self._measure(q, low, np.arange(len(q)), np.where(close, -np.inf, distance))
-            close |= low.min(axis=0, where=~close, initial=np.inf) < distance
-        return low, close
 
     def only(self, pairs: Iterable[int]) -> ArmGeometry:
         """The geometry with some of the pairs, by their indices."""
@@ -266,20 +226,6 @@ class ArmGeometry:
                 if coal.collide(placed[i].geometry, poses[0], placed[j].geometry, poses[1], request, result):
                     return self.names[i], self.names[j]
         return None
-
-
-@lru_cache(maxsize=64)
-def _passes(count: int, several: bool) -> list[tuple[Indices, ...]]:
-    """In which order `count` postures are checked: which ones at a time, and the known ones before and after each."""
-    passes: list[tuple[Indices, ...]] = []
-    known = np.zeros(0, dtype=int)
-    for stride in _STRIDES if several else (1,):
-        nodes = np.union1d(np.arange(0, count, stride), count - 1)
-        new = np.setdiff1d(nodes, known, assume_unique=True)
-        at = np.searchsorted(known, new)
-        passes.append((new, known[at - 1], known[at]) if len(known) else (new,))
-        known = nodes
-    return passes
 
 
 def arm_geometry(
