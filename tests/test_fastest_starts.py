@@ -26,7 +26,7 @@ from salver.planning.seeds.starts import (
 )
 from salver.planning.trajopt.bound import least_duration
 from salver.planning.trajopt.constraints.constraints import Clearance, evaluate
-from salver.planning.trajopt.constraints.obstacles import AT_NODES, KeepOut
+from salver.planning.trajopt.constraints.obstacles import CLEARANCE, KeepOut
 from salver.planning.trajopt.ends import AtPose, AtPosture
 from salver.planning.trajopt.problem import TransportProblem
 
@@ -163,9 +163,9 @@ def test_an_end_that_is_too_near_keeps_what_it_can(behind_a_post, pair):
     there = problem.keep_out.parts.clearance(np.stack([pair.start, pair.goal])).min(axis=0)
     wanted = replace(problem.keep_out, required=there + 1e-3)  # nowhere kept
     kept = between(replace(problem, keep_out=wanted), pair).keep_out
-    assert np.all(kept.required + AT_NODES <= 0.5 * there + 1e-12)
+    assert np.all(kept.required + CLEARANCE.at_nodes <= 0.5 * there + 1e-12)
     assert np.all(
-        kept.distances(np.stack([pair.start, pair.goal])) >= AT_NODES
+        kept.distances(np.stack([pair.start, pair.goal])) >= CLEARANCE.at_nodes
     )  # what the nodes of a programme ask for
     assert np.array_equal(
         between(problem, pair).keep_out.required[there > 0.01], problem.keep_out.required[there > 0.01]
@@ -177,7 +177,7 @@ def test_where_an_end_is_very_near_nothing_may_touch_all_the_same(behind_a_post,
     at the whole motion, 0.1 mm exact in the way of two parts and 0.01 mm in distances, finds no touch."""
     problem = behind_a_post
     parts = problem.keep_out.parts
-    kept = KeepOut(parts, np.full(len(parts.pairs), 0.5 * 2.5e-4 - AT_NODES))
+    kept = KeepOut(parts, np.full(len(parts.pairs), 0.5 * 2.5e-4 - CLEARANCE.at_nodes))
     inside = straight(pair).path(np.linspace(0, 1, 40))
     true = parts.clearance(inside)
     assert true.min() < 0.0 < true[0].min()

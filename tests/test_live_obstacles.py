@@ -20,7 +20,7 @@ from salver.live.replanning.wishes import Evade
 from salver.models.arm.arm_geometry import arm_geometry
 from salver.planning.fastest import evaluate, transport_problem
 from salver.planning.trajopt.constraints.constraints import strayed
-from salver.planning.trajopt.constraints.obstacles import NEAR, SAFETY
+from salver.planning.trajopt.constraints.obstacles import CLEARANCE
 from salver.planning.verdict import verify
 from salver.planning.verdict.judged import STANDARD, Judged, subsample
 from salver.trajectory import JointMotion
@@ -114,7 +114,7 @@ def test_at_rest_what_the_arm_strays_before_it_has_settled_counts(bottle):
     at = problem.arm.tray_pose(q[1])[0] + np.array([0.0, 0.0, 0.15])
     seen = predicted(Moving("ball", "sphere", at, radius=0.03, uncertainty=0.0, growth=0.0), 0.0)
     *_, rest = MovingClearance(movable, (seen,), 0.0).blocks(judged.along)
-    free = movable.distances(q[1:], seen, at[None])[0] - SAFETY - off.max()
+    free = movable.distances(q[1:], seen, at[None])[0] - CLEARANCE.safety - off.max()
     assert np.any(free < 0.1)
     assert -0.1 * rest.values[0][free < 0.1] == pytest.approx(free[free < 0.1], abs=1e-9)
 
@@ -126,7 +126,7 @@ def test_between_the_postures_that_are_looked_at_no_pair_moves_unseen(problem):
         q = problem.start.q + np.linspace(0, span, 65)[:, None] * turn
         looked = subsample(parts, q)
         steps = np.abs(np.diff(looked, axis=0)) @ parts.levers(q).T
-        assert steps.max() < NEAR or len(looked) == len(q)
+        assert steps.max() < CLEARANCE.near or len(looked) == len(q)
         assert np.array_equal(subsample(parts, q[::-1]), looked[::-1])
         assert np.array_equal(looked[[0, -1]], q[[0, -1]])
     assert len(subsample(parts, problem.start.q + np.zeros((65, 1)))) == 9
@@ -315,7 +315,9 @@ def test_looking_out_finds_what_a_fine_scan_of_time_finds(cube):
         seen = Moving("ball", "sphere", begin, (at - begin) / seconds, radius=0.04, lasts=1.2, growth=0.05)
         ball = predicted(seen, live.now)
         near = lookout.outlook(path, Sighting((ball,)), live.now).near
-        free = movable.distances(q, ball, ball.at(t)[0]).min(axis=1) - ball.around(t) - path.off_at(t) - SAFETY
+        free = (
+            movable.distances(q, ball, ball.at(t)[0]).min(axis=1) - ball.around(t) - path.off_at(t) - CLEARANCE.safety
+        )
         first = t[int(np.argmax(free <= 0.0))]
         counts[bool(near)] += 1
         if near:

@@ -18,7 +18,7 @@ from salver.live.replanning.wishes import Goal, Halt
 from salver.live.worker import _Process
 from salver.planning.fastest import AtPosture, fastest
 from salver.planning.trajopt.constraints.constraints import Clearance, ContactConstraint, evaluate
-from salver.planning.trajopt.constraints.obstacles import NEAR, KeepOut
+from salver.planning.trajopt.constraints.obstacles import CLEARANCE, KeepOut
 from salver.planning.trajopt.exchange import optimise
 from salver.planning.trajopt.sqp import minimise
 from salver.planning.verdict.judged import Judged, VerdictEvaluation
@@ -146,9 +146,9 @@ def test_a_verdict_looks_at_the_distances_of_the_pairs_that_come_near(moving, mo
     assert verified(problem, motion, 3.0, None).committed is not None
     (looked,) = (x.keep_out.parts.pairs for x in asked if isinstance(x, Clearance))
     apart = problem.keep_out.parts.clearance(motion.sample(np.linspace(0.0, motion.duration, 150))[0]).min(axis=0)
-    assert np.abs(apart - NEAR).min() > 1e-4
+    assert np.abs(apart - CLEARANCE.near).min() > 1e-4
     assert sorted(looked) == sorted(
-        pair for pair, low in zip(problem.keep_out.parts.pairs, apart, strict=True) if low < NEAR
+        pair for pair, low in zip(problem.keep_out.parts.pairs, apart, strict=True) if low < CLEARANCE.near
     )
     assert 0 < len(looked) < 0.5 * len(apart)
 

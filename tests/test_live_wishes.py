@@ -13,7 +13,7 @@ from salver.live.replanning.replan import straight
 from salver.models.arm.arm_limits import POSITION
 from salver.planning.fastest import transport_problem
 from salver.planning.postures import PoseTarget
-from salver.planning.trajopt.constraints.obstacles import AT_NODES
+from salver.planning.trajopt.constraints.obstacles import CLEARANCE
 from salver.planning.trajopt.ends import AtPose, AtPosture
 
 
@@ -77,7 +77,7 @@ def test_from_where_it_rests_near_to_something_it_goes_on(cube):
     post = {"type": "box", "name": "post", "position": [0.6934, -0.37, 0.5], "size": [0.1, 0.4, 1.0]}
     live = Live(cube.with_changes(obstacles=[post]), lead=LEAD)
     q, keep_out = live.problem.start.q[None], live.problem.keep_out
-    assert 4e-4 < keep_out.near(q).distances(q).min() < 6e-4 < AT_NODES
+    assert 4e-4 < keep_out.near(q).distances(q).min() < 6e-4 < CLEARANCE.at_nodes
     live.command(0.0)
     live.goto((0.45, 0.1, 0.45))
     assert live.plan(60.0).refused == ""

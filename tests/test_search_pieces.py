@@ -21,7 +21,7 @@ from salver.planning.postures import INSIDE, PoseTarget
 from salver.planning.seeds.around import STEP, FreeSpace, _cut_short
 from salver.planning.stops import along
 from salver.planning.trajopt.constraints.constraints import PER_METRE, REACH_BEYOND_TRAY, UNSEEN, Block, Clearance
-from salver.planning.trajopt.constraints.obstacles import AT_NODES, EXACT, REACH, KeepOut
+from salver.planning.trajopt.constraints.obstacles import CLEARANCE, KeepOut
 from salver.planning.trajopt.constraints.via_poses import ALLOWED, SCALE, Closest, PassPose, _blend
 from salver.planning.trajopt.curves import launch_basis
 from salver.planning.trajopt.ends import Anywhere
@@ -159,7 +159,8 @@ def test_a_pair_that_is_too_near_at_an_end_keeps_a_share_of_that_less_what_nodes
     # A verdict ends where an arm goes 0.1 mm at most, half of it from either end, and distances are good to 0.01 mm.
     assert 1e3 * kept.least == pytest.approx([5.0, 0.07, 0.07, 1.0, 0.0])
     assert 1e3 * keep_out.distances(np.zeros((2, 7)), 0.002) == pytest.approx(1e3 * (there - required))
-    assert np.all(asked[-1] >= required + REACH + AT_NODES + 0.002)  # exact as far as the arm may stray into reach
+    far = CLEARANCE.reach + CLEARANCE.at_nodes + 0.002  # exact as far as the arm may stray into reach
+    assert np.all(asked[-1] >= required + far)
 
 
 def straight_to(path: SplinePath, corners: Array) -> float:
@@ -222,7 +223,7 @@ def test_what_the_arm_strays_comes_off_its_distance_from_what_is_around() -> Non
     assert problem.keep_out is not None
     (rows,), (sure,) = (list(Clearance(problem.keep_out).blocks(x)) for x in (motion, replace(motion, tracking=None)))
     exact = problem.keep_out.parts.clearance(z[0]) - problem.keep_out.required
-    near = exact < EXACT  # further away a bound is enough
+    near = exact < CLEARANCE.exact  # further away a bound is enough
     assert near.any()
     assert rows.values[near] == pytest.approx(-PER_METRE * (exact - stray[:, None])[near], abs=1e-4)
     assert sure.values[near] == pytest.approx(-PER_METRE * exact[near], abs=1e-4)

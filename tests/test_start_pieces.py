@@ -31,7 +31,7 @@ from salver.planning.seeds.starts import (
     straight,
     touches,
 )
-from salver.planning.trajopt.constraints.obstacles import ENOUGH_AT_ENDS, KeepOut
+from salver.planning.trajopt.constraints.obstacles import CLEARANCE, KeepOut
 from salver.planning.trajopt.ends import AtPose, AtPosture
 from salver.planning.trajopt.problem import TransportProblem
 from salver.planning.trajopt.spline import RestSpline
@@ -138,13 +138,13 @@ def test_a_posture_that_is_slid_free_has_the_room_that_an_end_needs(behind_a_pos
     rng, free = np.random.default_rng(1), 0
     for attempt in range(12):
         q = problem.start.nearest(problem.arm, problem.limits, guess(problem, rng, attempt))
-        if q is None or problem.keep_out.distances(q[None]).min() >= ENOUGH_AT_ENDS:
+        if q is None or problem.keep_out.distances(q[None]).min() >= CLEARANCE.enough_at_ends:
             continue
         slid = _slid_free(problem, problem.start, q)
         assert np.abs(problem.start.residual(problem.arm, slid)[0]).max() < 1e-6
         left = problem.keep_out.distances(slid[None]).min()
-        assert not -0.01 < left < ENOUGH_AT_ENDS  # not left as soon as it hardly touches
-        free += left >= ENOUGH_AT_ENDS
+        assert not -0.01 < left < CLEARANCE.enough_at_ends  # not left as soon as it hardly touches
+        free += left >= CLEARANCE.enough_at_ends
     assert free > 0
 
 

@@ -26,7 +26,7 @@ from salver.planning.stops import (
     stop_from,
     stop_problem,
 )
-from salver.planning.trajopt.constraints.obstacles import SAFETY
+from salver.planning.trajopt.constraints.obstacles import CLEARANCE
 from salver.planning.trajopt.curves import BrakingCurve, FreeCurve, Grid
 from salver.planning.trajopt.problem import SPARE
 from salver.planning.trajopt.spline import RestSpline
@@ -280,7 +280,7 @@ def test_a_stop_may_pass_as_close_as_its_plan_does():
     plan = SimpleNamespace(joint=JointMotion(np.array([0.0, 1.0]), q, 0 * q, 0 * q), scenario=case)
     least, *others = np.sort(stop_problem(plan).keep_out.required)
     assert least == pytest.approx(1e-3, rel=0.05)
-    assert min(others) == SAFETY
+    assert min(others) == CLEARANCE.safety
 
 
 def test_a_motion_that_begins_moving_has_the_derivatives_that_differences_give():

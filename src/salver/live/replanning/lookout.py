@@ -16,7 +16,7 @@ import numpy as np
 from salver.geometry import Array
 from salver.live.replanning.obstacles import Movable, Predicted
 from salver.planning.fastest import TransportProblem
-from salver.planning.trajopt.constraints.obstacles import SAFETY
+from salver.planning.trajopt.constraints.obstacles import CLEARANCE
 from salver.trajectory import JointMotion
 
 STEP = 0.02  # s of the coarse grid
@@ -150,7 +150,7 @@ class Lookout:
         found = []
         for obstacle in obstacles:
             p, v = obstacle.at(t)
-            kept = SAFETY + obstacle.around(t) + off
+            kept = CLEARANCE.safety + obstacle.around(t) + off
             free = np.linalg.norm(middle - p[:, None], axis=2) - movable.radii - obstacle.radius - kept[:, None]
             fast = obstacle.fastest(np.linalg.norm(v, axis=1)) + obstacle.growth
             both = speed + np.maximum(fast[:-1], fast[1:])[:, None]
@@ -192,7 +192,7 @@ class Lookout:
                 return None
             at, q = path.just_before(at)
             self.looks += 1
-            kept = SAFETY + obstacle.uncertainty + obstacle.growth * max(at - obstacle.t0, 0.0)
+            kept = CLEARANCE.safety + obstacle.uncertainty + obstacle.growth * max(at - obstacle.t0, 0.0)
             kept += float(np.interp(at, path.t, path.off))
             free = movable.distance(q, part, obstacle, obstacle.place(at)) - kept
             if free <= 0.5 * FINEST * both[min(k, len(both) - 1)]:

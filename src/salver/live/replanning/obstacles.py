@@ -22,7 +22,7 @@ from salver.live.replanning import wishes
 from salver.models.arm.arm_geometry import ArmGeometry
 from salver.planning.fastest import Block, Constraint, MotionEvaluation, padded
 from salver.planning.trajopt.constraints.constraints import PER_METRE, strayed
-from salver.planning.trajopt.constraints.obstacles import SAFETY
+from salver.planning.trajopt.constraints.obstacles import CLEARANCE
 
 FAR = 0.15  # m from which on distances are those of bounding spheres: no larger than the true ones
 AT_NODES = 5e-3  # m more that a programme keeps at its nodes
@@ -335,7 +335,7 @@ class MovingClearance(Constraint):
             speed = np.linalg.norm(v, axis=1) + obstacle.growth
             free = (
                 movable.distances(q, obstacle, p, middles)
-                - (SAFETY + obstacle.around(self.begins + t) + stray)[:, None]
+                - (CLEARANCE.safety + obstacle.around(self.begins + t) + stray)[:, None]
             )
             if not motion.imposed:  # what both may go until the next look
                 free -= longest[:, None] * (speed[:, None] + np.abs(dq) @ movable.levers.T)
@@ -368,7 +368,7 @@ class MovingClearance(Constraint):
             # At rest, until nothing is known any more.
             late, v_late = obstacle.at(self.begins + rest)
             faster = np.linalg.norm(v_late, axis=1) + obstacle.growth
-            kept = SAFETY + obstacle.around(self.begins + rest) + at_rest_stray + 0.5 * REST_STEP * faster
+            kept = CLEARANCE.safety + obstacle.around(self.begins + rest) + at_rest_stray + 0.5 * REST_STEP * faster
             there = movable.distances(q[-1:], obstacle, late, middles[-1:]) - kept[:, None]
             there[self.begins + rest > obstacle.until] = FAR
             worst = np.argmin(there, axis=0)

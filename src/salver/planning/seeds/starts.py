@@ -14,7 +14,7 @@ from salver.models.arm.arm_limits import POSITION
 from salver.planning.seeds.around import way_around
 from salver.planning.trajopt.bound import least_duration, least_time
 from salver.planning.trajopt.constraints.obstacles import APART as APART_FROM_TOUCHING
-from salver.planning.trajopt.constraints.obstacles import ENOUGH_AT_ENDS, TOUCHES
+from salver.planning.trajopt.constraints.obstacles import CLEARANCE
 from salver.planning.trajopt.ends import AtPosture, End
 from salver.planning.trajopt.problem import TransportProblem
 from salver.planning.trajopt.spline import RestSpline, SplineMotion, min_jerk_blend
@@ -253,7 +253,7 @@ def _slid_free(problem: TransportProblem, end: End, q: Array, options: EndOption
         return q
     free, vain = -np.inf, 0
     for _ in range(options.slides):
-        distance = keep_out.distances(q[None])[0] - ENOUGH_AT_ENDS
+        distance = keep_out.distances(q[None])[0] - CLEARANCE.enough_at_ends
         vain = 0 if distance.min() > free else vain + 1
         free = max(free, float(distance.min()))
         if free >= 0 or vain >= 4:  # slides in turn that came no further
@@ -329,7 +329,8 @@ def open_to(problem: TransportProblem, start: Start) -> bool:
     """Whether a path can be gone along slowly, or nearly so: nothing touches, and no tray leans so far that its load
     slides."""
     ups = [problem.arm.tray_pose(q)[1][2, 2] for q in start.path(np.linspace(0, 1, ALONG))]
-    return touches(problem, start) < TOUCHES and np.arccos(np.clip(min(ups), -1, 1)) < np.arctan(_friction(problem))
+    stays = np.arccos(np.clip(min(ups), -1, 1)) < np.arctan(_friction(problem))
+    return bool(stays) and touches(problem, start) < CLEARANCE.touching
 
 
 def _by_contact(problem: TransportProblem, way: float) -> float:

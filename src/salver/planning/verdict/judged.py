@@ -23,7 +23,7 @@ from salver.planning.trajopt.constraints.constraints import (
     strayed,
 )
 from salver.planning.trajopt.constraints.load_limits import LoadConstraint
-from salver.planning.trajopt.constraints.obstacles import NEAR
+from salver.planning.trajopt.constraints.obstacles import CLEARANCE
 from salver.planning.trajopt.evaluation import MotionEvaluation
 from salver.planning.trajopt.problem import TransportProblem
 from salver.sensitivity.arm.terms import MotionTerms
@@ -262,10 +262,10 @@ def no_gradient(node: Indices, row: Indices) -> Array:
 
 
 def subsample(parts: ArmGeometry, q: Array) -> Array:
-    """Of postures (N, n) along a motion so many that no pair is near (`NEAR`) at another one only: between two of them
-    none comes nearer by more than half of that."""
+    """Of postures (N, n) along a motion so many that no pair is near (`ClearanceOptions.near`) at another one only:
+    between two of them none comes nearer by more than half of that."""
     for every in (8, 4, 2):
         some = q[np.unique(np.append(np.arange(0, len(q), every), len(q) - 1))]
-        if (np.abs(np.diff(some, axis=0)) @ parts.levers(q).T).max(initial=0.0) < NEAR:
+        if (np.abs(np.diff(some, axis=0)) @ parts.levers(q).T).max(initial=0.0) < CLEARANCE.near:
             return some
     return q

@@ -24,7 +24,7 @@ from salver.models.contact_rows import ContactRows
 from salver.models.tray_motion import FULL_SPEED, Speed
 from salver.models.uncertain.worst_case import ALL, Drift, Some, WorstCase, values_near
 from salver.models.uncertain.worst_contents import SURE
-from salver.planning.trajopt.constraints.obstacles import AT_NODES, REACH, KeepOut
+from salver.planning.trajopt.constraints.obstacles import CLEARANCE, KeepOut
 from salver.planning.trajopt.evaluation import MotionEvaluation
 
 Gradient = Callable[[Indices, Indices], Array]
@@ -454,9 +454,9 @@ class Clearance(Constraint):
             -PER_METRE * (distance - stray[:, None]),
             lambda i, f: padded(-PER_METRE * self.keep_out.gradient(q, i, f), motion.n),
             motion.nodes,
-            margins=(PER_METRE * AT_NODES, 0.0),
+            margins=(PER_METRE * CLEARANCE.at_nodes, 0.0),
             scales=False,
-            reach=PER_METRE * REACH,
+            reach=PER_METRE * CLEARANCE.reach,
             kinked=True,
             in_words=lambda excess: f"{1e3 * excess / PER_METRE:.3g} mm",
         )
