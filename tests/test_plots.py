@@ -44,6 +44,7 @@ def test_a_plan_is_drawn_with_its_joints_and_its_margins(plan):
     assert len(sv.plan("panda-cube", "baseline", arm=False).plot()) == len(axes) - 1
 
 
+@pytest.mark.slow
 def test_a_run_is_drawn_with_what_its_objects_did(plan):
     run = sv.simulate(plan, parameters={"mass": 0.27})
     curves = drawn(run.plot())
