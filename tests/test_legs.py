@@ -30,7 +30,6 @@ from salver.motion_files.samples import cut_at_rests
 from salver.planning.fastest import transport_problem
 from salver.planning.fastest.legs import _end_of, _merit, _status, chains
 from salver.planning.fastest.retiming import plan_retimed_legs
-from salver.planning.fastest.together import LegsCurve, LegsProgramme
 from salver.planning.plan import load_plan
 from salver.planning.postures import PoseTarget
 from salver.planning.round import load_round
@@ -473,54 +472,6 @@ def main_of(*words):
     with patch.object(sys, "argv", ["salver", *map(str, words)]), pytest.raises(SystemExit) as end:
         main()
     return end.value.code or 0
-
-
-def test_rows_of_all_legs_change_as_their_derivatives_say_with_the_shares_of_the_time_too():
-    """Nominal loads: what a wrong one does to the arm is left out of derivatives by design. Rows that depend on time
-    are those times the square of their leg's duration."""
-    case = parsed()
-    problems = [transport_problem(leg, robust=False, passing=True) for leg in case.each_leg]
-    postures = chains(problems, np.random.default_rng(0))[0]
-    spline, s = RestSpline(5, 4), np.linspace(0, 1, 101)
-    grid = Grid.of(spline, spline.nodes(2))
-    curve = LegsCurve(tuple(problems), spline, grid.s, grid.nodes, np.array([0.4, 0.6]))
-    assert curve.rows(1).stop == curve.postures
-    assert curve.fixed() == (0, 5)  # what two logs of shares leave of a row of seven
-    rng = np.random.default_rng(1)
-    at = np.zeros((curve.grid.basis.shape[2], curve.width))
-    for k, (one, *_, other) in enumerate(postures):
-        at[curve.rows(k)] = spline.fit(s, one + min_jerk_blend(s)[:, None] * (other - one))
-    at[: curve.postures] += 0.02 * rng.normal(size=(curve.postures, curve.width))
-    at[curve.postures, :2] = 0.1, -0.05
-    programme = LegsProgramme(curve, (), SHORTEST, tuple(problem.constraints for problem in problems))
-    here, seen = programme.begin(at, 1.4), set()
-    step = np.zeros(at.size)
-    step[: curve.postures * curve.width] = 0.3 * rng.normal(size=curve.postures * curve.width)
-    step[curve.columns_of_shares] = 0.7, -1.1
-
-    def rows(number, node, column, h):
-        block = programme.begin(at + h * step.reshape(at.shape), 1.4).blocks[number]
-        longer = 2 * h * step[curve.columns_of_shares][block.points[node] // len(grid.s)]
-        return block.values[node, column] * (np.exp(longer) if block.scales else 1.0)
-
-    for number, block in enumerate(here.blocks):
-        if block.kinked or isinstance(block.of, PassPose):  # of which those far from the pose are not exact
-            continue
-        node, column = (rng.integers(0, size, 6) for size in block.values.shape)
-        claimed = programme.derivatives(here, block, node, column)[:, :-1] @ step
-        h = 1e-6
-        found = (rows(number, node, column, h) - rows(number, node, column, -h)) / (2 * h)
-        np.testing.assert_allclose(claimed, found, atol=2e-5 * max(1.0, np.abs(found).max()))
-        seen.add(block.name)
-    changing = "while the speed changes"
-    assert {"velocity", "torque", f"contact of first {changing}", f"contact of second {changing}"} <= seen
-    assert curve.durations(at, 1.4) == pytest.approx([1.4 * 0.4 * np.exp(0.1), 1.4 * 0.6 * np.exp(-0.05)])
-    again = curve.repaired(at)
-    assert again is not None
-    assert curve.durations(again, 1.4).sum() == pytest.approx(1.4)
-    np.testing.assert_allclose(curve.repaired(again), again, atol=1e-9)  # what is right already stays
-    for k, problem in enumerate(problems):
-        assert np.abs(problem.goal.residual(problem.arm, again[curve.rows(k)][-1])[0]).max() < 1e-10
 
 
 def test_a_pose_on_the_way_is_passed_whole_in_order_without_a_stop(planned):

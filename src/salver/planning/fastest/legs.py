@@ -1,8 +1,8 @@
-"""Fastest plans of several legs: each from rest to rest with its own load, joined in postures that are chosen.
+"""Fastest plans of several legs: each from rest to rest with its own load, one after the other.
 
-Which branch of the inverse kinematics the arm takes is chosen for the task as a whole (`chains`), and so are the
-postures at its stops, by a rough optimum of all legs in one programme (`together`). Each leg is then optimised with all
-pieces between the two postures that were found. Beside that, each leg chooses its own end; the shorter task is taken.
+Each leg begins where the one before it ended, and chooses for itself where it ends. Where no safe leg leads on from
+there, the branches of the inverse kinematics are chosen for the task as a whole (`chains`), and each leg is planned
+between its two postures.
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ from salver.geometry import Array, quat_wxyz_from_matrix
 from salver.planning.fastest.found import FastestOptions, object_motion
 from salver.planning.fastest.optimum import few_pieces, refitted
 from salver.planning.fastest.planned import plan_problem
-from salver.planning.fastest.together import together
 from salver.planning.plan import Plan
 from salver.planning.plan_files import begun_at
 from salver.planning.round import MultiLegPlan
@@ -46,42 +45,32 @@ def plan_legs(scenario: Scenario, *, options: FastestOptions | None = None, watc
     watch = watch or Watch(options.time_limit)
     problems = [transport_problem(leg, passing=True) for leg in scenario.each_leg]
     legs: list[Plan] = []
-    for begin in _begins(problems, options, watch):
+    for begin in _begins(problems, options):
         try:
-            found = in_turn(problems, begin, options, watch, 0.0 if begin is not None else 0.5)
+            found = in_turn(problems, begin, options, watch)
         except UnreachableError:
-            if not legs or _merit(legs, problems)[0]:
-                raise
-            break
+            if legs:
+                break
+            continue  # `chains` says which stop is out of reach
         if not legs or _merit(found, problems) < _merit(legs, problems):
             legs = found
-        if watch.over() and not _merit(legs, problems)[0]:
+        if watch.over() or not _merit(legs, problems)[0]:
             break
+    if not legs:
+        raise UnreachableError(f"{scenario.name}: no motions were found that lead from stop to stop.")
     exact = scenario.with_changes(contact__condition="exact")
     seconds = sum(float(leg.solver["seconds"]) for leg in legs)
     record = {"name": legs[0].solver["name"], "seconds": seconds, "robust": True}
     return MultiLegPlan(exact, tuple(legs), _status(legs, watch), record)
 
 
-def _begins(
-    problems: Sequence[TransportProblem], options: FastestOptions, watch: Watch
-) -> Iterator[list[SplineMotion] | None]:
-    """A first motion of every leg: of the best of a few rough optima, and None: each leg then chooses for itself where
-    it ends, which no rough optimum of all may have led to."""
-    roughs: list[tuple[bool, float, list[SplineMotion]]] = []
-    few, rng = few_pieces(options), np.random.default_rng(options.seed)
-    for chain in chains(problems, rng)[: options.pairs]:
-        each = [between(p, Ends(q[0], q[-1], 0.0, True)) for p, q in zip(problems, chain, strict=True)]
-        begin = [Start("straight", q).motion(problem, few) for problem, q in zip(each, chain, strict=True)]
-        found, violation = together(
-            each, begin, options.nodes_per_span, watch, options.rough_gain, options.most_roughly
-        )
-        roughs.append((violation >= options.mendable, sum(motion.duration for motion in found), found))
-        if watch.over():
-            break
-    roughs.sort(key=lambda rough: rough[:2])
-    yield from (found for far, _, found in roughs[:1] if not far)
+def _begins(problems: Sequence[TransportProblem], options: FastestOptions) -> Iterator[list[SplineMotion] | None]:
+    """None: each leg chooses where it ends; then a motion of every leg along the most promising chains of postures."""
     yield None
+    few = few_pieces(options)
+    for chain in chains(problems, np.random.default_rng(options.seed))[: options.pairs]:
+        each = [between(p, Ends(q[0], q[-1], 0.0, True)) for p, q in zip(problems, chain, strict=True)]
+        yield [Start("straight", q).motion(problem, few) for problem, q in zip(each, chain, strict=True)]
 
 
 def chains(problems: Sequence[TransportProblem], rng: np.random.Generator) -> list[list[Array]]:
@@ -114,13 +103,9 @@ def in_turn(
     begin: list[SplineMotion] | None,
     options: FastestOptions,
     watch: Watch,
-    done: float = 0.5,
 ) -> list[Plan]:
     """Plans of the legs, each from the posture in which the one before it ends; to that in which its motion of `begin`
-    does, if there are any: then no further than to the first leg that is not safe.
-
-    done: share of the work before it, of which this is half.
-    """
+    does, if there are any: then no further than to the first leg that is not safe."""
     legs: list[Plan] = []
     for k, problem in enumerate(problems):
         near = None if begin is None else refitted(begin[k], options.spans)
@@ -131,7 +116,7 @@ def in_turn(
             q = near.coefficients
             problem = between(replace(problem, goal=AtPosture(q[-1])), Ends(q[0], q[-1], 0.0, True))
             problem = replace(problem, start=AtPosture(q[0]))
-        part = watch.part(done + 0.5 * k / len(problems), 0.5 / len(problems))
+        part = watch.part(k / len(problems), 1 / len(problems))
         legs.append(plan_problem(problem, options=options, watch=part, near=near))
         if begin is not None and not legs[-1].ok and not watch.ended:
             break
