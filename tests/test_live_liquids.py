@@ -14,7 +14,8 @@ from salver.errors import ScenarioError, Status
 from salver.live import Live
 from salver.live.committed.commit import verified
 from salver.live.committed.motion import between
-from salver.live.replanning.steer import HORIZON, TICK, Steering, TwistWanted
+from salver.live.replanning.objective import TwistWanted
+from salver.live.replanning.steer import STANDARD, TICK, Steering
 from salver.planning.fastest import evaluate, joint_plan
 from salver.planning.trajopt.constraints.load_limits import LoadConstraint
 from salver.planning.trajopt.evaluation import NOTHING
@@ -112,13 +113,13 @@ def test_rows_of_waves_change_with_a_bend_as_differences_say(changed, monkeypatc
     monkeypatch.setattr(Steering, "_unknowns", lambda self, motion: noted.append(motion) or unknowns(self, motion))
     monkeypatch.setattr(Steering, "_rows", lambda self, *of: noted.append((*of, rows(self, *of))) or noted[-1][-1])
     begins = TICK * round((base.begins + 0.18) / TICK)
-    next(steering._bends(TwistWanted(np.zeros(6), np.zeros(6), begins), base, begins))
+    steering._increment(TwistWanted(np.zeros(6), np.zeros(6), begins), base, begins)
     motion, (blocks, masks, _, matrix) = noted[:2]
     bend = 1e-5 * np.random.default_rng(1).normal(size=(steering.grid.basis.shape[2], live.problem.n))
     bend[[0, -1]] = 0.0
 
     def values(sign):
-        bent = replace(motion, z=motion.z + sign * steering.grid.motion(bend, HORIZON), known=NOTHING)
+        bent = replace(motion, z=motion.z + sign * steering.grid.motion(bend, STANDARD.horizon), known=NOTHING)
         return evaluate(constraints, bent.giving_way_as(motion))
 
     constraints = list(dict.fromkeys(block.of for block in blocks))

@@ -16,9 +16,10 @@ from salver.live.committed.commit import verified
 from salver.live.committed.motion import Committed, resting
 from salver.live.committed.profile import STANDARD, SpeedOptions
 from salver.live.replanning.lookout import Near
+from salver.live.replanning.objective import TwistWanted
 from salver.live.replanning.obstacles import Movable, MovingClearance, Predicted, nearest
 from salver.live.replanning.replan import Replanner, Sought
-from salver.live.replanning.steer import MOST_CAUTION, Caution, Steering, TwistWanted
+from salver.live.replanning.steer import Steering, StepControl
 from salver.live.replanning.wishes import Evade, Follow, Goal, Halt, Retime, Wish, why_not
 from salver.planning.fastest import Anywhere, AtPosture, TransportProblem
 from salver.planning.verdict.judged import STANDARD as EXACT
@@ -178,11 +179,11 @@ class Planner:
             return Answer(None, Status("optimal", "", True), True)
         if self._aside is None or self._aside.obstacle != near.obstacle or abs(self._aside.t - near.t) > ANOTHER:
             self._aside = Aside(near.obstacle, near.t, self._shortest_aside(job, near))
-            self._evasive = replace(self._steering, caution=Caution())
+            self._evasive = replace(self._steering, control=StepControl())
         twist = np.append(self.evasion.speed * self._aside.way, np.zeros(3))
         wanted = TwistWanted(twist, np.zeros(6), job.begins, window=self.evasion.window)
         found, status = self._evasive.tick(wanted, job.base, job.begins)
-        return Answer(found, status, found is None and self._evasive.caution.weight >= MOST_CAUTION)
+        return Answer(found, status, found is None and self._evasive.given_up)
 
     def _shortest_aside(self, job: Job, near: Near) -> Array:
         """The direction (3,), across the way of what comes, up or down, in which the committed motion would be clear of

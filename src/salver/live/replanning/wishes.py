@@ -13,7 +13,7 @@ import numpy.typing as npt
 from salver.errors import Status
 from salver.geometry import Array, lean
 from salver.live.committed.profile import STANDARD
-from salver.live.replanning.steer import ChunkWanted, TwistWanted, Wanted
+from salver.live.replanning.objective import ChunkWanted, TwistWanted, Wanted
 from salver.planning.fastest import AtPose, AtPosture, End, TransportProblem
 from salver.planning.postures import PoseTarget
 from salver.planning.trajopt.constraints.constraints import LEVEL_TOLERANCE

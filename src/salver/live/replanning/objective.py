@@ -1,0 +1,144 @@
+"""What a motion is to do: residuals of a twist, of timed poses or postures, and of a level tray, with their weights."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from salver.geometry import Array, Indices, exp, hat, interpolated, log
+from salver.planning.trajopt.evaluation import MotionEvaluation
+
+
+@dataclass(frozen=True)
+class Weights:
+    """Weights of squared residuals, integrated over time.
+
+    Attributes:
+        velocity, angular_velocity: of a twist, (m/s)^-2 and (rad/s)^-2.
+        position, rotation: of a pose that is commanded for a time, m^-2 and rad^-2.
+        joints: of a posture that is, rad^-2.
+        level, upright: of the sine of the tray's lean, where it must be level and where it may lean. Without, it came
+            to rest leaning by up to 4.3 deg after hostile twists, instead of 1.6.
+        jerk: of the joints', (rad/s^3)^-2. Without, a gentle twist is followed with 1.5 times the jerk.
+    """
+
+    velocity: float = 100.0
+    angular_velocity: float = 20.0
+    position: float = 400.0
+    rotation: float = 100.0
+    joints: float = 200.0
+    level: float = 2000.0
+    upright: float = 2.0
+    jerk: float = 2e-8
+
+
+@dataclass(frozen=True, eq=False)
+class Residuals:
+    """Residuals at points of the grid: value (r,), derivatives parts (r, 4, n) by q and its rates, point (r,),
+    weight (r,)."""
+
+    value: Array
+    parts: Array
+    point: Indices
+    weight: Array
+
+
+class Wanted(Protocol):
+    """A request that is followed as nearly as safety allows."""
+
+    def residuals(self, motion: MotionEvaluation, t: Array, dt: Array, weights: Weights) -> Residuals:
+        """How far a motion is from it; t: (N,) live times of the nodes, dt: (N,) s, what each stands for."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class TwistWanted:
+    """The tray's velocity and angular velocity in S, (6,) at live time t0, changing at slope (6,) for a while."""
+
+    twist: Array
+    slope: Array
+    t0: float
+    window: float = 0.2  # s from the hand-over in which it is followed
+    ahead: float = 0.12  # s for which the slope is believed
+
+    def at(self, t: Array) -> Array:
+        """(N, 6) at live times."""
+        return np.asarray(self.twist + np.clip(t - self.t0, 0.0, self.ahead)[:, None] * self.slope)
+
+    def residuals(self, motion: MotionEvaluation, t: Array, dt: Array, weights: Weights) -> Residuals:
+        within = np.flatnonzero(t <= t[0] + self.window)
+        each = np.repeat([weights.velocity, weights.angular_velocity], 3)
+        return _velocity(motion, within, self.at(t[within]), np.outer(dt[within], each).ravel())
+
+
+@dataclass(frozen=True, eq=False)
+class ChunkWanted:
+    """A timed motion of the tray or of the joints: samples at live times t (C,), increasing.
+
+    p_SE (C, 3) and R_SE (C, 3, 3), or q (C, n). Between them linear, turns about a fixed axis; after the last one it is
+    held.
+    """
+
+    t: Array
+    p_SE: Array | None
+    R_SE: Array | None
+    q: Array | None
+
+    def residuals(self, motion: MotionEvaluation, t: Array, dt: Array, weights: Weights) -> Residuals:
+        if self.q is not None:
+            wanted = interpolated(self.t, self.q, t)
+            return _joints(motion, wanted, np.repeat(weights.joints * dt, motion.n))
+        assert self.p_SE is not None
+        assert self.R_SE is not None
+        p = interpolated(self.t, self.p_SE, t)
+        k = np.interp(t, self.t, np.arange(len(self.t)))
+        first = k.astype(np.intp)
+        R, after = self.R_SE[first], self.R_SE[np.minimum(first + 1, len(self.t) - 1)]
+        turned = R @ exp((k - first)[:, None] * log(np.swapaxes(R, 1, 2) @ after))
+        each = np.repeat([weights.position, weights.rotation], 3)
+        return _pose(motion, p, turned, np.outer(dt, each).ravel())
+
+
+def _velocity(motion: MotionEvaluation, nodes: Indices, wanted_S: Array, weight: Array) -> Residuals:
+    """Twist of the tray against one in S (N, 6)."""
+    terms, n = motion.terms, motion.n
+    R = terms.R_SE[nodes]
+    both = np.zeros((len(nodes), 6, 6))
+    both[:, :3, :3] = both[:, 3:, 3:] = R
+    twist_S = np.einsum("kij,kj->ki", both, terms.twist[nodes])
+    parts = np.zeros((len(nodes), 6, 4, n))
+    # d(R v) = R (dv + dtheta x v), dtheta = J_omega dq.
+    turned = np.concatenate([hat(terms.twist[nodes, :3]), hat(terms.twist[nodes, 3:])], axis=1)
+    parts[:, :, 0] = both @ (terms.twist_q[nodes] - turned @ terms.jacobian[nodes, 3:])
+    parts[:, :, 1] = both @ terms.jacobian[nodes]
+    point = np.repeat(motion.nodes[nodes], 6)
+    return Residuals((twist_S - wanted_S).ravel(), parts.reshape(-1, 4, n), point, weight)
+
+
+def _pose(motion: MotionEvaluation, p_SE: Array, R_SE: Array, weight: Array) -> Residuals:
+    """Pose of the tray against (p_SE, R_SE)."""
+    terms, n, count = motion.terms, motion.n, len(motion.nodes)
+    value = np.concatenate([terms.p_SE - p_SE, log(np.swapaxes(R_SE, 1, 2) @ terms.R_SE)], axis=1)
+    parts = np.zeros((count, 6, 4, n))
+    parts[:, :3, 0], parts[:, 3:, 0] = terms.R_SE @ terms.jacobian[:, :3], terms.jacobian[:, 3:]
+    return Residuals(value.ravel(), parts.reshape(-1, 4, n), np.repeat(motion.nodes, 6), weight)
+
+
+def _joints(motion: MotionEvaluation, q: Array, weight: Array) -> Residuals:
+    count, n = q.shape
+    parts = np.zeros((count, n, 4, n))
+    parts[:, range(n), 0, range(n)] = 1.0
+    value = (motion.at_nodes[0] - q).ravel()
+    return Residuals(value, parts.reshape(-1, 4, n), np.repeat(motion.nodes, n), weight)
+
+
+def level(motion: MotionEvaluation, weight: Array) -> Residuals:
+    """The tray upright."""
+    terms, count, n = motion.terms, len(motion.nodes), motion.n
+    up = terms.R_SE[:, 2, :]
+    turning = np.cross(up[:, :, None], terms.jacobian[:, 3:], axisa=1, axisb=1, axisc=1)
+    parts = np.zeros((count, 2, 4, n))
+    parts[:, :, 0] = turning[:, :2]
+    return Residuals(up[:, :2].ravel(), parts.reshape(-1, 4, n), np.repeat(motion.nodes, 2), np.repeat(weight, 2))
