@@ -8,7 +8,7 @@ import salver as sv
 from live_runs import LEAD, PATIENCE, drive, place
 from salver.cli import app
 from salver.errors import SalverError
-from salver.live import Live
+from salver.live import Live, LiveOptions
 from salver.live.requests import KEPT, Requests
 from salver.motion_files import read
 
@@ -98,7 +98,7 @@ def test_requests_of_long_ago_are_forgotten():
 @pytest.fixture(scope="module")
 def session(cube):
     """A goal, another on the way to it, and twists; what the loop was told."""
-    live = Live(cube, lead=LEAD, record=2.0)
+    live = Live(cube, lead=LEAD, options=LiveOptions(record=2.0))
     hand = [(t, lambda live: live.twist((0.1, 0.1, 0.0))) for t in np.arange(1.0, 1.3, 0.01)]
     told = drive(live, 1.8, [(0.0, place(0.45, 0.1, 0.45)), (0.3, place(0.5, -0.2, 0.42)), *hand])
     return live, told
@@ -117,7 +117,7 @@ def test_what_was_commanded_is_kept_as_one_motion(session):
 
 
 def test_only_so_many_seconds_are_kept(cube):
-    live = Live(cube, lead=0.02, record=0.25)
+    live = Live(cube, lead=0.02, options=LiveOptions(record=0.25))
     hand = [(t, lambda live: live.twist((0.1, 0.1, 0.0))) for t in np.arange(0.0, 0.6, 0.01)]
     told = drive(live, 0.6, hand)
     motion = live.commanded()

@@ -121,7 +121,7 @@ def test_a_load_that_is_not_safe_at_rest_is_not_begun_with(cube, problem):
 @pytest.mark.slow
 def test_it_leaves_a_wall_that_it_is_beside(problem):
     live = beside_a_wall(problem, 0.004)
-    states = drive(live, 2.0, [(0.0, place(0.5, -0.1, 0.5))])
+    states = drive(live, 3.0, [(0.0, place(0.5, -0.1, 0.5))])
     assert not live.state.refused
     assert live.problem.arm.tray_pose(states[0][-1])[0][1] > -0.11
     check(live, states)

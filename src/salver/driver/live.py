@@ -33,6 +33,7 @@ from salver.files import provenance
 from salver.geometry import Array, quat_wxyz_from_matrix
 from salver.live import Live, LiveCourse, Worker
 from salver.live.committed.motion import SAME
+from salver.live.live import LiveOptions
 from salver.live.script import Prompter, script
 from salver.live.standing import live_scenario
 from salver.models.arm.arm import ArmModel, load_arm, with_load
@@ -270,7 +271,7 @@ class _Standing:
 
 
 def _simulated(scenario: Scenario, address: str, realtime: bool, options: LiveRunOptions) -> _Standing:
-    live = Live(scenario, lead=None if realtime else options.lead, record=options.longest)
+    live = Live(scenario, lead=None if realtime else options.lead, options=LiveOptions(record=options.longest))
     plan = _resting(scenario, live, options.resting)
     robot = SimulatedRobot(plan, live.problem.arm, options.longest, realtime)
     return _Standing(live, plan, robot, robot.start_time, not realtime, [])
@@ -284,7 +285,8 @@ def _franka(scenario: Scenario, address: str, realtime: bool, options: LiveRunOp
     arm = load_arm(scenario.arm, tray)
     scenario = scenario.with_changes(arm__limits=slower(arm.limits, FR3))
     robot = FrankaRobot(address, arm, tray.mass, np.array(tray.inertia), realtime)
-    live = Live(scenario, robot.look().q, permit=lambda motion: within_fr3(arm, motion), record=options.longest)
+    kept = LiveOptions(record=options.longest)
+    live = Live(scenario, robot.look().q, permit=lambda motion: within_fr3(arm, motion), options=kept)
     plan = _resting(scenario, live, options.resting)
     return _Standing(live, plan, robot, -scenario.physics.settle_before, False, check_franka(plan, arm))
 

@@ -20,7 +20,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -35,7 +35,7 @@ from salver.live.committed.motion import Committed, resting
 from salver.live.committed.profile import STANDARD as SPEED
 from salver.live.committed.seal import sealed
 from salver.live.reader import Reader
-from salver.live.ready import STOPS_EVERY, Ready
+from salver.live.ready import Ready
 from salver.live.record import Record
 from salver.live.replanning.lead import Lead
 from salver.live.replanning.lookout import Lookout, Sighting
@@ -77,12 +77,28 @@ from salver.planning.fastest import TransportProblem, transport_problem
 from salver.scenario import Scenario, load
 from salver.trajectory import JointMotion
 
-LONGEST_GAP = 0.05  # s between two commands; what is longer is taken for a jump of the clock
-CALMING = 0.3  # s of ticks after a twist or a chunk, in which the motion is calmed; then it runs out
-MOST_QUEUED = 100  # goals
-MOST_ATTEMPTS = 4  # at a goal while moving; once more from rest
 EVADE = Evade()
-STRAYED = 0.05  # rad by which the arm may be elsewhere than it was told to be
+
+
+@dataclass(frozen=True)
+class LiveOptions:
+    """What a live motion takes for an error, and for how long it tries.
+
+    Attributes:
+        longest_gap: s between two commands; a longer one is taken for a jump of the clock.
+        strayed: rad or m by which a joint may be elsewhere than it was commanded to be, as measured.
+        calming: s after a twist or a chunk has ended in which the motion is still steered, to rest; then it runs out.
+        queued: goals at most.
+        attempts: at a goal while the arm moves; once more from rest.
+        record: s of the commanded motion that are kept, up to now, for `save`.
+    """
+
+    longest_gap: float = 0.05
+    strayed: float = 0.05
+    calming: float = 0.3
+    queued: int = 100
+    attempts: int = 4
+    record: float = 120.0
 
 
 class Live:
@@ -96,7 +112,7 @@ class Live:
         robust: bool = True,
         lead: float | None = None,
         permit: Callable[[JointMotion], str] | None = None,
-        record: float = 120.0,
+        options: LiveOptions | None = None,
     ) -> None:
         """Start at rest.
 
@@ -106,7 +122,7 @@ class Live:
             robust: verify for the whole uncertain set; False: for the nominal parameters.
             lead: s from the beginning of planning to the hand-over; learnt from planning times if None.
             permit: called with a verified motion; returns why it must not be executed, or an empty text.
-            record: s of the commanded motion that are kept, up to now, for `save`.
+            options: what counts as an error, and for how long something is tried or kept.
 
         Raises:
             ScenarioError: the load is not safe at rest there, or the scenario has no arm.
@@ -114,6 +130,7 @@ class Live:
         scenario = scenario if isinstance(scenario, Scenario) else load(scenario)
         problem, rest = standing(transport_problem(live_scenario(scenario), robust=robust), q)
         self._problem, self._robust, self._permit = problem, robust, permit
+        self.options = options or LiveOptions()
         # The same for the loop's thread: planners have work space that two threads must not share.
         out = problem.keep_out
         self._beside = replace(problem, keep_out=None if out is None else replace(out, parts=out.parts.apart()))
@@ -122,7 +139,7 @@ class Live:
         # Written by the loop alone.
         self._running = Running.first(rest, problem)
         self._reader = Reader(with_load(problem.arm, problem.items).pin_model, self._running.pieces)
-        self._record = Record(record)
+        self._record = Record(self.options.record)
         self._record.take(0.0, self._running.path, self._running.since)
         self._now = 0.0  # live time of the last command
         self._last: float | None = None  # the clock then
@@ -164,8 +181,8 @@ class Live:
     def command(self, t: float) -> tuple[Array, Array, Array, Array]:
         """Return the command at time t, s, of any clock that advances. Never waits and never raises.
 
-        Times that go back, stand still, jump by more than `LONGEST_GAP` or are not finite do not move the arm: the
-        motion continues from where it was when the clock does.
+        Times that go back, stand still, jump by more than `LiveOptions.longest_gap` or are not finite do not move the
+        arm: the motion continues from where it was when the clock does.
 
         Returns:
             q, dq, ddq (n,) in rad, and the torque (n,) in N m with the nominal load; the next call overwrites them.
@@ -178,7 +195,7 @@ class Live:
                     self._last = t
             else:
                 step = t - last
-                if 0.0 <= step <= LONGEST_GAP:
+                if 0.0 <= step <= self.options.longest_gap:
                     self._last = t
                     now = self._now + step
                     offer = self._halt or self._offer
@@ -267,8 +284,8 @@ class Live:
         goal = pose_goal(self._problem, pose) if pose is not None else posture_goal(self._problem, q)  # type: ignore[arg-type]
         if isinstance(goal, Status):
             return self._refuse(goal.sentence, "The goal")
-        if queued and len(self._queue) >= MOST_QUEUED:
-            return self._refuse(f"{MOST_QUEUED} goals are queued already, which is the most", "The goal")
+        if queued and len(self._queue) >= self.options.queued:
+            return self._refuse(f"{self.options.queued} goals are queued already, which is the most", "The goal")
         goal = replace(goal, source=source, id=self._requests.new(f"to {goal.what}"))
         self._refused = ""
         if queued:
@@ -490,7 +507,7 @@ class Live:
         if isinstance(seen, Status):
             return self._refuse(seen.sentence, "A measurement")
         away = np.abs(seen - self._reader.q)
-        if away.max() <= STRAYED:
+        if away.max() <= self.options.strayed:
             self._astray = ""
             return ACCEPTED
         arm, j = self._problem.arm, int(np.argmax(away))
@@ -538,7 +555,7 @@ class Live:
 
         Args:
             path: ends in .csv, .json or .yaml, or in nothing (a ROS 2 bag); another file there is kept.
-            since: live time, s, at which it begins; no more than `record` s are kept.
+            since: live time, s, at which it begins; no more than `LiveOptions.record` s are kept.
             rate: samples a second; an audit of a fast motion needs 1000.
 
         Returns:
@@ -602,7 +619,11 @@ class Live:
     def _prepare(self, budget: float, answer: Callable[[Job], Answer]) -> bool:
         running, base = self._running, self.committed
         begins = self._hand_over(base, "motion", max(self._now + self.lead, self._ready.due(base)))
-        if self._offer is not None or isinstance(self._asked, Follow | Halt) or begins >= base.ends - STOPS_EVERY:
+        if (
+            self._offer is not None
+            or isinstance(self._asked, Follow | Halt)
+            or begins >= base.ends - self._ready.options.every
+        ):
             return False
         self._ready.looked_at(begins)
         found = answer(Job(Halt(), base, begins, budget, self._sighting.obstacles)).found
@@ -744,7 +765,7 @@ class Live:
             if begins >= base.ends:
                 return
         sighting, threats = self._sighting, running.outlook.near
-        if isinstance(wish, Follow) and self._now > wish.until + CALMING:
+        if isinstance(wish, Follow) and self._now > wish.until + self.options.calming:
             self._done = wish  # what is committed ends at rest
             if not isinstance(wish.ends, Goal):
                 self._requests.ended(wish.id, "no safe motion towards it was found in time")
@@ -794,7 +815,7 @@ class Live:
         elif wish is not self._done and kind == "motion":
             self._attempts += 1
             resting = begins >= base.ends and not late
-            last = status.code == "unreachable" or resting or self._attempts >= MOST_ATTEMPTS
+            last = status.code == "unreachable" or resting or self._attempts >= self.options.attempts
             if last:
                 self._done, self._attempts = wish, 0
                 what = f"The goal {wish.what}" if isinstance(wish, Goal) else "The stop"

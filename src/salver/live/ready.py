@@ -2,17 +2,31 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from salver.live.committed.motion import Committed
 from salver.live.running import Running
 
-STOPS_EVERY = 0.1  # s between instants from which stops are kept ready
-EARLY = 2e-3  # s by which a stop that is ready must be ahead of the loop
+
+@dataclass(frozen=True)
+class ReadyOptions:
+    """Which stops are kept ready.
+
+    Attributes:
+        every: s between instants from which they begin. Doubled, half as many are planned, and a stop that is asked for
+            begins up to 0.1 s later.
+        early: s by which one must be ahead of the loop to be taken.
+    """
+
+    every: float = 0.1
+    early: float = 2e-3
 
 
 class Ready:
     """Stops from instants of one committed motion, `after`; those of another are forgotten."""
 
-    def __init__(self) -> None:
+    def __init__(self, options: ReadyOptions | None = None) -> None:
+        self.options = options or ReadyOptions()
         self._stops: tuple[Running, ...] = ()
         self._after: Committed | None = None
         self._until = 0.0  # live time of the last instant that was looked at
@@ -20,8 +34,8 @@ class Ready:
     def due(self, after: Committed) -> float:
         """Live time, s, of the next instant from which one is to be planned."""
         if self._after is not after:
-            self._after, self._stops, self._until = after, (), after.begins - STOPS_EVERY
-        return self._until + STOPS_EVERY
+            self._after, self._stops, self._until = after, (), after.begins - self.options.every
+        return self._until + self.options.every
 
     def looked_at(self, begins: float) -> None:
         """One from there is being planned, whatever comes of it."""
@@ -34,5 +48,5 @@ class Ready:
 
     def soonest(self, after: Committed, now: float) -> Running | None:
         """The one that is at rest first, of those that can still be taken; None where there is none."""
-        left = [x for x in self._stops if x.after is after and x.committed.begins > now + EARLY]
+        left = [x for x in self._stops if x.after is after and x.committed.begins > now + self.options.early]
         return min(left, key=lambda x: x.committed.ends, default=None)

@@ -32,7 +32,6 @@ from salver.geometry import matrix_from_quat_wxyz
 from salver.live.live import Live
 from salver.live.replanning.wishes import OPERATOR, PRIORITY, is_flag, numbers
 
-AGAIN = 0.02  # s after which a twist that lasts is sent again
 # What may stand beside each request, with "t" and "source".
 KEYS = {
     "goto": {"quat_wxyz", "queued"},
@@ -45,11 +44,30 @@ KEYS = {
     "hold": set(),
     "release": set(),
 }
-LONGEST = 3600.0  # s
-MOST_WAITING = 1000  # lines that wait to be carried out, of those that come while the arm moves
-MOST_NOTES = 10_000
-DEEPEST = 3  # levels of lists in a line, with its numbers
-SHOWN = 60  # characters of what is wrong
+
+
+@dataclass(frozen=True)
+class ScriptOptions:
+    """What is accepted of a script.
+
+    Attributes:
+        again: s after which a twist that lasts is sent again.
+        longest: s, of any time in it.
+        waiting: lines that wait at most to be carried out, of those that come while the arm moves.
+        notes: that are kept of what came of its lines.
+        deepest: levels of lists in a line, with its numbers.
+        shown: characters of what is wrong.
+    """
+
+    again: float = 0.02
+    longest: float = 3600.0
+    waiting: int = 1000
+    notes: int = 10_000
+    deepest: int = 3
+    shown: int = 60
+
+
+SCRIPT = ScriptOptions()
 
 
 @dataclass(frozen=True)
@@ -112,17 +130,19 @@ def understood(text: str, line: int, source: str, last: float) -> Said:
     def seconds(key: str, low: float, what: str) -> float | None:
         value = words.get(key)
         number = isinstance(value, int | float) and not is_flag(value)
-        if value is not None and not (number and low <= value <= LONGEST):
-            raise wrong(f"{key} is {_shown(value)}; it must be {what}, at most {LONGEST:g}")
+        if value is not None and not (number and low <= value <= SCRIPT.longest):
+            raise wrong(f"{key} is {_shown(value)}; it must be {what}, at most {SCRIPT.longest:g}")
         return None if value is None else float(value)
 
     try:
         words = json.loads(text)
     except (ValueError, RecursionError):
-        raise wrong(f'{text[:SHOWN]!r} is no JSON; a line is like {{"t": 0.5, "goto": [0.45, 0.1, 0.5]}}') from None
+        raise wrong(
+            f'{text[: SCRIPT.shown]!r} is no JSON; a line is like {{"t": 0.5, "goto": [0.45, 0.1, 0.5]}}'
+        ) from None
     if not isinstance(words, dict):
         raise wrong("it is no object of JSON with names and values")
-    if _deep(words, DEEPEST):
+    if _deep(words, SCRIPT.deepest):
         raise wrong("it is nested deeper than any request is")
     found = [key for key in KEYS if key in words]
     if len(found) != 1:
@@ -130,7 +150,7 @@ def understood(text: str, line: int, source: str, last: float) -> Said:
     t = seconds("t", last, f"a number of seconds from {last:g} on, the time of the line before")
     unknown = sorted(set(words) - {found[0], "t", "source"} - KEYS[found[0]])
     if unknown:
-        raise wrong(f'nobody knows what "{unknown[0][:SHOWN]}" means beside {found[0]}')
+        raise wrong(f'nobody knows what "{unknown[0][: SCRIPT.shown]}" means beside {found[0]}')
     seconds("for", 0.0, "a number of seconds, at least 0")
     for key in ("stop", "resume", "hold", "release"):
         if key in words and words[key] is not True:
@@ -151,7 +171,7 @@ def understood(text: str, line: int, source: str, last: float) -> Said:
 def _shown(value: Any) -> str:
     """A value of JSON as it stands there, or its beginning."""
     text = json.dumps(value)
-    return text if len(text) <= SHOWN else f"{text[:SHOWN]}..."
+    return text if len(text) <= SCRIPT.shown else f"{text[: SCRIPT.shown]}..."
 
 
 def _deep(value: Any, most: int) -> bool:
@@ -177,8 +197,8 @@ class Prompter:
     """Makes requests at their times, one in a period, and notes what came of them. A stop comes first.
 
     notes: {"t", "line", "said", "answer"} of each request, and {"t", "answer"} of what was refused later on; no more
-    than `MOST_NOTES`. accepted, refused: how many requests were; dropped: how many lines a stop overtook, or came when
-    too many waited.
+    than `ScriptOptions.notes`. accepted, refused: how many requests were; dropped: how many lines a stop overtook, or
+    came when too many waited.
     """
 
     live: Live
@@ -219,7 +239,7 @@ class Prompter:
             for one in found:
                 overtaken = max((before for stop, before in tuple(self._stops) if stop.t is None), default=0)
                 waiting = self._came - max(self._left, overtaken)
-                if waiting < MOST_WAITING or (isinstance(one, Said) and one.stops):
+                if waiting < SCRIPT.waiting or (isinstance(one, Said) and one.stops):
                     self._add(one)
                 else:
                     self.dropped += 1
@@ -263,12 +283,12 @@ class Prompter:
                 self._say(one, t, noted=True)
                 if one.lasts:
                     self._lasting.append((one, t + one.lasts))
-                    self._again = t + AGAIN
+                    self._again = t + SCRIPT.again
             else:
                 self._misunderstood(one, t)
         elif self._lasting and t >= self._again - 1e-9:
             said, until = self._lasting[0]
-            self._again = t + AGAIN
+            self._again = t + SCRIPT.again
             if t > until:
                 self._lasting.clear()
             else:
@@ -293,7 +313,7 @@ class Prompter:
         self._note({"t": t, "answer": sentence})
 
     def _note(self, note: dict[str, Any]) -> None:
-        if len(self.notes) < MOST_NOTES:
+        if len(self.notes) < SCRIPT.notes:
             self.notes.append(note)
 
     def _say(self, said: Said, t: float, noted: bool) -> None:

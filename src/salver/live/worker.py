@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 import threading
+from dataclasses import dataclass
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 from types import TracebackType
@@ -20,9 +21,23 @@ from salver.live.standing import live_scenario
 from salver.planning.fastest import transport_problem
 from salver.scenario import Scenario
 
-PAUSE = 2e-3  # s between two looks for something to do
-SWITCH = 5e-4  # s for which Python lets one thread run when another wants to: the robot's loop must not wait for long
-PATIENCE = 20.0  # s beyond the budget, after which a process that does not answer is given up
+
+@dataclass(frozen=True)
+class WorkerOptions:
+    """How the planner's process is asked.
+
+    Attributes:
+        pause: s between two looks for something to do. Doubled, planning begins 2 ms later.
+        switch: s for which Python lets one thread run when another wants to: the robot's loop waits so long at most.
+        patience: s beyond the budget, after which a process that does not answer is given up.
+    """
+
+    pause: float = 2e-3
+    switch: float = 5e-4
+    patience: float = 20.0
+
+
+OPTIONS = WorkerOptions()
 # Matrices here are small: threads of the linear algebra would only take the loop's core away.
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
@@ -45,7 +60,7 @@ class Worker:
         self._thread = threading.Thread(target=self._work, name="salver-live", daemon=True)
 
     def start(self) -> Self:
-        sys.setswitchinterval(min(sys.getswitchinterval(), SWITCH))
+        sys.setswitchinterval(min(sys.getswitchinterval(), OPTIONS.switch))
         if self._process is not None:
             self._process.ready()  # or else the first lead would be that of a start
         self._thread.start()
@@ -76,7 +91,7 @@ class Worker:
             if not self._live.idle:
                 self._live.plan(self._budget, answer)
             elif not (self._stops and self._live.prepare(self._budget, answer)):
-                self._closing.wait(PAUSE)
+                self._closing.wait(OPTIONS.pause)
 
 
 class _Process:
@@ -103,12 +118,12 @@ class _Process:
             if hasattr(os, "sched_setscheduler"):  # and a real-time priority too, which it would inherit
                 with contextlib.suppress(OSError):
                     os.sched_setscheduler(self._running.pid, os.SCHED_OTHER, os.sched_param(0))
-        self._told(self._about, PATIENCE)
+        self._told(self._about, OPTIONS.patience)
 
     def answer(self, job: Job) -> Answer:
         """Raises SalverError when the process died or hangs."""
         self.ready()
-        answered = self._told(job, job.budget + PATIENCE)
+        answered = self._told(job, job.budget + OPTIONS.patience)
         if isinstance(answered, Answer):
             return answered
         raise SalverError(str(answered))

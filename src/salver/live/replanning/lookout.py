@@ -19,9 +19,23 @@ from salver.planning.fastest import TransportProblem
 from salver.planning.trajopt.constraints.obstacles import CLEARANCE
 from salver.trajectory import JointMotion
 
-STEP = 0.02  # s of the coarse grid
-WITHIN = 5  # instants in each of its steps at which the joints' rates are looked at
-FINEST = 2e-3  # s between exact looks
+
+@dataclass(frozen=True)
+class LookoutOptions:
+    """At which instants a commanded motion is looked at.
+
+    Attributes:
+        step: s of the coarse grid, on which distances of bounding spheres are taken.
+        rates: instants in each of its steps at which the joints' rates are looked at.
+        finest: s between exact looks at least; half of both sides' way in that time is kept beside the distance.
+    """
+
+    step: float = 0.02
+    rates: int = 5
+    finest: float = 2e-3
+
+
+LOOKOUT = LookoutOptions()
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,13 +108,13 @@ class Path:
         return np.interp(t, self.t, self.off)
 
     def just_before(self, t: float) -> tuple[float, Array]:
-        """A live time, s, by less than `FINEST` before another one, and the posture then."""
+        """A live time, s, by less than `LOOKOUT.finest` before another one, and the posture then."""
         if self._fine is None:
-            own = np.append(np.arange(0.0, self.motion.duration, FINEST), self.motion.duration)
+            own = np.append(np.arange(0.0, self.motion.duration, LOOKOUT.finest), self.motion.duration)
             self._fine = self.motion.sample(own)[0]
-        k = int((t - self.since) / FINEST + 1e-9)
+        k = int((t - self.since) / LOOKOUT.finest + 1e-9)
         if k < len(self._fine) - 1:
-            return self.since + k * FINEST, self._fine[max(k, 0)]
+            return self.since + k * LOOKOUT.finest, self._fine[max(k, 0)]
         return t, self._fine[-1]
 
     def grid_of(self, movable: Movable) -> tuple[Array, Array, Array]:
@@ -108,8 +122,8 @@ class Path:
         between one time and the next, (K - 1, M), m/s."""
         if self._grid is None:
             duration = self.motion.duration
-            own = np.append(np.arange(0.0, max(duration - FINEST, FINEST), STEP), duration)
-            within = own[:-1, None] + np.diff(own)[:, None] * np.linspace(0.0, 1.0, WITHIN)
+            own = np.append(np.arange(0.0, max(duration - LOOKOUT.finest, LOOKOUT.finest), LOOKOUT.step), duration)
+            within = own[:-1, None] + np.diff(own)[:, None] * np.linspace(0.0, 1.0, LOOKOUT.rates)
             rates = np.abs(self.motion.sample(within.ravel())[1]).reshape(*within.shape, -1).max(axis=1)
             self._grid = self.since + own, movable.middles(self.motion.sample(own)[0]), rates @ movable.levers.T
         return self._grid
@@ -141,7 +155,7 @@ class Lookout:
         last = max(one.until for one in obstacles)
         row = np.arange(max(int(np.searchsorted(along, now, side="right")) - 1, 0), len(along))
         t = along[row] if now < path.ends else np.array([now])
-        t = np.append(t, np.arange(t[-1] + STEP, last, STEP))
+        t = np.append(t, np.arange(t[-1] + LOOKOUT.step, last, LOOKOUT.step))
         t = np.append(t[t < last], last)
         row = row[np.minimum(np.arange(len(t)), len(row) - 1)] if now < path.ends else np.full(len(t), len(along) - 1)
         middle = middles[row]
@@ -195,10 +209,10 @@ class Lookout:
             kept = CLEARANCE.safety + obstacle.uncertainty + obstacle.growth * max(at - obstacle.t0, 0.0)
             kept += float(np.interp(at, path.t, path.off))
             free = movable.distance(q, part, obstacle, obstacle.place(at)) - kept
-            if free <= 0.5 * FINEST * both[min(k, len(both) - 1)]:
+            if free <= 0.5 * LOOKOUT.finest * both[min(k, len(both) - 1)]:
                 return at
             # As far as both go in the time that is skipped it cannot be met.
             there = np.interp(at, t, gone) + free
             if there >= gone[-1]:
                 return None
-            at = max(at + FINEST, float(np.interp(there, gone, t)))
+            at = max(at + LOOKOUT.finest, float(np.interp(there, gone, t)))

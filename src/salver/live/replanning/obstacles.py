@@ -24,14 +24,34 @@ from salver.planning.fastest import Block, Constraint, MotionEvaluation, padded
 from salver.planning.trajopt.constraints.constraints import PER_METRE, strayed
 from salver.planning.trajopt.constraints.obstacles import CLEARANCE
 
-FAR = 0.15  # m from which on distances are those of bounding spheres: no larger than the true ones
-AT_NODES = 5e-3  # m more that a programme keeps at its nodes
-REST_STEP = 5e-3  # s between looks at the arm at rest
-MOST_SPEED, MOST_SIZE = 50.0, 10.0  # m/s, m: what is beyond is in another unit
-LONGEST_PREDICTION = 10.0  # s
-AHEAD = 0.05  # s by which something may be said to be seen ahead of the loop's clock
-AGREES = 8  # instants at which two predictions are compared
-SAME = 1e-9  # m
+
+@dataclass(frozen=True)
+class ObstacleOptions:
+    """What is accepted of a moving obstacle, and how distances from it are taken.
+
+    Attributes:
+        speed, size: m/s and m; beyond that a number is taken to be in another unit, and refused.
+        lasts: s, the longest prediction.
+        ahead: s by which it may be said to be seen ahead of the loop's clock.
+        compared: instants at which a prediction is compared with the one before: what agrees is no news.
+        far: m from which on distances are those of bounding spheres, no larger than the true ones. Doubled, a look
+            takes longer.
+        at_nodes: m more that a programme keeps at its nodes, for what happens between them.
+        rest_step: s between looks at the arm at rest; both sides' way in that time is kept beside the distance.
+    """
+
+    speed: float = 50.0
+    size: float = 10.0
+    lasts: float = 10.0
+    ahead: float = 0.05
+    compared: int = 8
+    far: float = 0.15
+    at_nodes: float = 5e-3
+    rest_step: float = 5e-3
+
+
+OBSTACLES = ObstacleOptions()
+SAME = 1e-9  # m: rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,15 +94,15 @@ def predicted(seen: Moving, now: float, clock: float | None = None) -> Predicted
 
     ends = {
         "position": (seen.position, (3,), 1e3),
-        "velocity": (seen.velocity, (3,), MOST_SPEED),
+        "velocity": (seen.velocity, (3,), OBSTACLES.speed),
         "acceleration": (seen.acceleration, (3,), 1e3),
-        "radius": (seen.radius, (), MOST_SIZE),
-        "length": (seen.length, (), MOST_SIZE),
-        "size": (seen.size, (3,), MOST_SIZE),
+        "radius": (seen.radius, (), OBSTACLES.size),
+        "length": (seen.length, (), OBSTACLES.size),
+        "size": (seen.size, (3,), OBSTACLES.size),
         "rotation": (seen.rotation, (3, 3), 2.0),
-        "uncertainty": (seen.uncertainty, (), MOST_SIZE),
-        "growth": (seen.growth, (), MOST_SPEED),
-        "lasts": (seen.lasts, (), LONGEST_PREDICTION),
+        "uncertainty": (seen.uncertainty, (), OBSTACLES.size),
+        "growth": (seen.growth, (), OBSTACLES.speed),
+        "lasts": (seen.lasts, (), OBSTACLES.lasts),
     }
     found: dict[str, Array] = {}
     for name, (value, shape, most) in ends.items():
@@ -118,9 +138,9 @@ def predicted(seen: Moving, now: float, clock: float | None = None) -> Predicted
         if t is None or p is None or not count or np.any(np.diff(t) <= 0):
             return refused("samples must be increasing times and as many positions, finite numbers: the samples")
         fastest = float((np.linalg.norm(np.diff(p, axis=0), axis=1) / np.diff(t)).max(initial=0.0))
-        if fastest > MOST_SPEED:
+        if fastest > OBSTACLES.speed:
             return refused(
-                f"samples must not move at more than {MOST_SPEED:g} m/s (they do at {fastest:.3g}): the samples"
+                f"samples must not move at more than {OBSTACLES.speed:g} m/s (they do at {fastest:.3g}): the samples"
             )
         samples = (now + t, p)
     if seen.seen is not None:
@@ -128,7 +148,7 @@ def predicted(seen: Moving, now: float, clock: float | None = None) -> Predicted
         if when is None:
             return refused("seen must be a time on the clock of the loop, s: the time")
         ahead = float(when) - (now if clock is None else clock)
-        if ahead > AHEAD:
+        if ahead > OBSTACLES.ahead:
             return refused(f"seen must not be later than the loop's clock (it is by {ahead:.3g} s): the time")
         now += min(ahead, 0.0)
         if samples is not None:
@@ -213,7 +233,7 @@ class Predicted:
         believed."""
         if self._made != seen._made or not np.array_equal(self.R, seen.R) or self.until < now:
             return False
-        t = np.linspace(now, self.until, AGREES)
+        t = np.linspace(now, self.until, OBSTACLES.compared)
         away = np.linalg.norm(self.at(t)[0] - seen.at(t)[0], axis=1)
         return bool(np.all(away <= self.around(t)) and seen.uncertainty <= self.around(t[:1])[0] + SAME)
 
@@ -271,13 +291,13 @@ class Movable:
         return float(coal.distance(part, here, obstacle.shape, there, self._request, self.result))
 
     def distances(self, q: Array, obstacle: Predicted, p: Array, middles: Array | None = None) -> Array:
-        """(N, M) at postures (N, n) from an obstacle at p (N, 3), m; beyond `FAR` no larger than the true ones. q may
-        be one posture for all. middles: as of these postures, if they are known."""
+        """(N, M) at postures (N, n) from an obstacle at p (N, 3), m; beyond `ObstacleOptions.far` no larger than the
+        true ones. q may be one posture for all. middles: as of these postures, if they are known."""
         middles = self.middles(q) if middles is None else middles
         out = np.linalg.norm(middles - p[:, None], axis=2) - self.radii - obstacle.radius
         last, placed = -1, None
         known: dict[int, float] = {}
-        for k, row in np.argwhere(out < FAR).tolist():
+        for k, row in np.argwhere(out < OBSTACLES.far).tolist():
             at = min(k, len(q) - 1)
             if placed is None or at != last or np.any(p[k] != p[k - 1]):
                 known = {}
@@ -329,7 +349,11 @@ class MovingClearance(Constraint):
         steps = np.pad(np.diff(t), 1)
         longest = 0.5 * np.maximum(steps[:-1], steps[1:])  # half of the time to the next look
         movable, middles = self.movable, self.movable.middles(q)
-        rest = np.arange(t[-1], max(t[-1], max(x.until for x in self.obstacles) - self.begins) + REST_STEP, REST_STEP)
+        rest = np.arange(
+            t[-1],
+            max(t[-1], max(x.until for x in self.obstacles) - self.begins) + OBSTACLES.rest_step,
+            OBSTACLES.rest_step,
+        )
         for obstacle in self.obstacles:
             p, v = obstacle.at(self.begins + t)
             speed = np.linalg.norm(v, axis=1) + obstacle.growth
@@ -339,19 +363,19 @@ class MovingClearance(Constraint):
             )
             if not motion.imposed:  # what both may go until the next look
                 free -= longest[:, None] * (speed[:, None] + np.abs(dq) @ movable.levers.T)
-            free[self.begins + t > obstacle.until] = FAR
+            free[self.begins + t > obstacle.until] = OBSTACLES.far
 
             def gradient(i: Indices, f: Indices, obstacle: Predicted = obstacle, p: Array = p) -> Array:
                 return padded(-PER_METRE * movable.slopes(q, p, obstacle, i, f)[0], motion.n)
 
             def by_duration(obstacle: Predicted = obstacle, p: Array = p, v: Array = v, free: Array = free) -> Array:
                 out = np.zeros_like(free)
-                i, f = np.nonzero(free < 0.5 * FAR)
+                i, f = np.nonzero(free < 0.5 * OBSTACLES.far)
                 normal = movable.slopes(q, p, obstacle, i, f)[1]
                 out[i, f] = -PER_METRE * t[i] * (np.einsum("ri,ri->r", normal, v[i]) - obstacle.growth)
                 return out
 
-            name, margins = f"clearance of {obstacle.name}", (PER_METRE * AT_NODES, 0.0)
+            name, margins = f"clearance of {obstacle.name}", (PER_METRE * OBSTACLES.at_nodes, 0.0)
             yield Block(
                 name,
                 -PER_METRE * free,
@@ -360,7 +384,7 @@ class MovingClearance(Constraint):
                 margins,
                 scales=False,
                 by_duration=by_duration() if motion.imposed else None,
-                reach=PER_METRE * 0.5 * FAR,
+                reach=PER_METRE * 0.5 * OBSTACLES.far,
                 most=2,
                 kinked=True,
                 inherits=False,
@@ -368,9 +392,14 @@ class MovingClearance(Constraint):
             # At rest, until nothing is known any more.
             late, v_late = obstacle.at(self.begins + rest)
             faster = np.linalg.norm(v_late, axis=1) + obstacle.growth
-            kept = CLEARANCE.safety + obstacle.around(self.begins + rest) + at_rest_stray + 0.5 * REST_STEP * faster
+            kept = (
+                CLEARANCE.safety
+                + obstacle.around(self.begins + rest)
+                + at_rest_stray
+                + 0.5 * OBSTACLES.rest_step * faster
+            )
             there = movable.distances(q[-1:], obstacle, late, middles[-1:]) - kept[:, None]
-            there[self.begins + rest > obstacle.until] = FAR
+            there[self.begins + rest > obstacle.until] = OBSTACLES.far
             worst = np.argmin(there, axis=0)
 
             def at_rest(
@@ -386,7 +415,7 @@ class MovingClearance(Constraint):
                 nodes[-1:],
                 margins,
                 scales=False,
-                reach=PER_METRE * 0.5 * FAR,
+                reach=PER_METRE * 0.5 * OBSTACLES.far,
                 most=2,
                 kinked=True,
                 inherits=False,

@@ -24,9 +24,7 @@ from salver.live.replanning.wishes import Evade, Follow, Goal, Halt, Retime, Wis
 from salver.planning.fastest import Anywhere, AtPosture, TransportProblem
 from salver.planning.verdict.judged import STANDARD as EXACT
 
-ANOTHER = 0.5  # s by which what is seen again and is too near at another time is another threat
-THERE = 1e-5  # rad or m by which joints may miss a goal that they are at
-SOON = 0.1  # s: whoever is at rest by then need not look for a shorter way to it, which takes as long
+THERE = 1e-5  # rad or m by which joints may miss a goal that they are at: rounding
 
 
 @dataclass(frozen=True)
@@ -38,12 +36,15 @@ class EvasionOptions:
         window: s from each hand-over for which it is.
         passes: s from when it is first too near in which it is taken to pass.
         asides: m, how far aside each direction is tried before one is chosen.
+        another: s by which an obstacle that is seen again is too near at another time to count as the same threat,
+            which is evaded in the direction chosen before.
     """
 
     speed: float = 1.0
     window: float = 0.3
     passes: float = 0.3
     asides: tuple[float, ...] = (0.05, 0.1, 0.15, 0.2, 0.3, 0.4)
+    another: float = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +114,7 @@ class Planner:
                 steering = replace(steering, problem=problem, sought=Sought.of(problem))
             return Answer(*steering.tick(wanted, base, begins))
         if isinstance(wish, Halt):
-            if base.ends - begins < SOON:
+            if base.ends - begins < self._replanner.options.soon:
                 return Answer(None, Status("optimal", "", True), True)
             if base.profile is not None:  # it is run slowly
                 found, status = self._retimed(job, 0.0, problem, self.speed.braking)
@@ -177,7 +178,11 @@ class Planner:
         near = next((one for one in job.threats if one.until > job.begins), None)
         if near is None:
             return Answer(None, Status("optimal", "", True), True)
-        if self._aside is None or self._aside.obstacle != near.obstacle or abs(self._aside.t - near.t) > ANOTHER:
+        if (
+            self._aside is None
+            or self._aside.obstacle != near.obstacle
+            or abs(self._aside.t - near.t) > self.evasion.another
+        ):
             self._aside = Aside(near.obstacle, near.t, self._shortest_aside(job, near))
             self._evasive = replace(self._steering, control=StepControl())
         twist = np.append(self.evasion.speed * self._aside.way, np.zeros(3))

@@ -66,6 +66,7 @@ class ReplanOptions:
         likely: times what every joint, and friction, take at least, that a first guess lasts.
         slowly: times as long a guess is where that led nowhere.
         others: guesses from which a goal's postures are sought when none is near.
+        soon: s; who is at rest by then need not look for a shorter way to it, which takes as long.
     """
 
     nodes_per_span: int = 6
@@ -79,6 +80,7 @@ class ReplanOptions:
     likely: float = 1.1
     slowly: float = 1.4
     others: int = 16
+    soon: float = 0.1
 
 
 STANDARD_REPLANNING = ReplanOptions()

@@ -18,7 +18,6 @@ from salver.planning.fastest import AtPose, AtPosture, End, TransportProblem
 from salver.planning.postures import PoseTarget
 from salver.planning.trajopt.constraints.constraints import LEVEL_TOLERANCE
 
-ORTHONORMAL = 1e-6  # by which a rotation may fail to be one
 Pose = npt.ArrayLike | tuple[npt.ArrayLike, npt.ArrayLike]
 Source = Literal["policy", "operator", "monitor"]
 OPERATOR: Source = "operator"
@@ -96,11 +95,32 @@ def id_of(wish: Wish | None) -> int:
     return wish.id if isinstance(wish, Goal | Follow) else 0
 
 
-MOST_SPEED, MOST_TURN, FARTHEST = 5.0, 20.0, 100.0  # m/s, rad/s, m; what is beyond is in another unit
-SILENCE = 0.1  # s after a twist at which it counts no more
-HEADINGS = 16  # of a goal with any, at which it is looked whether something is in the way
-HEARD, LAST_HEARD = 0.025, 0.06  # s of twists from which it is told how they change; of the last one, if no other is
-LEAST_HEARD = 4e-3  # s
+@dataclass(frozen=True)
+class RequestOptions:
+    """What is accepted of a request, and how it is understood.
+
+    Attributes:
+        speed, turn, distance: m/s, rad/s and m; beyond that a number is taken to be in another unit, and refused.
+        orthonormal: by which a rotation may fail to be one: rounding.
+        silence: s after a twist at which it counts no more. Doubled, an arm whose hand fell silent brakes 0.1 s later.
+        slope_window: s of twists of late whose slope over time is believed to go on; where there are none so near, the
+            last one of `slope_reach` s counts. Longer, noise matters less, and a turn of the hand is seen later.
+        slope_least: s from the first of them to now; of less no slope is told.
+        headings: of a goal with any heading, at which it is looked whether something is in the way.
+    """
+
+    speed: float = 5.0
+    turn: float = 20.0
+    distance: float = 100.0
+    orthonormal: float = 1e-6
+    silence: float = 0.1
+    slope_window: float = 0.025
+    slope_reach: float = 0.06
+    slope_least: float = 4e-3
+    headings: int = 16
+
+
+REQUESTS = RequestOptions()
 
 
 def refused(sentence: str) -> Status:
@@ -181,9 +201,11 @@ def pose_goal(problem: TransportProblem, pose: Pose) -> Goal | Status:
             return found
     assert not isinstance(p, Status)
     assert not isinstance(rotation, Status)
-    if np.abs(p).max() > FARTHEST:
-        return refused(f"the position is {np.abs(p).max():.3g} m away in S; it must be at most {FARTHEST:g} m, in S")
-    if np.abs(rotation @ rotation.T - np.eye(3)).max() > ORTHONORMAL or np.linalg.det(rotation) < 0:
+    if np.abs(p).max() > REQUESTS.distance:
+        return refused(
+            f"the position is {np.abs(p).max():.3g} m away in S; it must be at most {REQUESTS.distance:g} m, in S"
+        )
+    if np.abs(rotation @ rotation.T - np.eye(3)).max() > REQUESTS.orthonormal or np.linalg.det(rotation) < 0:
         return refused("the rotation is none: its rows must be orthonormal and right-handed")
     first = problem.items[0]
     if not whole:
@@ -204,7 +226,7 @@ def twist_wish(
     """v_S (3,), m/s, and omega_S (3,), rad/s, of the tray in S, times a factor. heard: live times and what was followed
     before."""
     twist = []
-    for value, most, what, unit in ((v, MOST_SPEED, "v", "m/s"), (omega, MOST_TURN, "omega", "rad/s")):
+    for value, most, what, unit in ((v, REQUESTS.speed, "v", "m/s"), (omega, REQUESTS.turn, "omega", "rad/s")):
         found = numbers(value, (3,), what)
         if isinstance(found, Status):
             return found
@@ -212,14 +234,14 @@ def twist_wish(
             return refused(f"{what} is {np.linalg.norm(found):.3g}; it must be at most {most:g} {unit}, in S")
         twist.append(found)
     latest = factor * np.concatenate(twist)
-    before = [(t, old) for t, old in heard if now - LAST_HEARD <= t < now]
-    recent = [*([x for x in before if now - x[0] <= HEARD + 1e-9] or before[-1:]), (now, latest)]
+    before = [(t, old) for t, old in heard if now - REQUESTS.slope_reach <= t < now]
+    recent = [*([x for x in before if now - x[0] <= REQUESTS.slope_window + 1e-9] or before[-1:]), (now, latest)]
     t = np.array([t for t, _ in recent]) - now
     slope = np.zeros(6)
-    if -t[0] >= LEAST_HEARD:
+    if -t[0] >= REQUESTS.slope_least:
         away = t - t.mean()
         slope = away @ np.array([old for _, old in recent]) / (away @ away)
-    return Follow(TwistWanted(latest, slope, now), now + SILENCE, TwistWanted(np.zeros(6), np.zeros(6), now))
+    return Follow(TwistWanted(latest, slope, now), now + REQUESTS.silence, TwistWanted(np.zeros(6), np.zeros(6), now))
 
 
 def chunk_wish(
@@ -259,10 +281,10 @@ def chunk_wish(
         if isinstance(p, Status) or isinstance(R, Status):
             return p if isinstance(p, Status) else R  # type: ignore[return-value]
         far = float(np.abs(p).max())
-        if far > FARTHEST:
-            return refused(f"a position is {far:.3g} m away in S; it must be at most {FARTHEST:g} m, in S")
+        if far > REQUESTS.distance:
+            return refused(f"a position is {far:.3g} m away in S; it must be at most {REQUESTS.distance:g} m, in S")
         square = R @ np.swapaxes(R, 1, 2) - np.eye(3)
-        if np.abs(square).max() > ORTHONORMAL or (np.linalg.det(R) < 0).any():
+        if np.abs(square).max() > REQUESTS.orthonormal or (np.linalg.det(R) < 0).any():
             return refused("a rotation is none: its rows must be orthonormal and right-handed")
         R_SE = R @ first.R_EB.T
         wanted, ends = ChunkWanted(t, p - R_SE @ first.p_EB, R_SE, None), pose_goal(problem, (p[-1], R[-1]))
@@ -275,7 +297,7 @@ def why_not(problem: TransportProblem, goal: Goal) -> str:
         return ""
     parts = problem.keep_out.parts
     if isinstance(goal.end, AtPose):
-        headings = goal.end.target.headings(HEADINGS)
+        headings = goal.end.target.headings(REQUESTS.headings)
         met = None
         for target in headings:
             met = parts.in_the_way(*target.tray_pose)
