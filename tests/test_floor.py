@@ -18,7 +18,7 @@ from salver.planning.fastest import plan_fastest, transport_problem
 from salver.planning.follow.clearance import sweep
 from salver.planning.make import make_plan
 from salver.planning.plan import Plan
-from salver.reports.pages.replay import _floor
+from salver.reports.pages.replay import replay_scene
 from salver.reports.run import ReportedRun
 from salver.scenario import Scenario
 from salver.simulation.scene.loads import true_world
@@ -192,7 +192,7 @@ def test_the_page_draws_the_ground_where_the_floor_is(tmp_path: Any) -> None:
     case = scenario.load("panda-cube").with_changes(surroundings__floor=-0.11)
     make_plan(case).save(tmp_path)
     run: ReportedRun = read_run(tmp_path)
-    assert _floor(run, arm_of(case)) == -0.11
+    assert replay_scene(run, arm_of(case))["floor"] == -0.11
 
 
 def test_a_stop_keeps_above_the_floor_too() -> None:
