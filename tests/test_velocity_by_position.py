@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 
 import salver as sv
+from odd_arms import cell, gantry, loaded
+from salver import scenario
 from salver.driver.preflight import check_plan
 from salver.driver.robots.franka import check_franka
+from salver.errors import ScenarioError
 from salver.geometry import Array
 from salver.models.arm.arm import load_arm
 from salver.planning.fastest import transport_problem
@@ -168,11 +173,56 @@ def test_between_instants_the_verdict_bounds_what_a_fine_scan_finds(fastest: Pla
     assert np.max((row.values - seen)[near]) < 1e-3
 
 
+def test_a_urdf_with_the_makers_element_has_the_same_limits(tmp_path: Path) -> None:
+    """`<position_based_velocity_limits>` of franka_description, with the ends of `<limit>`."""
+    known = load_arm(cube().arm, cube().tray)  # type: ignore[arg-type]
+    root, ends = ElementTree.fromstring(known.urdf), known.limits.velocity_by_position
+    assert ends is not None
+    for k, name in enumerate(known.joint_names):
+        joint = next(joint for joint in root.iter("joint") if joint.get("name") == name)
+        limits = {"lower": ends.lower[k], "upper": ends.upper[k], "velocity": known.limits.velocity[k], "effort": 80}
+        for tag in ("limit", "safety_controller"):
+            joint.remove(joint.find(tag))  # type: ignore[arg-type]
+        ElementTree.SubElement(joint, "limit", {key: str(value) for key, value in limits.items()})
+        by_position = {"velocity_offset": str(ends.offset[k]), "deceleration_limit": str(0.5 * ends.slope[k])}
+        ElementTree.SubElement(joint, "position_based_velocity_limits", by_position)
+    path = tmp_path / "arm.urdf"
+    path.write_text(ElementTree.tostring(root, encoding="unicode"))
+    found = load_arm(scenario.Arm(model=str(path), flange="fr3_link8"), cube().tray).limits  # type: ignore[arg-type]
+    q = np.random.default_rng(1).uniform(known.limits.q_min, known.limits.q_max, (400, 7))
+    for sign in (1.0, -1.0):
+        towards = np.full_like(q, sign)
+        assert found.velocity_at(q, towards)[0] == pytest.approx(known.limits.velocity_at(q, towards)[0], rel=1e-12)
+
+
+ELEMENT = '<position_based_velocity_limits velocity_offset="0.2" deceleration_limit="2.0"/>'
+
+
+def test_of_a_urdf_some_joints_may_have_them(tmp_path: Path) -> None:
+    """One of six joints: the others are limited as before, though nobody gives one of them a velocity."""
+    text = gantry(turn="revolute", more=ELEMENT).replace('velocity="2.0"', 'velocity="0"', 1)
+    case = cell(tmp_path, text)
+    plan = make_plan(case, "fastest")
+    assert plan.ok, plan.verdict
+    limits = load_arm(case.arm, case.tray).limits  # type: ignore[arg-type]
+    q = np.array([0.0, 0.0, 0.0, 1.9, 0.0, 0.0])
+    at = limits.velocity_at(q, np.ones(6))[0]
+    assert at == pytest.approx([np.sqrt(2e6) - 1, 2, 2, np.sqrt(4 * 0.1) - 0.2, 2, 2], rel=1e-3)
+    used = limits.shares({"position": plan.joint.q, "velocity": plan.joint.dq})["velocity"]  # type: ignore[union-attr]
+    assert np.abs(used).max() <= 1.0
+
+
+@pytest.mark.parametrize("wrong", ['velocity_offset="0"', 'velocity_offset="-1"'])
+def test_an_element_that_cannot_be_is_refused(tmp_path: Path, wrong: str) -> None:
+    with pytest.raises(ScenarioError, match=r"<position_based_velocity_limits> in turn are .* both must be above 0"):
+        loaded(tmp_path, gantry(turn="revolute", more=ELEMENT.replace('velocity_offset="0.2"', wrong)))
+
+
 @pytest.mark.slow
 def test_safest_retimed_and_stopped_motions_keep_them_too(fastest: Plan) -> None:
     assert fastest.joint is not None
     safest = make_plan(cube(motion__duration=1.0), "safest")
-    retimed = sv.retime(fastest.joint.q[::20], cube())
+    retimed = sv.retime(safest.joint.q[::20], cube())  # type: ignore[union-attr]
     stopping = with_stops(fastest)
     for plan in (safest, retimed, stopping):
         assert plan.ok, plan.verdict

@@ -18,7 +18,7 @@ import pinocchio as pin
 
 from salver.errors import ScenarioError
 from salver.geometry import GRAVITY_S, Array, adjoint, invert, matrix_from_rpy
-from salver.models.arm.arm_limits import JointLimits, joint_limits, read_joint_limits
+from salver.models.arm.arm_limits import JointLimits, VelocityByPosition, joint_limits, read_joint_limits
 from salver.models.arm.known_arms import KNOWN_ARMS, robot_file
 from salver.models.arm.urdf import SUFFIXES, installed_chain, read_chain, read_disabled_pairs
 from salver.models.contact.contact import ContactSet
@@ -178,10 +178,10 @@ def load_arm(arm: ArmDescription, tray: TrayDescription) -> ArmModel:
     names = tuple(model.names)[1:]
     name = Path(arm.model).stem
     given: list[tuple[str, Mapping[str, Any]]] = [("the URDF", _urdf_limits(model))]
-    by_position = None
+    by_position = _velocity_by_position(model, chain.by_position)
     if known and arm.flange in (None, known.flange):
         given.append((f"the maker of the {arm.model}", known.limits))
-        by_position = known.velocity_by_position
+        by_position = known.velocity_by_position or by_position
     if arm.joint_limits is not None:
         given.append((Path(arm.joint_limits).name, read_joint_limits(Path(arm.joint_limits), names, chain.all_joints)))
     given.append(("arm.limits", _scenario_limits(arm, name, model.nv)))
@@ -317,6 +317,18 @@ def _urdf_limits(model: Any) -> dict[str, Array]:
         "velocity": np.where(model.velocityLimit > 0, model.velocityLimit, np.nan),
         "torque": np.where(model.effortLimit > 0, model.effortLimit, np.nan),
     }
+
+
+def _velocity_by_position(model: Any, given: Mapping[str, tuple[float, float]]) -> VelocityByPosition | None:
+    """Velocity limits that depend on position, of a URDF whose joints have them (`Chain.by_position`)."""
+    if not given:
+        return None
+    names = list(model.names)[1:]
+    has = np.array([name in given for name in names])
+    offset, deceleration = np.array([given.get(name, (1.0, 1.0)) for name in names]).T
+    away = np.where(has, 0.0, 1e6)  # rad or m: of a joint without, the ends are where it never is
+    lower, upper = model.lowerPositionLimit - away, model.upperPositionLimit + away
+    return VelocityByPosition(lower, upper, 2 * deceleration, offset)
 
 
 def _scenario_limits(arm: ArmDescription, name: str, n: int) -> dict[str, Array]:

@@ -125,6 +125,11 @@ class JointLimits:
         above = value > 0.5 * (self.q_min[joint] + self.q_max[joint])
         return float(self.q_max[joint] if above else self.q_min[joint])
 
+    @property
+    def finite_velocity(self) -> Array:
+        """(n,) that velocities are measured by: the limit, 1 where nobody gave one."""
+        return np.where(np.isfinite(self.velocity), self.velocity, 1.0)
+
     def velocity_at(self, q: Array, dq: Array) -> tuple[Array, Array]:
         """Magnitude (..., n) of the velocity limit at positions q (..., n), on the side of velocities dq (..., n), and
         its derivative by q. It is at least `STANDING`, rad/s."""

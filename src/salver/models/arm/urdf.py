@@ -7,7 +7,7 @@ refused and has to be converted first.
 from __future__ import annotations
 
 import os
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib import metadata
@@ -30,6 +30,7 @@ MOST_JOINTS = 20  # that move, between root and flange
 DEGREES = 20 * np.pi, 1080.0
 TURNS = 1.0  # of a continuous joint, either way: the rest of salver counts joint angles as numbers
 MODELS = "example-robot-data"  # the package whose models of some arms come with salver, `salver/robots`
+BY_POSITION = "position_based_velocity_limits"  # an element of a joint in franka_description, as libfranka reads it
 _NESTED = 2  # folders between one that is searched and a package in it
 
 
@@ -37,12 +38,15 @@ _NESTED = 2  # folders between one that is searched and a package in it
 class Chain:
     """An arm from a URDF. urdf: text of what is left of it. links: from the root to the flange, root first.
     all_links, all_joints: names of everything that the file has.
+    by_position: velocity_offset, rad/s, and deceleration_limit, rad/s^2, of joints whose velocity limit depends on
+    position: those with an element `BY_POSITION` (libfranka 0.21, include/franka/joint_velocity_limits.h).
     """
 
     urdf: str
     links: tuple[str, ...]
     all_links: frozenset[str]
     all_joints: frozenset[str]
+    by_position: Mapping[str, tuple[float, float]]
 
 
 def read_chain(path: Path, flange: str, package_dirs: Sequence[Path] = ()) -> Chain:
@@ -101,7 +105,8 @@ def read_chain(path: Path, flange: str, package_dirs: Sequence[Path] = ()) -> Ch
     for mesh in root.iter("mesh"):
         mesh.set("filename", find_mesh(mesh.get("filename", ""), path, package_dirs))
     all_joints = frozenset(joint.get("name", "") for joint in joints)
-    return Chain(ElementTree.tostring(root, encoding="unicode"), tuple(links), names, all_joints)
+    by_position = {joint.get("name", ""): found for joint in moving if (found := _by_position(joint, path))}
+    return Chain(ElementTree.tostring(root, encoding="unicode"), tuple(links), names, all_joints, by_position)
 
 
 def installed_chain(path: Path, flange: str, package_dirs: Sequence[Path] = ()) -> Chain:
@@ -221,6 +226,7 @@ _NUMBERS = {
     "axis": (("xyz", 3),),
     "limit": tuple((key, 1) for key in ("lower", "upper", "effort", "velocity")),
     "safety_controller": tuple((key, 1) for key in ("soft_lower_limit", "soft_upper_limit")),
+    BY_POSITION: tuple((key, 1) for key in ("velocity_offset", "deceleration_limit")),
 }
 
 
@@ -309,6 +315,20 @@ def _on_the_chain(joint: ElementTree.Element, path: Path) -> None:
         limit = ElementTree.SubElement(joint, "limit", effort="0", velocity="0") if limit is None else limit
         limit.set("lower", str(-TURNS * 2 * np.pi))
         limit.set("upper", str(TURNS * 2 * np.pi))
+
+
+def _by_position(joint: ElementTree.Element, path: Path) -> tuple[float, float] | None:
+    """velocity_offset and deceleration_limit of a joint with an element `BY_POSITION`."""
+    element = joint.find(BY_POSITION)
+    if element is None:
+        return None
+    offset, deceleration = (float(element.get(key, "0")) for key, _ in _NUMBERS[BY_POSITION])
+    if not min(offset, deceleration) > 0:
+        raise ScenarioError(
+            f"The URDF {path}: velocity_offset and deceleration_limit of <{BY_POSITION}> in {joint.get('name')} are "
+            f"{offset:g} and {deceleration:g}; both must be above 0."
+        )
+    return offset, deceleration
 
 
 def _drop(element: ElementTree.Element, tag: str) -> None:

@@ -203,7 +203,7 @@ class Judged:
         quartic = np.pad(self._hulls[1], ((1, 1), (0, 0), (0, 0)))
         dq = share * quartic[:-1] + (1 - share) * quartic[1:]  # as coefficients of a quintic
         beyond = np.concatenate([dq + extra, extra - dq], axis=2) - allowed
-        return np.asarray(beyond.max(axis=0) / np.tile(limits.velocity, 2))
+        return np.asarray(beyond.max(axis=0) / np.tile(limits.finite_velocity, 2))
 
     @property
     def last(self) -> int:

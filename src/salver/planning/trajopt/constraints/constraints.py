@@ -232,7 +232,7 @@ class JointLimit(Constraint):
 
     def _velocity_by_position(self, motion: MotionEvaluation) -> Block:
         """dq + its radius <= v(q + its radius) towards the upper end, and likewise towards the lower one."""
-        by_position, whole, n = self.limits.velocity_by_position, self.limits.velocity, motion.n
+        by_position, whole, n = self.limits.velocity_by_position, self.limits.finite_velocity, motion.n
         assert by_position is not None
         stray: Array | float = 0.0
         extra: Array | float = 0.0
