@@ -17,7 +17,6 @@ from salver.auditing.verdict import audit_samples
 from salver.errors import SalverError, ScenarioError
 from salver.geometry import matrix_from_quat_wxyz, quat_wxyz_from_matrix
 from salver.live.committed.motion import resting
-from salver.live.live import LONGEST_GAP, STRAYED
 from salver.motion_files.samples import joint_samples, reordered
 from salver.motion_files.verdict import UNSAFE
 from salver.planning.fastest import AtPosture, FastestOptions, transport_problem
@@ -142,7 +141,7 @@ class Carrier:
             return ""
         if self._run is not None:
             away = np.abs(q - self.command)
-            if away.max() > STRAYED:
+            if away.max() > self.live.options.strayed:
                 self.lost(f"{self.joints[int(away.argmax())]} is {away.max():.3f} rad from where the plan has it")
             return ""
         status = self.live.measured(q)
@@ -294,7 +293,7 @@ class Carrier:
         if rests and self._run is None:
             return
         options, gap = self.options, 0.0 if self._last is None else t - self._last
-        if self._run is None and (gap > LONGEST_GAP or gap < 0):
+        if self._run is None and (gap > self.live.options.longest_gap or gap < 0):
             reason = f"the node was {gap:.2f} s late" if gap > 0 else "the node's clock went back"
             self.live.stop(reason, source="monitor") if options.streams else self.lost(reason)
         elif self.live.stopped:
