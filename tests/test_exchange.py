@@ -107,7 +107,14 @@ class Slower(Constraint):
 def a_joint(constraint: Constraint) -> TransportProblem:
     """From 0 to 1."""
     made: Any = SimpleNamespace(
-        n=1, arm=SimpleNamespace(n=1), limits=None, constraints=(constraint,), cases=(), moving=False, keep_out=None
+        nodes=np.zeros(0),
+        n=1,
+        arm=SimpleNamespace(n=1),
+        limits=None,
+        constraints=(constraint,),
+        cases=(),
+        moving=False,
+        keep_out=None,
     )
     made.start, made.goal = AtPosture(np.zeros(1)), AtPosture(np.ones(1))
 

@@ -5,14 +5,14 @@ The exchange method for semi-infinite programmes (Hettich and Kortanek, SIAM Rev
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from salver.errors import Status
 from salver.geometry import Array, Indices
-from salver.planning.trajopt.constraints.constraints import Constraint, evaluate, violated
+from salver.planning.trajopt.constraints.constraints import evaluate, violated
 from salver.planning.trajopt.curves import Curve, Grid, united
 from salver.planning.trajopt.evaluation import MotionEvaluation
 from salver.planning.trajopt.objectives import Duration, Objective, Point, Scalar
@@ -87,16 +87,14 @@ def programme_of(
     nodes: Array,
     objective: Objective = SHORTEST,
     points: int = 2,
-    watched: Sequence[Constraint] | None = None,
 ) -> Programme:
     """The programme at nodes (N,) in [0, 1], watching, for a shorter time, only what comes near along the start.
 
     curve_of: makes the curve of a problem and grid. points: from node to node, where the joints' limits are imposed.
-    watched: the constraints, when it is known what comes near.
     """
     curve = curve_of(problem, Grid.of(start.spline, nodes, points))
-    constraints = problem.constraints if watched is None else watched
-    if watched is None and objective.scalar is Scalar.DURATION:  # others may lead far from where they begin
+    constraints = problem.constraints
+    if objective.scalar is Scalar.DURATION:  # others may lead far from where they begin
         postures = curve.motion(start.coefficients, start.duration)[0, curve.grid.nodes]
         constraints = tuple(constraint.near(postures) for constraint in constraints)
     return Programme(curve, constraints, objective)
@@ -156,11 +154,8 @@ def optimise(
         if len(nodes) == len(before):  # what is broken is driven by what was between them
             nodes = united(nodes, 0.5 * (nodes[1:] + nodes[:-1]))
         options, repair = _repair(problem, how, exchange, iterations, gain, watch)
-        # A repair leads nowhere else: unless something that was not watched came too near, the same is watched.
-        same = all(value <= 0.0 or name in binding for name, value in worst.items())
-        watched = programme.constraints if same else None
         start = SplineMotion(spline, point.coefficients, point.duration)
-        programme = programme_of(problem, curve_of, start, nodes, objective, watched=watched)
+        programme = programme_of(problem, curve_of, start, nodes, objective)
         programme = replace(programme, given=bool(problem.cases))
         begun = programme.begin(start.coefficients, start.duration)
         solution = minimise(programme, begun, options, Trust(repair, 0.02))  # of rows only what is near

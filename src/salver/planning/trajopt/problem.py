@@ -199,13 +199,10 @@ def transport_problem(
     *,
     level: bool | None = None,
     robust: bool = True,
-    goal_yaw_free: bool | None = None,
-    start_posture: Array | None = None,
-    arm: ArmModel | None = None,
     extra: Sequence[Constraint] = (),
     passing: bool = False,
 ) -> TransportProblem:
-    """The transport problem of a scenario. Arguments that are given override the scenario.
+    """The transport problem of a scenario.
 
     level: tray level all along (as motion.orientation says); otherwise it may tilt, up to motion.max_tilt_deg.
     robust: keep the contact for the whole uncertain set, or only for nominal parameters.
@@ -217,7 +214,7 @@ def transport_problem(
         raise ScenarioError(f'{scenario.name}: this needs an arm; add an [arm] table, for example model = "panda".')
     if not passing:
         scenario.check_one_leg("this plan")
-    arm = load_arm(scenario.arm, scenario.tray) if arm is None else arm
+    arm = load_arm(scenario.arm, scenario.tray)
     payload = scenario.payload if robust else scenario.payload.nominal
     if level is None:
         level = not scenario.motion.may_turn
@@ -225,13 +222,12 @@ def transport_problem(
     max_tilt = 0.0 if level else float(np.deg2rad(tilt)) if tilt is not None else np.inf
     motion, first = scenario.motion, payload.bodies[0]
     _level_enough(motion, max_tilt)
-    yaw_free = motion.goal_yaw == "free" if goal_yaw_free is None else goal_yaw_free
+    yaw_free = motion.goal_yaw == "free"
     begin = PoseTarget(np.array(motion.start.position), motion.start.rotation, first.p_EB, first.R_EB)
     end = PoseTarget(np.array(motion.goal.position), motion.goal.rotation, first.p_EB, first.R_EB, yaw_free)
     start: End = AtPose(begin)
-    given = scenario.arm.start_posture if start_posture is None else start_posture
-    if given is not None:
-        start = AtPosture(corrected_posture(arm, given, begin, first.name))
+    if scenario.arm.start_posture is not None:
+        start = AtPosture(corrected_posture(arm, scenario.arm.start_posture, begin, first.name))
     parts = arm_geometry(arm, payload.bodies, scenario.around)
     cases = tuple(load_cases(body, payload.uncertain) for body in payload.dynamic)
     more = (load_cases(body, payload.uncertain, VERDICT_APART) for body in payload.dynamic)
