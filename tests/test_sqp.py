@@ -169,7 +169,7 @@ def test_where_no_place_is_allowed_that_is_seen_soon():
     found = minimise(task, task.begin(np.array([[2.0, 0.5]]), 1.0), SqpOptions(iterations=200))
     assert found.status.code == "infeasible"
     assert 1.0 - 1e-9 < found.status.details["violation"] < 1.05
-    assert found.iterations < SqpOptions().futile + 4
+    assert found.iterations < 20
 
 
 def test_a_time_that_only_rows_of_its_square_limit_is_found_at_once():

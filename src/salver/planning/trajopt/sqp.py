@@ -35,8 +35,6 @@ class SqpOptions:
     poor: share of the improvement that was hoped for below which a second-order correction is tried; doubled, at every
     step. bent: violation of a trial, beyond the programme's own, that is worth one; doubled, there are fewer.
     kept: a row that joined stays until it is further from its edge than this; doubled, programmes have more rows.
-    futile: iterations in turn that neither promise nor reach a violation lower by `less`, a share, after which the
-    start is given up; doubled, hopeless starts take longer.
     beat: the search ends where nothing below this is to be expected.
     """
 
@@ -50,8 +48,6 @@ class SqpOptions:
     poor: float = 0.8
     bent: float = 2e-4
     kept: float = 0.3
-    futile: int = 6
-    less: float = 0.05
     beat: float = np.inf
 
     def beaten(self, path: Iterate, hoped: float) -> bool:
@@ -106,8 +102,7 @@ def minimise(programme: Programme, start: Iterate, options: SqpOptions, trust: T
     trust = replace(trust or Trust(), penalty=options.penalty, least_damping=options.least_damping)
     path, forced = start, tuple(np.zeros(block.values.shape, dtype=bool) for block in start.blocks)
     prices: tuple[Array, ...] = ()
-    code, idle, programmes, done, futile = "iteration_limit", 0, 0, 0, 0
-    least = lowest = np.inf
+    code, idle, programmes, done = "iteration_limit", 0, 0, 0
     while done < options.iterations:
         done += 1
         depth = np.broadcast_to(trust.depth, len(path.blocks))
@@ -124,11 +119,6 @@ def minimise(programme: Programme, start: Iterate, options: SqpOptions, trust: T
         if attempt.beaten:
             code = "beaten"
             break
-        # Far from every edge a programme promises too much: that what was reached gets less is progress as well.
-        nearer = path.violation < (1 - options.less) * lowest
-        stuck = attempt.slack > max(options.violation, (1 - options.less) * least) and not nearer
-        futile = futile + 1 if stuck else 0
-        least, lowest = min(least, attempt.slack), min(lowest, path.violation)
         enough = options.gain * programme.objective.scale(path.point, path.cost)
         forced = tuple(mask | more for mask, more in zip(forced, attempt.unseen, strict=True))
         if attempt.trial is not None and attempt.ratio > 0.01:
@@ -144,9 +134,6 @@ def minimise(programme: Programme, start: Iterate, options: SqpOptions, trust: T
         little = (3.0 if path is attempt.trial else 6.0) * enough  # a step that led nowhere says less
         if path.violation <= options.violation and (mended or attempt.hoped < little):
             idle = 2
-        if futile >= options.futile:
-            code = "stalled"
-            break
         if idle >= 2 or trust.hopeless:
             if path.violation > options.violation and trust.dearer():
                 idle = 0
