@@ -66,6 +66,8 @@ class Arm:
         self.motion: Trajectory | None = None
         self.times: list[float] = []
         self.path: list[np.ndarray] = []
+        self.state = np.stack([self.q, 0 * self.q, 0 * self.q])  # q, dq, ddq
+        self.states: list[np.ndarray] = []
         self.asked: Callable[[], Any] = lambda: None  # each period
 
     def run(self, seconds: float) -> "Arm":
@@ -83,9 +85,11 @@ class Arm:
                     self.carrier.live.plan()
             if self.motion is not None:
                 m = self.motion
-                self.q = JointMotion(m.t, m.q, m.dq, m.ddq).sample(self.t - m.begins)[0][0]
+                self.state = np.concatenate(JointMotion(m.t, m.q, m.dq, m.ddq).sample(self.t - m.begins))
+                self.q = self.state[0]
             self.times.append(self.t)
             self.path.append(self.q)
+            self.states.append(self.state)
         return self
 
     @property
@@ -98,12 +102,9 @@ class Arm:
 
     def holds(self) -> bool:
         """The verdict on what the controller made of it, with velocities, as a motion that is commanded."""
-        q = np.array(self.path)
         t = np.array(self.times) - self.times[0]
-        rates = np.gradient(q, PERIOD, axis=0)
-        return audit(
-            self.carrier.scenario, Trajectory(self.carrier.joints, 0.0, t, q, rates, np.gradient(rates, PERIOD, axis=0))
-        )[0]
+        motion = Trajectory(self.carrier.joints, 0.0, t, *np.array(self.states).swapaxes(0, 1))
+        return audit(self.carrier.scenario, motion)[0]
 
 
 def test_a_goal_is_gone_to_and_the_controller_follows_what_is_committed() -> None:
