@@ -29,8 +29,7 @@ ARROW = {"arrowstyle": "-|>", "color": style.GREY, "linewidth": 1.2, "shrinkA": 
 
 def cone() -> Any:
     """The friction cone, the pyramid inscribed in it, and a force made of the pyramid's edges."""
-    figure = _figure(3.6, 3.2)
-    axes = figure.add_subplot(projection="3d", computed_zorder=False)
+    figure, axes = _space(3.2, 3.1, (-0.08, -0.19, 1.2, 1.22))
     mu, height = 0.5, 1.0
     angle, z = np.meshgrid(np.linspace(0, 2 * np.pi, 80), np.linspace(0, height, 2))
     axes.plot_surface(mu * z * np.cos(angle), mu * z * np.sin(angle), z, color=style.GREY, alpha=0.16, linewidth=0)
@@ -116,8 +115,7 @@ def frames() -> Any:
     R_SE = matrix_from_rpy(np.deg2rad([0, 12, 20]))
     p_SE = np.array([0.10, 0.0, 0.07])
     p_SB, R_SB = p_SE + R_SE @ cube.p_EB, R_SE @ cube.R_EB
-    figure = _figure(5.0, 3.6)
-    axes = figure.add_subplot(projection="3d", computed_zorder=False)
+    figure, axes = _space(4.4, 2.6, (-0.1, -0.39, 1.2, 1.56))
     half = 0.062
     tray = np.array([[half, half], [-half, half], [-half, -half], [half, -half], [half, half]])
     axes.plot(*(p_SE[:, None] + R_SE[:, :2] @ tray.T), color=style.TRAY_COLOUR, linewidth=1.2)
@@ -476,11 +474,18 @@ def _figure(width: float, height: float) -> Any:
     return Figure(figsize=(width, height))
 
 
+def _space(width: float, height: float, place: tuple[float, float, float, float]) -> tuple[Any, Any]:
+    """A figure of this size and 3-D axes over it and beyond, whose empty rim is cut off."""
+    figure = _figure(width, height)
+    axes = figure.add_axes(place, projection="3d", computed_zorder=False)
+    return figure, axes
+
+
 def _triad(axes: Any, p: Array, rotation: Array, name: str, length: float) -> None:
     for axis, colour, letter in zip(rotation.T, (style.VERMILION, style.GREEN, style.BLUE), "xyz", strict=True):
         axes.quiver(*p, *(length * axis), color=colour, linewidth=1.1, arrow_length_ratio=0.18)
         if length > 0.012:
-            axes.text(*(p + 1.18 * length * axis), letter, color=colour, fontsize=6, ha="center", va="center")
+            axes.text(*(p + 1.22 * length * axis), letter, color=colour, fontsize=8, ha="center", va="center")
     beside = rotation @ exp(np.array([0.0, 0.0, -2.4])) @ np.array([0.2 * length + 0.004, 0, 0])
     axes.text(*(p + beside), name, fontsize=8, ha="center", va="center", weight="bold")
 
@@ -492,7 +497,9 @@ def main() -> None:
     IMAGES.mkdir(exist_ok=True)
     for name in wanted:
         with style.paper_style(), matplotlib.rc_context({"svg.fonttype": "path"}):
-            FIGURES[name]().savefig(IMAGES / f"{name}.svg", metadata={"Date": None})
+            figure = FIGURES[name]()
+            box = figure.bbox_inches if figure.axes[0].name == "3d" else None  # its own, or that of what is drawn
+            figure.savefig(IMAGES / f"{name}.svg", metadata={"Date": None}, bbox_inches=box)
         print(IMAGES / f"{name}.svg")
 
 
