@@ -230,12 +230,22 @@ def test_the_comparison_of_outputs_notices_differences():
             assert_output(output, "mass 0.256 kg in ... ms")
 
 
+def test_the_files_to_read_first_are_an_evening_of_reading():
+    text = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8").partition("## Layers")[0]
+    files = re.findall(r"^\| `([\w/]+\.py)`", text, flags=re.MULTILINE)
+    assert len(files) == 8
+    assert sum(len((ROOT / "src" / "salver" / file).read_text(encoding="utf-8").splitlines()) for file in files) < 2500
+
+
 @pytest.mark.slow
 def test_the_table_of_equations_names_things_that_exist():
     text = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
     names = re.findall(r"`(salver\.[\w.]+)`", text)
     assert len(names) > 20
-    names += [f"salver.{name}" for name in re.findall(r"`((?:liquid|live|models|planning|sensitivity)\.[\w.]+)`", text)]
+    names += [
+        f"salver.{name}"
+        for name in re.findall(r"`((?:dynamics|live|models|planning|scenario|sensitivity)\.[\w.]+)`", text)
+    ]
     for name in names:
         parts = name.split(".")
         for split in range(len(parts), 0, -1):
