@@ -145,23 +145,16 @@ class InterfaceMargins:
             at_mu = _combined(tangential, normal, mu)
             return np.asarray((self.whole.at(keep).worst_case(at_mu) + w_0[keep] @ at_mu.internal.T).max(axis=1))
 
-        # Of an instant the value is convex in 1 / mu and grows. So what holds with less than the nominal case needs is
-        # not looked at again, and of the others the root lies below that of their chord.
-        low = sure = float(np.clip(0.999 * self.friction_needed.max(), 1e-4, high))
-        at_sure = values(sure, np.arange(len(w)))
-        candidates = np.flatnonzero(at_sure > 0)
-        at_high = values(high, candidates) if len(candidates) else np.zeros(0)
-        if (at_high > 0).any():
+        low = float(np.clip(0.999 * self.friction_needed.max(), 1e-4, high))
+        failing = np.arange(len(w))
+        failing = failing[values(low, failing) > 0]
+        if len(failing) and (values(high, failing) > 0).any():
             return float("inf")
-        share = at_sure[candidates] / (at_sure[candidates] - at_high)
-        enough = 1 / (share / high + (1 - share) / sure)
         while high - low > 1e-4:
             middle = 0.5 * (low + high)
-            failing = np.flatnonzero(enough > middle)
-            if len(failing):
-                failing = failing[values(middle, candidates[failing]) > 0]
-            if len(failing):
-                low, candidates, enough = middle, candidates[failing], enough[failing]
+            beyond = failing[values(middle, failing) > 0] if len(failing) else failing
+            if len(beyond):
+                low, failing = middle, beyond
             else:
                 high = middle
         return high

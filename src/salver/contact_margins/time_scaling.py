@@ -237,7 +237,7 @@ def _exact(scaled: TimeScaled) -> tuple[Intervals, float | None]:
     still, full = scaled.margin(0.0), scaled.margin(1.0)
     squared, here = (1.0, full) if full.min() >= 0 else (0.0, still)
     if here.min() < 0:
-        found = _between(scaled, still, full)
+        found = _between(scaled)
         if found is None:
             return (), None
         squared, here = found, scaled.margin(found)
@@ -257,26 +257,18 @@ def _exact(scaled: TimeScaled) -> tuple[Intervals, float | None]:
     return inside, float(np.sqrt(high))
 
 
-def _between(scaled: TimeScaled, still: Array, full: Array) -> float | None:
+def _between(scaled: TimeScaled) -> float | None:
     """The square of a factor at which all holds, of a motion that holds neither standing still nor at full speed: where
-    the least margin is largest of those instants that are least somewhere."""
+    the least margin is largest."""
     from scipy.optimize import minimize_scalar
 
-    some = np.unique([np.argmin(still), np.argmin(full)])
-    while True:
-        found = minimize_scalar(
-            lambda squared, some=some: -scaled.margin(squared, 0.0, some).min(),
-            bounds=(0.0, FASTEST**2),
-            method="bounded",
-            options={"xatol": 1e-9},
-        )
-        here = scaled.margin(float(found.x))
-        if here.min() >= 0:
-            return float(found.x)
-        least = np.argmin(here)
-        if found.fun > 0 or least in some:
-            return None
-        some = np.append(some, least)
+    found = minimize_scalar(
+        lambda squared: -scaled.margin(squared).min(),
+        bounds=(0.0, FASTEST**2),
+        method="bounded",
+        options={"xatol": 1e-9},
+    )
+    return float(found.x) if found.fun <= 0 else None
 
 
 def _edge(scaled: TimeScaled, begin: float, here: Array, end: float, there: Array) -> float:

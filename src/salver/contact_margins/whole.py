@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     from salver.models.uncertain.parameters import Parameter
     from salver.trajectory import MotionSamples
 
-FEW = 8  # instants at which the least of a motion is looked for first
-
 
 def margins(scenario: Scenario, samples: MotionSamples, *, edges: int | None = None) -> Margins:
     """All margins of a motion of B, the frame of the scenario's first object (T instants).
@@ -137,12 +135,4 @@ class Margins(Shown, RowValues, Plotted):
     def costs(self) -> dict[str, float]:
         """What each uncertain parameter, alone, takes from the least exact margin (share of the normal force)."""
         least = float(self.exact.min())
-        return {p.name: least - self.only(p)._least(self.exact_worst) for p in self.model.uncertain.parameters}
-
-    def _least(self, lower: Array) -> float:
-        """The least exact margin in the worst case, of which no instant's is below `lower` (T,), as what may be with
-        one parameter may be with all: few instants are looked at."""
-        chosen = np.argsort(lower)[:FEW]
-        found = float(self.at(chosen).exact_worst.min())
-        others = np.setdiff1d(np.flatnonzero(lower < found), chosen)
-        return float(self.at(others).exact_worst.min(initial=found)) if len(others) else found
+        return {p.name: least - float(self.only(p).exact_worst.min()) for p in self.model.uncertain.parameters}
