@@ -28,7 +28,7 @@ from fastest import scenarios as loads
 from salver.campaigns import instant_of_run, parameters_of_run, run_campaign
 from salver.campaigns.summary import DROPPED, LARGEST_SLIP
 from salver.control.arm import ArmState
-from salver.driver.stops import CoolStop
+from salver.driver.stops import ControlledStop
 from salver.files import read_json, write_json
 from salver.models.arm.arm import ArmModel, load_arm, with_load
 from salver.planning.fastest import FastestOptions, plan_fastest
@@ -142,10 +142,10 @@ def _loaded(plan: Plan) -> ArmModel:
     return with_load(load_arm(plan.scenario.arm, plan.scenario.tray), plan.scenario.payload.bodies)
 
 
-def _cool_stop(plan: Plan, loaded: ArmModel, now: float) -> CoolStop:
+def _cool_stop(plan: Plan, loaded: ArmModel, now: float) -> ControlledStop:
     assert plan.joint is not None
     q, dq, _ = (x[0] for x in plan.joint.sample(now))
-    return CoolStop(loaded, ArmState(q, dq))
+    return ControlledStop(loaded, ArmState(q, dq))
 
 
 def cooled(plan: Plan, now: float) -> Plan:

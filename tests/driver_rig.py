@@ -183,7 +183,7 @@ class Rig:
         return Outcome(self, faults, robots[-1], result, library)
 
     def _patches(self, bench: Bench, robot: Callable[..., Arm]) -> Iterator[Any]:
-        step, brake, braking = ArmController.step, stops.CoolStop.__init__, stops.CoolStop.step
+        step, brake, braking = ArmController.step, stops.ControlledStop.__init__, stops.ControlledStop.step
         row, save, record, run = execute_book().add, logs.save_record, SimulatedRobot.record, execute.Drive.run
         plan, stop = stops.PlannedStop.__init__, stops.PlannedStop.step
 
@@ -207,8 +207,8 @@ class Rig:
         yield patch.object(ArmController, "step", faulty("controller", step))
         yield patch.object(stops.PlannedStop, "__init__", faulty("planned", plan))
         yield patch.object(stops.PlannedStop, "step", faulty("stopping", stop))
-        yield patch.object(stops.CoolStop, "__init__", faulty("brake", brake))
-        yield patch.object(stops.CoolStop, "step", faulty("braking", braking))
+        yield patch.object(stops.ControlledStop, "__init__", faulty("brake", brake))
+        yield patch.object(stops.ControlledStop, "step", faulty("braking", braking))
         yield patch.object(execute_book(), "add", faulty("row", row))
         yield patch.object(logs, "save_record", faulty("save", save))
         yield patch.object(SimulatedRobot, "record", faulty("record", record))

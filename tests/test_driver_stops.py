@@ -15,7 +15,7 @@ from salver.control.arm import ArmState, controller_for
 from salver.driver.execution import Drive, Watchdog
 from salver.driver.robots.simulated import SimulatedRobot
 from salver.driver.signals import Signals
-from salver.driver.stops import PlannedStop, PlannedStops, cool_stops, stops_of
+from salver.driver.stops import PlannedStop, PlannedStops, controlled_stops, stops_of
 from salver.geometry import Array
 from salver.models.arm.arm import load_arm
 from salver.planning.plan import Plan
@@ -46,7 +46,7 @@ class _Careful:
 
     def __init__(self, plan: Plan, state: ArmState, t: float, fails: bool) -> None:
         arm = load_arm(plan.scenario.arm, plan.scenario.tray)  # type: ignore[arg-type]
-        self.inner, self.t, self.fails = cool_stops(arm, plan.scenario.payload.bodies)(state, t), t, fails
+        self.inner, self.t, self.fails = controlled_stops(arm, plan.scenario.payload.bodies)(state, t), t, fails
         self.duration = self.inner.duration
 
     def step(self, state: ArmState, s: float) -> Array:

@@ -20,7 +20,7 @@ from salver.driver import execute
 from salver.driver.execution import Drive, ExecutionLog, Watchdog, timing
 from salver.driver.robots.simulated import SimulatedRobot
 from salver.driver.sensing import Plausible, Sensed
-from salver.driver.stops import cool_stops
+from salver.driver.stops import controlled_stops
 from salver.errors import MissingDependencyError, SalverError
 from salver.geometry import Array
 from salver.models.arm.arm import load_arm, with_load
@@ -72,7 +72,7 @@ def test_a_dry_run_in_real_time_takes_the_time_of_the_motion(plan: Plan) -> None
     """0.05 s + 1.4 s + 0.1 s of motion: every millisecond of it is commanded or counted as missed."""
     arm, carried, controller = _parts(plan)
     robot = SimulatedRobot(plan, arm, 0.0)
-    log_ = Drive(robot, controller, plan.joint, arm, carried, -0.05, 1.5, PATIENT, cool_stops(arm, carried)).run()  # type: ignore[arg-type]
+    log_ = Drive(robot, controller, plan.joint, arm, carried, -0.05, 1.5, PATIENT, controlled_stops(arm, carried)).run()  # type: ignore[arg-type]
     assert log_.woken[-1] - log_.woken[0] >= 1.549
     clock = timing(log_, 1e-3)
     assert clock["periods"] + clock["missed"] == 1 + round((log_.t[-1] + 0.05) / 1e-3)
@@ -117,7 +117,7 @@ def test_missed_periods_are_seen_and_time_goes_on(plan: Plan) -> None:
     arm, carried, controller = _parts(plan)
     robot = _Sleepy(plan, arm, 1.0)
     log_ = Drive(
-        robot, controller, plan.joint, arm, carried, robot.start_time, 0.25, PATIENT, cool_stops(arm, carried)
+        robot, controller, plan.joint, arm, carried, robot.start_time, 0.25, PATIENT, controlled_stops(arm, carried)
     ).run()  # type: ignore[arg-type]
     clock = timing(log_, 1e-3)
     assert clock["missed"] >= 4 * (robot.calls // 100)
@@ -141,7 +141,15 @@ def test_watchdog_brakes_to_rest_within_the_torque_rate(plan: Plan) -> None:
     arm, carried, controller = _parts(plan)
     robot = _Pushed(plan, arm, 3.0, realtime=False)
     log_ = Drive(
-        robot, controller, plan.joint, arm, carried, robot.start_time, 1.5, Watchdog(0.02), cool_stops(arm, carried)
+        robot,
+        controller,
+        plan.joint,
+        arm,
+        carried,
+        robot.start_time,
+        1.5,
+        Watchdog(0.02),
+        controlled_stops(arm, carried),
     ).run()  # type: ignore[arg-type]
     assert "panda_joint" in log_.stopped
     assert "0.02 rad are allowed" in log_.stopped
@@ -170,7 +178,7 @@ def test_undisturbed_the_watchdog_is_silent_and_torques_are_the_controllers(plan
     arm, carried, controller = _parts(plan)
     robot = SimulatedRobot(plan, arm, 0.0, realtime=False)
     log_ = Drive(
-        robot, controller, plan.joint, arm, carried, robot.start_time, 1.5, Watchdog(), cool_stops(arm, carried)
+        robot, controller, plan.joint, arm, carried, robot.start_time, 1.5, Watchdog(), controlled_stops(arm, carried)
     ).run()  # type: ignore[arg-type]
     assert log_.stopped == ""
     assert np.abs(log_.q - log_.q_wanted).max() < 2e-3
@@ -213,7 +221,7 @@ def test_cool_stop_reference_is_smooth_and_within_its_share(plan: Plan) -> None:
     dq = np.array([1.5, -0.4, 0.3, 0.0, 2.0, -1.0, 0.5])
     q = plan.joint.sample(0.0)[0][0]  # type: ignore[union-attr]
     torque = with_load(arm, carried).inverse_dynamics(q, dq, np.zeros(7))
-    stop: Any = cool_stops(arm, carried)(ArmState(q, dq), 0.0)
+    stop: Any = controlled_stops(arm, carried)(ArmState(q, dq), 0.0)
     s = np.linspace(0.0, stop.braking, 4001)
     positions, rates, slopes = (np.array(x) for x in zip(*(stop.reference(x) for x in s), strict=True))
     assert np.array_equal(positions[0], q)

@@ -13,7 +13,7 @@ from salver.campaigns.summary import read_table, summarise
 from salver.cli import app
 from salver.control.arm import ArmState
 from salver.driver.preflight import _stops
-from salver.driver.stops import CoolStop
+from salver.driver.stops import ControlledStop
 from salver.errors import FileFormatError, SalverError, ScenarioError, Status
 from salver.models.arm.arm import load_arm, with_load
 from salver.planning.fastest import AtPosture, transport_problem
@@ -94,7 +94,7 @@ def test_what_is_moved_keeps_every_condition_from_the_first_instant_to_rest(bott
 
 @pytest.mark.slow
 def test_the_bottle_stays_at_the_worst_corners_where_braking_without_a_plan_drops_it(bottle):
-    """The same corners: with the planned stop it holds in the engine, with the cool stop's motion it falls."""
+    """The same corners: with the planned stop it holds in the engine, with the controlled stop's motion it falls."""
     loaded = with_load(transport_problem(bottle.scenario).arm, transport_problem(bottle.scenario).items)
     uncertain, fallen = bottle.uncertain, 0
     for now, signs in ((0.25, 1), (0.45, -1), (0.6, 1)):
@@ -108,9 +108,9 @@ def test_the_bottle_stays_at_the_worst_corners_where_braking_without_a_plan_drop
 
 
 def _cooled(plan, loaded, now):
-    """The plan up to an instant and then the driver's cool stop, which knows nothing of the load."""
+    """The plan up to an instant and then the driver's controlled stop, which knows nothing of the load."""
     q, dq, _ = (x[0] for x in plan.joint.sample(now))
-    stop = CoolStop(loaded, ArmState(q, dq))
+    stop = ControlledStop(loaded, ArmState(q, dq))
     s = np.linspace(0, stop.braking, 61)
     states = (np.array(x) for x in zip(*(stop.reference(x) for x in s), strict=True))
     library = StopLibrary(
@@ -261,7 +261,7 @@ def test_while_the_arm_leans_into_its_first_acceleration_it_is_soon_at_rest(bott
     for k in early:
         q, dq, _ = bottle.joint.sample(bottle.stops.t[k])
         arm = with_load(load_arm(bottle.scenario.arm, bottle.scenario.tray), bottle.scenario.payload.bodies)
-        assert bottle.stops.duration[k] < 1.6 * CoolStop(arm, ArmState(q[0], dq[0])).braking
+        assert bottle.stops.duration[k] < 1.6 * ControlledStop(arm, ArmState(q[0], dq[0])).braking
 
 
 @pytest.mark.slow

@@ -19,7 +19,7 @@ from salver.control.arm import ArmController, ArmState, Course, JointTable
 from salver.driver.gate import Gate
 from salver.driver.sensing import Sensed, Senses
 from salver.driver.signals import Signals, noted_signals
-from salver.driver.stops import HOLD_AFTER_STOP, SENSED, PathStop, Stop, StopFrom, cool_stops
+from salver.driver.stops import STANDARD, PathStop, Stop, StopFrom, StopOptions, controlled_stops
 from salver.errors import SalverError
 from salver.geometry import Array
 from salver.models.arm.arm import ArmModel, with_load
@@ -127,6 +127,7 @@ class Drive:
     stop_from: StopFrom
     signals: Signals = field(default_factory=Signals)
     speed_rate: float | None = None
+    stop_options: StopOptions = STANDARD
 
     def __post_init__(self) -> None:
         self.loaded, self.period = with_load(self.arm, self.bodies), self.robot.period
@@ -137,7 +138,7 @@ class Drive:
         joint = self.joint
         self.wanted: Course = JointTable(joint, self.controller.period) if isinstance(joint, JointMotion) else joint
         # Tried in this order, each when the one before it fails.
-        self.stops = [self.stop_from, cool_stops(self.arm, self.bodies)]
+        self.stops = [self.stop_from, controlled_stops(self.arm, self.bodies, self.stop_options)]
         self.stop: Stop | None = None
         self.gate: Gate | None = None
         self.stopped, self.since, self.interruptions, self.unsure = "", 0.0, 0, False
@@ -263,7 +264,7 @@ class Drive:
 
     def near(self, stop: Stop, state: ArmState) -> bool:
         """Whether an arm that follows commands by itself follows this stop so closely that the load surely stays."""
-        return bool((np.abs(state.q - self.late[0][0]) <= stop.allowed + SENSED).all())
+        return bool((np.abs(state.q - self.late[0][0]) <= stop.allowed + self.stop_options.sensed).all())
 
     def complaint(self, sensed: Sensed) -> str:
         """Why to stop, or to stop otherwise; empty for going on."""
@@ -345,7 +346,7 @@ class Drive:
             due, waited = self.s >= self.stop.duration, self.stopping * self.period - self.stop.duration
             if not self.senses.sees:
                 # Who does not see does not hold: what the model is wrong by adds up until torque control ends.
-                return min(self.s, self.stopping * self.period) >= self.stop.duration - HOLD_AFTER_STOP
+                return min(self.s, self.stopping * self.period) >= self.stop.duration - self.stop_options.hold
         return due and (waited >= self.watchdog.longest_wait or self.at_rest(sensed))
 
     def at_rest(self, sensed: Sensed) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
@@ -17,12 +18,27 @@ if TYPE_CHECKING:
     from salver.models.bodies import Body
     from salver.planning.plan import Plan
 
-STOP_GAINS = (200.0, 28.0)  # 1/s^2, 1/s of the cool stop, in every joint
-STOP_SHARE = 0.8  # of the maker's acceleration: what is on the tray may go, the arm must not go far
-LEAST_STOP_TIME = 0.15  # s
-HOLD_AFTER_STOP = 0.25  # s
-SENSED = 5e-4  # rad by which what is measured may differ from where the arm is
-FAR = (0.01, 0.1)  # rad, rad/s off its reference, from where on an arm is not drawn back to it
+
+@dataclass(frozen=True)
+class StopOptions:
+    """Options of bringing an arm to rest.
+
+    gains: 1/s^2, 1/s of a controlled stop, in every joint. share: of the maker's acceleration, at which it brakes: what
+    is on the tray may go, the arm must not go far. least: s that braking takes at least. hold: s at rest after a stop.
+    sensed: rad by which what is measured may differ from where the arm is.
+    off, faster: rad and rad/s off its reference, from where on an arm is not drawn back to it.
+    """
+
+    gains: tuple[float, float] = (200.0, 28.0)
+    share: float = 0.8
+    least: float = 0.15
+    hold: float = 0.25
+    sensed: float = 5e-4
+    off: float = 0.01
+    faster: float = 0.1
+
+
+STANDARD = StopOptions()
 
 
 class Stop(Protocol):
@@ -60,14 +76,14 @@ StopFrom = Callable[[ArmState, float], Stop]
 """The stop from a state that can be believed, at time t of the motion, s."""
 
 
-class Fading:
+class QuinticBraking:
     """Quintic braking: a velocity that goes to zero without a jump of acceleration or torque."""
 
-    def __init__(self, q: Array, dq: Array, acceleration: Array) -> None:
-        """From q with dq, within accelerations (n,)."""
+    def __init__(self, q: Array, dq: Array, acceleration: Array, least: float) -> None:
+        """From q with dq, within accelerations (n,), in at least so many s."""
         self._q, self._dq = q.copy(), dq.copy()
         needed = 1.875 * np.abs(dq) / acceleration  # the step's steepest slope
-        self.duration = max(LEAST_STOP_TIME, float(np.max(np.where(np.isfinite(needed), needed, 0.0))))
+        self.duration = max(least, float(np.max(np.where(np.isfinite(needed), needed, 0.0))))
 
     def at(self, s: float) -> tuple[Array, Array, Array]:
         """(q, dq, ddq) a time s later."""
@@ -78,13 +94,13 @@ class Fading:
         return self._q + area * self._dq, left * self._dq, slope * self._dq
 
 
-def cool_stops(arm: ArmModel, bodies: Sequence[Body]) -> StopFrom:
+def controlled_stops(arm: ArmModel, bodies: Sequence[Body], options: StopOptions = STANDARD) -> StopFrom:
     """Controlled stops of an arm with its load, from any state."""
     loaded = with_load(arm, bodies)
-    return lambda state, t: CoolStop(loaded, state)
+    return lambda state, t: ControlledStop(loaded, state, options)
 
 
-class CoolStop:
+class ControlledStop:
     """A controlled stop: brings the arm to rest from any state within a share of its acceleration, and holds it there.
 
     It asks nothing of the contact: what lies on the tray may slide or fall. Without a load, or where nothing else is
@@ -94,37 +110,37 @@ class CoolStop:
 
     keeps_load, allowed = False, -1.0
 
-    def __init__(self, loaded: ArmModel, state: ArmState) -> None:
+    def __init__(self, loaded: ArmModel, state: ArmState, options: StopOptions = STANDARD) -> None:
         """loaded: the arm with what it carries (`salver.models.arm.arm.with_load`)."""
-        self._loaded = loaded
-        self._fading = Fading(state.q, state.dq, STOP_SHARE * loaded.limits.acceleration)
+        self._loaded, self._options = loaded, options
+        self._braking = QuinticBraking(state.q, state.dq, options.share * loaded.limits.acceleration, options.least)
 
     @property
     def braking(self) -> float:
         """s until it is at rest."""
-        return self._fading.duration
+        return self._braking.duration
 
     @property
     def duration(self) -> float:
-        return self.braking + HOLD_AFTER_STOP
+        return self.braking + self._options.hold
 
     def reference(self, s: float) -> tuple[Array, Array, Array]:
-        q, dq, ddq = self._fading.at(s)
+        q, dq, ddq = self._braking.at(s)
         limits = self._loaded.limits
         within = np.minimum(np.maximum(q, limits.q_min), limits.q_max)
         moves = q == within
         return within, np.where(moves, dq, 0.0), np.where(moves, ddq, 0.0)
 
     def step(self, state: ArmState, s: float) -> Array:
-        return _torque(self._loaded, state, self.reference(s), STOP_GAINS)
+        return _torque(self._loaded, state, self.reference(s), self._options.gains)
 
     def renewed(self, state: ArmState, s: float) -> Stop:
-        return CoolStop(self._loaded, state)
+        return ControlledStop(self._loaded, state, self._options)
 
 
 def stops_of(plan: Plan, controller: ArmController, arm: ArmModel, bodies: Sequence[Body]) -> StopFrom:
     """The stops of a plan (`salver.planning.stops`), or controlled stops if it has none."""
-    return cool_stops(arm, bodies) if plan.stops is None else PlannedStops(plan, controller, arm, bodies)
+    return controlled_stops(arm, bodies) if plan.stops is None else PlannedStops(plan, controller, arm, bodies)
 
 
 class PlannedStops:
@@ -153,14 +169,16 @@ class Along(ABC):
     to it, which would be a jolt: the way to rest begins where it is, and its speed beyond the reference's fades.
     """
 
-    def __init__(self, loaded: ArmModel, gains: tuple[float, float], state: ArmState) -> None:
+    def __init__(
+        self, loaded: ArmModel, gains: tuple[float, float], state: ArmState, options: StopOptions = STANDARD
+    ) -> None:
         """loaded: the arm with what it carries. gains: 1/s^2, 1/s of the loop in the joints."""
-        self._loaded, self._gains = loaded, gains
+        self._loaded, self._gains, self._options = loaded, gains, options
         q, dq, _ = self.course(0.0)
         off, faster = state.q - q, state.dq - dq
-        self._beside: Fading | None = None
-        if not (np.abs(off).max() <= FAR[0] and np.abs(faster).max() <= FAR[1]):
-            self._beside = Fading(off, faster, STOP_SHARE * loaded.limits.acceleration)
+        self._beside: QuinticBraking | None = None
+        if not (np.abs(off).max() <= options.off and np.abs(faster).max() <= options.faster):
+            self._beside = QuinticBraking(off, faster, options.share * loaded.limits.acceleration, options.least)
         self.keeps_load = True
         self._watch(state, 0.0)
 
@@ -194,7 +212,7 @@ class Along(ABC):
     @property
     def duration(self) -> float:
         beside = 0.0 if self._beside is None else self._beside.duration
-        return max(self.rests, beside) + HOLD_AFTER_STOP
+        return max(self.rests, beside) + self._options.hold
 
     def reference(self, s: float) -> tuple[Array, Array, Array]:
         course = self.course(s)
@@ -211,7 +229,7 @@ class Along(ABC):
 
     def _watch(self, state: ArmState, s: float) -> None:
         """The load is sure to stay only while the arm is where it was checked to be."""
-        self.keeps_load &= bool((np.abs(state.q - self.course(s)[0]) <= self.allowed + SENSED).all())
+        self.keeps_load &= bool((np.abs(state.q - self.course(s)[0]) <= self.allowed + self._options.sensed).all())
 
 
 class PlannedStop(Along):

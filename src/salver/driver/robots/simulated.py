@@ -50,7 +50,7 @@ class SimulatedRobot:
         self._run.scene.place(self._data, motion_from(self.look().q).q[-1])
 
     def __init__(self, plan: Plan, arm: ArmModel, extra_time: float, realtime: bool = True) -> None:
-        """extra_time: s that the run may last beyond the planned one (a cool stop)."""
+        """extra_time: s that the run may last beyond the planned one (a controlled stop)."""
         from salver.simulation.run import prepare
         from salver.simulation.scene.engine import mujoco
         from salver.simulation.trace import Recorder
