@@ -272,7 +272,7 @@ def test_how_far_the_arm_may_stray_includes_that_it_gives_way_to_waves(changed):
 
 def test_the_rest_after_a_motion_is_judged_with_the_waves_and_the_deviation_that_there_are_then(changed):
     live, (before, base, *_), _ = changed
-    after = Judged.of(before.left(base.begins, live.problem), base.motion).after
+    after = Judged.of(before.left(base.begins, live.problem), base.motion).along.rest
     wanted, cases = base.left(base.ends, live.problem), live.problem.every_case
     found, there = (at.past.begun(cases).planned.r for at in (after, wanted))
     assert np.abs(there).max() > 1e-4  # m

@@ -301,6 +301,19 @@ def test_what_limits_a_motion_is_what_is_ahead_of_it():
     assert margins.from_(0.5) == margins.from_(1.5) == (0.3, "b")
 
 
+@pytest.mark.parametrize(("order", "off"), [(0, 1e-7), (1, 1e-6), (2, 1e-4)])
+def test_a_motion_begins_in_the_state_of_the_arm(motion, order, off):
+    problem, whole = motion
+    whole = JointMotion(1.2 * whole.t, whole.q, whole.dq / 1.2, whole.ddq / 1.2**2)
+    state = np.zeros((3, problem.n))
+    state[0] = whole.q[0]
+    found = verify(problem, whole, tuple(state), PLANNED)
+    assert found.ok, found.sentence
+    assert found.margins.t[-1] == found.judged.t[-1]
+    state[order, 2] += off
+    assert verify(problem, whole, tuple(state), PLANNED).sentence == "it does not begin where the arm is then"
+
+
 def test_an_acceleration_that_rises_and_falls_between_two_instants_is_seen():
     """From rest to rest within one step of the verdict."""
     problem = transport_problem(sv.load_scenario("panda-cube"))
@@ -345,6 +358,8 @@ def test_each_limit_alone_refuses_a_motion(motion, kind, sign):
         found = verified(replace(problem, limits=replace(problem.limits, **{name: given})), slow, 0.0, None)
         assert (found.committed is not None) == held, found.sentence
         assert held or found.what == f"{kind.name} of {problem.arm.joint_names[j]}"
+        if not held and kind.of == "position" and kind.order:
+            assert found.slower == pytest.approx((1 / kind.order + 0.02) * found.excess)
         assert held or np.isfinite(found.slower) == (kind.key != "position")  # where the joint goes, time mends nothing
 
 

@@ -8,13 +8,17 @@ import numpy as np
 import pytest
 
 from salver.planning.seeds.starts import ends, straight
+from salver.planning.trajopt.constraints.constraints import PER_METRE, Clearance, strayed
 from salver.planning.trajopt.constraints.load_limits import AtRest
 from salver.planning.trajopt.curves import FreeCurve
 from salver.planning.trajopt.exchange import programme_of
 from salver.planning.trajopt.objectives import Point
 from salver.planning.trajopt.problem import transport_problem
-from salver.planning.trajopt.spline import RestSpline
+from salver.planning.trajopt.spline import RestSpline, min_jerk_blend
+from salver.planning.verdict.judged import PLANNED, Judged
+from salver.planning.verdict.verify import clearance
 from salver.sensitivity.arm import compliance
+from salver.trajectory import JointMotion
 from test_pendulum import LAMP
 
 
@@ -53,6 +57,22 @@ def test_the_rest_after_a_motion_is_that_of_the_motion_with_a_rest_at_its_end(pr
             np.testing.assert_allclose(part.wrench, all_along.wrench[:, len(s) - 1 :], atol=0.02)
     radius = whole.response.joint_radius(0)[len(s) - 1 :]
     np.testing.assert_allclose(rest.response.joint_radius(0), radius, atol=5e-3 * radius.max())
+
+
+def test_how_far_an_arm_may_stray_while_it_settles_counts_at_the_end(problem):
+    s, duration = np.linspace(0.0, 1.0, 41), 0.6
+    turn, start = np.array([0.5, 0.1, 0.2, 0.0, 0.0, 0.1, 0.3]), begun(problem).coefficients[0]
+    rates = 30 * s**2 * (1 - s) ** 2 / duration, 60 * s * (1 - s) * (1 - 2 * s) / duration**2
+    q, dq, ddq = (np.outer(x, turn) for x in (min_jerk_blend(s), *rates))
+    judged = Judged.of(problem, JointMotion(s * duration, start + q, dq, ddq), PLANNED)
+    last = strayed(*judged.along.tray_radius())[-1]
+    assert judged.off[-1] == pytest.approx(strayed(*judged.along.rest.tray_radius()).max(), rel=0.02)
+    assert (judged.off[-1] > 1.02 * last) == (problem.payload.first.name == "lamp")  # the others stray most at the end
+    near = Clearance(problem.keep_out.near(judged.along.at_nodes[0]))
+    (rows,), (plain,) = clearance(judged), near.blocks(judged.along)
+    more = rows.values - plain.values - (rows.values[:1] - plain.values[:1])
+    np.testing.assert_allclose(more[:-1], 0.0, atol=1e-9)
+    np.testing.assert_allclose(more[-1], PER_METRE * (judged.off[-1] - last), atol=1e-9)
 
 
 def test_derivatives_in_the_rest_agree_with_differences(problem):

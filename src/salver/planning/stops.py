@@ -272,7 +272,8 @@ def _shortest(
     problem: TransportProblem, curve_of: CurveOf, begin: SplineMotion, beat: float = np.inf, damping: float = WARM
 ) -> FoundStop | None:
     """The shortest motion to rest along a curve that passes the verdict; None when none was found."""
-    found = optimise(problem, curve_of, begin, nodes_per_span=3, damping=damping, gain=1e-2, beat=beat)
+    hasty = replace(problem, at_rest=False)
+    found = optimise(hasty, curve_of, begin, nodes_per_span=3, damping=damping, gain=1e-2, beat=beat)
     if not found.status.ok:
         return None
     curve = curve_of(problem, Grid.of(begin.spline, STORED))

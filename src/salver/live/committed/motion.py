@@ -14,7 +14,7 @@ from salver.dynamics.modal_history import Past
 from salver.geometry import Array
 from salver.live.committed.profile import SpeedProfile
 from salver.planning.fastest import TransportProblem
-from salver.planning.verdict.judged import standing_still
+from salver.planning.trajopt.evaluation import MotionEvaluation
 from salver.planning.verdict.margins import ConstraintMargins
 from salver.trajectory import JointMotion
 
@@ -22,6 +22,7 @@ SHORTEST = 1e-3  # s that the motion of an arm at rest is written to last
 SAME = 1e-9  # s; instants nearer than this are one
 SETTLED = 1.0  # s at rest after which what the load makes the arm sag by changes no more
 CALMED = 5.0  # s at rest after which swings are so small that the arm hardly gives way to them;
+HOLD_STEP = 1e-2  # s between instants of an arm at rest
 AT_ONCE = 0.5  # s of that in which swings and arm are soon known together
 
 
@@ -118,6 +119,14 @@ class Committed:
             if rest.tracking is not None and held.response is not None:
                 sagging = held.response.state_at(np.multiply(step, held.shares), step)
                 rest = replace(rest, tracking=rest.tracking.begun(sagging))
+
+
+def standing_still(problem: TransportProblem, q: Array, seconds: float) -> MotionEvaluation:
+    """The arm at rest in a posture (n,) for so long, s, from the deviation and the modal states with which the problem
+    begins."""
+    z = np.zeros((4, max(5, int(np.ceil(seconds / HOLD_STEP)) + 1), problem.n))
+    z[0] = q
+    return problem.at(np.linspace(0.0, 1.0, z.shape[1]), z, seconds)
 
 
 def _astray(problem: TransportProblem, deviation: Array | None) -> TransportProblem:

@@ -127,7 +127,7 @@ class Sought(TransportProblem):
 
     @classmethod
     def of(cls, problem: TransportProblem) -> Self:
-        return cls(**{field.name: getattr(problem, field.name) for field in fields(problem)})
+        return cls(**{field.name: getattr(problem, field.name) for field in fields(problem)} | {"at_rest": False})
 
 
 class Firmer(Sought):
@@ -198,7 +198,10 @@ class Replanner:
                 guess = replace(guess, duration=self.options.slowly * guess.duration)
             else:
                 guess, damping = SplineMotion(guess.spline, best.coefficients, best.duration), how.repair
-        found = optimise(at, FreeCurve, guess, self.options.few_nodes, watch, damping=damping, gain=self.options.gain)
+        hasty = replace(at, at_rest=False)
+        found = optimise(
+            hasty, FreeCurve, guess, self.options.few_nodes, watch, damping=damping, gain=self.options.gain
+        )
         motion = SplineMotion(guess.spline, found.coefficients, found.duration)
         return found, self._stretched(at, motion, before, begins)
 

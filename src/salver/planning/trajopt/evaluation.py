@@ -166,15 +166,16 @@ class MotionEvaluation:
         z[0] = self.z[0, -1]
         s, nodes, like = np.linspace(0.0, 1.0, count), np.arange(count), self.known.like
         basic = self.model, self.frame_id, self.tracking, s, self.resting, z, nodes, self.imposed, False, self.cases
+        terms = MotionTerms.deriving(self.model, self.frame_id, z[:3], s, nodes[[0, -1]])  # at all of them the same
         if like is not None:
-            still = MotionEvaluation(*basic, like.rest.past, self.coarsely).straying_as(like.rest)
-            loads = like.rest.load_responses.along(self.resting * s, still.terms.w, self.load_responses)
+            still = MotionEvaluation(*basic, like.rest.past, self.coarsely).knowing(terms=terms).straying_as(like.rest)
+            loads = like.rest.load_responses.along(self.resting * s, terms.w, self.load_responses)
             return still.knowing(loads=loads)
-        t = self.shares * self.duration
+        t, tracking = self.shares * self.duration, self.tracking
+        if tracking is not None and self.response is not None:
+            tracking = tracking.begun(self.response.state_at(t, t[-1]))
         still = MotionEvaluation(*basic, replace(self.left, now=t[-1]), self.coarsely)
-        if self.tracking is None or self.response is None:
-            return still
-        return replace(still, tracking=self.tracking.begun(self.response.state_at(t, t[-1])))
+        return replace(still, tracking=tracking).knowing(terms=terms)
 
     @cached_property
     def loads(self) -> dict[str, tuple[LoadResponse, ...]]:

@@ -63,7 +63,9 @@ class TransportProblem:
     speeds: at which contact must hold. extra: constraints beside those that follow from all this.
     cases: of what moves inside each load, those that stand for all there are; every_case: those that a verdict looks
     at; past: what they come from where the motion begins moving. through: poses that are passed on the way. nodes:
-    shares of the time at which constraints are imposed beside where they usually are."""
+    shares of the time at which constraints are imposed beside where they usually are. at_rest: whether contact and
+    loads are constrained in the rest after the motion too; stops and live motions are sought without, in half the time,
+    and judged with it."""
 
     scenario: Scenario
     arm: ArmModel
@@ -84,6 +86,7 @@ class TransportProblem:
     past: Past | None = None
     through: tuple[AtPose, ...] = ()
     nodes: tuple[float, ...] = ()
+    at_rest: bool = True
 
     @property
     def items(self) -> tuple[Body, ...]:
@@ -135,7 +138,7 @@ class TransportProblem:
         moving = [speed for speed in self.speeds if speed.factor]
         found += [LoadConstraint(each[0].body, speed) for each in self.cases for speed in moving]
         swinging = (c for c in found if isinstance(c, LoadConstraint | ContactConstraint) and c.speed.factor)
-        found += [AtRest(constraint) for constraint in swinging] if self.cases else []
+        found += [AtRest(constraint) for constraint in swinging] if self.cases and self.at_rest else []
         found += [PassPose(self.arm, end.target, f"pose {k} to pass") for k, end in enumerate(self.through, 1)]
         if self.keep_out is not None:
             found.append(Clearance(self.keep_out))
@@ -148,7 +151,8 @@ class TransportProblem:
         nodes = np.arange(len(s)) if nodes is None else nodes
         arm = self.model, self.arm.tray_id, self.tracking
         motion = MotionEvaluation(*arm, s, duration, z, nodes, imposed, self.moving, self.cases, self.past)
-        return replace(motion, resting=self.payload.slowest_period) if self.cases else motion
+        settling = 0.0 if self.tracking is None else self.tracking.settling
+        return replace(motion, resting=max(self.payload.slowest_period, settling)) if self.cases else motion
 
 
 def with_missed_cases(

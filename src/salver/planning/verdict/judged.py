@@ -30,8 +30,6 @@ from salver.sensitivity.arm.terms import MotionTerms
 from salver.sensitivity.arm.tracking import Deviation
 from salver.trajectory import JointMotion, extremes, hulls
 
-HOLD_STEP = 1e-2  # s between instants of an arm at rest
-
 
 @dataclass(frozen=True)
 class VerdictOptions:
@@ -67,7 +65,7 @@ class VerdictOptions:
     instants: int = 160
     step_with_dynamics: float = 4e-3
     at_rest_instants: int = 16
-    deriving: int = 4
+    deriving: int = 3
     contact: float = 1e-3
     torque_rate: float = 1e-2
     period: float = 1e-3
@@ -116,7 +114,7 @@ class VerdictEvaluation(MotionEvaluation):
 @dataclass(frozen=True, eq=False)
 class Judged:
     """A motion under a problem that begins where the arm is then, and the rest after it until the deviation has
-    settled (with load dynamics: to its end, see `settles`). t: (N,) s, instants of its own time."""
+    settled (with load dynamics: to its end, see `MotionEvaluation.rest`). t: (N,) s, instants of its own time."""
 
     problem: TransportProblem
     motion: JointMotion
@@ -234,27 +232,16 @@ class Judged:
         if self.along.response is None:
             return np.zeros(self.last + 1)
         stray = strayed(*self.along.tray_radius())
-        return np.append(stray[: self.last], stray[self.last :].max())
+        return np.append(stray[: self.last], stray[self.last :].max() + self.settling)
 
     @cached_property
-    def after(self) -> TransportProblem:
-        """The problem of going on from the end of the motion: with the deviation and the modal states that there are
-        then."""
-        problem, tracking = self.problem, self.problem.tracking
-        if problem.cases:
-            left = self.along.left
-            problem = replace(problem, past=replace(left, now=left.t[-1]))
-        if tracking is None or self.deviation is None:
-            return problem
-        return replace(problem, tracking=tracking.begun(self.deviation[-1]))
-
-
-def standing_still(problem: TransportProblem, q: Array, seconds: float) -> MotionEvaluation:
-    """The arm at rest in a posture (n,) for so long, s, from the deviation and the modal states with which the problem
-    begins."""
-    z = np.zeros((4, max(5, int(np.ceil(seconds / HOLD_STEP)) + 1), problem.n))
-    z[0] = q
-    return problem.at(np.linspace(0.0, 1.0, z.shape[1]), z, seconds)
+    def settling(self) -> float:
+        """m by which what stands on the tray may be further away in the rest after the motion than at its end; 0 where
+        that rest is judged with the motion."""
+        if self.along.response is None or not self.problem.cases:
+            return 0.0
+        stray = strayed(*self.along.rest.tray_radius())
+        return float(stray.max() - stray[0])
 
 
 def no_gradient(node: Indices, row: Indices) -> Array:

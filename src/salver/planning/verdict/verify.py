@@ -27,11 +27,10 @@ from salver.planning.trajopt.constraints.constraints import (
     TorqueLimit,
     TorqueRateLimit,
     both_sides,
-    strayed,
 )
 from salver.planning.trajopt.constraints.load_limits import AtRest, LoadConstraint
 from salver.planning.trajopt.problem import TransportProblem
-from salver.planning.verdict.judged import STANDARD, Judged, VerdictOptions, no_gradient, standing_still, subsample
+from salver.planning.verdict.judged import STANDARD, Judged, VerdictOptions, no_gradient, subsample
 from salver.planning.verdict.margins import ConstraintMargins
 from salver.trajectory import JointMotion, ways
 
@@ -145,10 +144,13 @@ def at_rest(judged: Judged) -> Iterator[Block]:
 
 
 def clearance(judged: Judged) -> Iterator[Block]:
-    """distance(pair) - deviation >= required, of arm, tray, load and obstacles; of pairs that come near only."""
+    """distance(pair) - deviation >= required, of arm, tray, load and obstacles; of pairs that come near only. At the
+    end, with the largest deviation while the arm settles there."""
     out = judged.problem.keep_out
     if out is not None:
-        yield from judged.rows(Clearance(out.near(subsample(out.parts, judged.along.at_nodes[0]))))
+        for block in judged.rows(Clearance(out.near(subsample(out.parts, judged.along.at_nodes[0])))):
+            block.values[judged.last] += PER_METRE * judged.settling
+            yield block
 
 
 def others(judged: Judged) -> Iterator[Block]:
@@ -193,10 +195,6 @@ def verify(
     margins = ConstraintMargins.of(blocks, judged.t, problem)
     if touch := touches(judged, blocks):
         return Verdict(touch, judged=judged, margins=margins)
-    excess, what = settles(judged, blocks)
-    if excess > 0.0:
-        sentence = f"{what} would be exceeded by {100 * excess:.2g} % while the arm settles at its end"
-        return Verdict(sentence, excess, what, judged=judged, margins=margins)
     return Verdict("", float(margins.row.max()), judged=judged, margins=margins)
 
 
@@ -227,20 +225,6 @@ def touches(judged: Judged, blocks: Sequence[Block]) -> str:
         if np.any(low[:-1] + low[1:] - moved <= 2 * TOUCHING) and (touch := sweep(out.parts, judged.motion).touch):
             return f"{touch.first} and {touch.second} would touch"
     return ""
-
-
-def settles(judged: Judged, blocks: Sequence[Block]) -> tuple[float, str]:
-    """The clearance at the end of a motion with load dynamics, less what the tray strays further than there while it
-    settles. The excess, and its name. Without them that rest is judged with the motion."""
-    tracking = judged.problem.tracking
-    if tracking is None or not judged.problem.cases:
-        return -np.inf, ""
-    rest = standing_still(judged.after, judged.motion.q[-1], tracking.settling).response
-    assert rest is not None
-    further = strayed(*rest.tray_radius())
-    more = PER_METRE * (further.max() - further[0])
-    clearances = (block for block in blocks if isinstance(block.of, Clearance) and block.values.size)
-    return max(((block.values[-1].max() + more, block.name) for block in clearances), default=(-np.inf, ""))
 
 
 def _refused(blocks: Sequence[Block], judged: Judged) -> Verdict:
