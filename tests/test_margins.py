@@ -121,7 +121,7 @@ def test_worst_verdict_is_about_the_least_friction() -> None:
     assert moved(made, 0.85).verdict().ok
     worst = moved(made, 0.8).verdict(worst=True)
     assert worst.code == "slides"
-    assert "at least 0.400 is sure" in worst.sentence
+    assert "the least in the ranges is 0.400" in worst.sentence
     assert moved(made, critical * 1.06).verdict(worst=True).ok
 
 

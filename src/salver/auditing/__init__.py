@@ -1,6 +1,6 @@
-"""Will it slip? The verdict on a motion that the user already has: of the tray, or of the arm's joints.
+"""Audits: whether the load stays along an existing motion of the tray or of the arm's joints.
 
-`audit(path, scenario)` reads a file, finds the accelerations in it, and says what everything on the tray does.
+`audit(path, scenario)` reads a file, estimates the accelerations of the tray, and judges the load.
 """
 
 from salver.auditing.options import AuditOptions

@@ -1,4 +1,4 @@
-"""What an arm touches along a joint motion that somebody else made, and whether it keeps to its joints' ranges."""
+"""Collisions and joint ranges of an arm along a joint motion from a file."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from salver.trajectory import JointMotion
 from salver.wording import listed
 
 NOT_CHECKED = Status("not_checked", "Not checked: whether an arm can follow the motion, and what it would touch.", True)
-STEP = 5e-3  # s between postures that are looked at; between two of them the arm is followed
+STEP = 5e-3  # s between postures; clearance is also checked between them
 
 
 def arm_status(samples: JointSamples, arm: ArmModel, scenario: Scenario) -> Status:
-    """Whether joints keep to their ranges, at all samples, and nothing touches, at postures `STEP` apart and between
-    them. A good status says first what was not checked."""
+    """Whether joints stay in their ranges at all samples, and nothing collides, at postures `STEP` apart and between
+    them. The sentence of a good status begins with what was not checked."""
     samples = reordered(samples, arm.joint_names)
     t, q = commanded_motion(samples)[:2] if samples.commanded else (samples.t, samples.q)
     beyond = np.maximum(arm.limits.q_min - q, q - arm.limits.q_max)

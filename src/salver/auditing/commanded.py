@@ -1,7 +1,7 @@
-"""A commanded trajectory: waypoints with velocities, joined as the robot's controller joins them.
+"""A commanded trajectory: waypoints with velocities, interpolated as by the robot's controller.
 
-ros2_control's joint trajectory controller goes from waypoint to waypoint along cubics, or along quintics where the
-waypoints have accelerations. Nothing is unknown then but what the file itself leaves open.
+ros2_control's joint trajectory controller interpolates waypoints by cubics, or by quintics if they have accelerations.
+So the motion is known exactly, except for what the file leaves open.
 """
 
 from __future__ import annotations
@@ -12,15 +12,15 @@ from scipy.interpolate import BPoly
 from salver.geometry import Array
 from salver.motion_files.samples import JointSamples
 
-LONGEST, SHORTEST = 64, 3  # instants judged in one piece: a polynomial of degree five is met to 0.1 %
-FINE = 2e-3  # s between instants, where that makes fewer
-_ALIKE = 30.0  # factor between velocities and the steps of the positions, beyond which the units differ
-_AT_SPEED = 1e-3  # rad/s
+LONGEST, SHORTEST = 64, 3  # largest and least number of instants in a piece; 64 resolve a quintic to 0.1 %
+FINE = 2e-3  # s between instants, if that gives fewer
+_ALIKE = 30.0  # factor between velocities and differences of positions above which their units differ
+_AT_SPEED = 1e-3  # rad/s, above which an end is not at rest
 
 
 def commanded_motion(samples: JointSamples) -> tuple[Array, Array, Array, Array]:
-    """(t, q, dq, ddq) of waypoints with velocities, both sides of every waypoint among the instants: the acceleration
-    of cubics jumps there."""
+    """t, q, dq, ddq of waypoints with velocities. Each waypoint is there twice, because the acceleration of cubics
+    jumps at it."""
     assert samples.dq is not None
     given = [samples.q, samples.dq, *([samples.ddq] if samples.ddq is not None else [])]
     curve = BPoly.from_derivatives(samples.t, np.stack(given, axis=1))
@@ -37,7 +37,7 @@ def commanded_motion(samples: JointSamples) -> tuple[Array, Array, Array, Array]
 
 
 def open_questions(samples: JointSamples) -> list[tuple[str, str]]:
-    """(code, sentence) of what the file does not say about what the controller will do."""
+    """Doubts (code, sentence) about the motion that the controller will make of the file."""
     assert samples.dq is not None
     found = []
     step = np.diff(samples.t)

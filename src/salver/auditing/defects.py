@@ -1,8 +1,7 @@
-"""Damage of a recording by logger, sensor or software: found in the samples, named with its size, and removed where
-that is sound.
+"""Defects of a recording by logger, sensor or software, found in the samples and repaired if that is sound.
 
-In order: the unit, samples that repeat the one before, the clock, and places where the samples break off. All of it is
-looked for in the channels as they stand in the file: a pose, or joint positions.
+In this order: a wrong unit, repeated samples, jitter of the clock, spikes and jumps. They are searched for in the
+channels as they are in the file: a pose, or joint positions.
 """
 
 from __future__ import annotations
@@ -19,15 +18,18 @@ from salver.auditing.recorded import LEVER
 from salver.geometry import Array
 from salver.motion_files.samples import JointSamples, Samples
 
-REACH = 0.5  # m: a joint that turns moves the tray as something so far away
-MANY = 3  # spikes or jumps, of which more are a habit of the recorder
-_FEW = 16  # samples, below which nothing is looked for
+REACH = 0.5  # m, lever arm with which rotations of a joint are converted to displacements
+MANY = 3  # more spikes or jumps count as systematic
+_LEAST_SAMPLES = 16  # with fewer samples no defects are searched for
 
 
 @dataclass(frozen=True)
 class Defect:
-    """code, and clause: what it is, with its size. doubtful: whether it forbids to say that everything holds.
-    systematic: whether it may explain a violation."""
+    """A defect of a recording.
+
+    code, clause: what it is, in words with its size. doubtful: whether it excludes the verdict "holds". systematic:
+    whether it could explain a violation.
+    """
 
     code: str
     clause: str
@@ -37,8 +39,11 @@ class Defect:
 
 @dataclass(frozen=True)
 class Channels:
-    """t (N,) s, y (N, m) as in the file. metres: (m,) how far something on the tray moves for each unit, roughly.
-    step: m, resolution of the samples. pose: whether y is place and quaternion."""
+    """The channels of a recording.
+
+    t (N,): s. y (N, m): as in the file. metres (m,): approximate displacement of the tray per unit of each channel, m.
+    step: resolution of the samples, m. pose: whether y is a position and a quaternion.
+    """
 
     t: Array
     y: Array
@@ -49,7 +54,7 @@ class Channels:
 
     @property
     def scaled(self) -> Array:
-        """(N, m) m."""
+        """The channels (N, m) as displacements, m."""
         return self.y * self.metres
 
     def having(self, *defects: Defect, **changes: Any) -> Channels:
@@ -57,7 +62,7 @@ class Channels:
 
 
 def channels_of(samples: Samples) -> Channels:
-    """The channels of a recording as they stand in the file."""
+    """The channels of a recording as they are in the file."""
     if isinstance(samples, JointSamples):
         metres = np.full(samples.q.shape[1], REACH)
         return Channels(samples.t, samples.q, metres, REACH * resolution(samples.q), pose=False)
@@ -66,17 +71,17 @@ def channels_of(samples: Samples) -> Channels:
 
 
 def repaired(channels: Channels, options: AuditOptions) -> Channels:
-    """The samples that are worth judging, with what was found in them."""
+    """The repaired samples, with the defects that were found."""
     if not np.ptp(channels.y, axis=0).any():
         return channels
     for step in (_in_metres, _without_repeats, _with_even_clock, _without_breaks):
-        if len(channels.t) >= _FEW:
+        if len(channels.t) >= _LEAST_SAMPLES:
             channels = step(channels, options)
     return channels
 
 
 def _in_metres(channels: Channels, options: AuditOptions) -> Channels:
-    """Whether a pose is one of a tray on an arm."""
+    """Add a defect if positions cannot be in metres."""
     far = float(np.abs(channels.y[:, :3]).max())
     if not channels.pose or options.nearest < far < options.furthest:
         return channels
@@ -85,11 +90,11 @@ def _in_metres(channels: Channels, options: AuditOptions) -> Channels:
     )
 
 
-# Samples that are no news -------------------------------------------------------------------------------------
+# Repeated samples ---------------------------------------------------------------------------------------------
 
 
 def _without_repeats(channels: Channels, options: AuditOptions) -> Channels:
-    """Samples without those that repeat the one before while the motion goes on."""
+    """The samples without those that repeat the one before during the motion."""
     t, y = channels.t, channels.y
     moved = np.abs(np.diff(y, axis=0))
     begins = np.flatnonzero(np.append(True, moved.any(axis=1)))  # of runs of equal samples
@@ -100,17 +105,17 @@ def _without_repeats(channels: Channels, options: AuditOptions) -> Channels:
     held = np.mean(length[1:-1] > 1) > 0.5
     alike = np.quantile(far[far > 0], 0.1) > 0.3 * np.median(far[far > 0])
     if held and alike and np.ptp(np.quantile(length[1:-1], (0.1, 0.9))) > 1:
-        return channels  # moves of one size, now and then, are steps of the sensor
-    catch_up = far[np.append(begins[1:], len(t)) - 1]  # the move that ends each run
+        return channels  # occasional moves of one size are the resolution of the sensor
+    catch_up = far[np.append(begins[1:], len(t)) - 1]  # displacement at the end of each run of equal samples
     passed = np.concatenate([[0.0], np.cumsum(far)])
     low, high = np.maximum(begins - 2 * length, 0), np.minimum(begins + 3 * length, len(t) - 1)
     usual = (passed[high] - passed[low]) / np.maximum(high - low, 1)
-    # At rest the next move is as small as those after it; a sensor's resolution is passed step by step.
+    # At rest the next displacement is as small as those after it; the sensor's resolution gives single steps.
     stale = (length > 1) & (catch_up > 0.2 * length * usual) & (catch_up > 4 * channels.step)
     if not stale.any():
         return channels
     typical = float(np.median(length[stale]))
-    if held:  # all along, also where it turns
+    if held:  # along the whole recording
         stale |= (length > 1) & (length <= typical + 1)
     new = np.zeros(len(t), dtype=bool)
     new[begins] = True
@@ -127,8 +132,10 @@ def _without_repeats(channels: Channels, options: AuditOptions) -> Channels:
 
 
 def off_cubic(t: Array, y: Array, normal: bool = False) -> Array:
-    """(N - 4, m) by which samples are off the cubic through the two neighbours on each side; `normal`: over what noise
-    makes of that, which is more where the neighbours are uneven."""
+    """Deviations (N - 4, m) of samples from the cubic through their two neighbours on each side.
+
+    normal: divide by the standard deviation for unit noise, which depends on the spacing of the neighbours.
+    """
     places = [t[k : len(t) - 4 + k] - t[2:-2] for k in (0, 1, 3, 4)]
     values = [y[k : len(t) - 4 + k] for k in (0, 1, 3, 4)]
     cubic, gain = np.zeros_like(y[2:-2]), np.ones((len(t) - 4, 1))
@@ -141,7 +148,7 @@ def off_cubic(t: Array, y: Array, normal: bool = False) -> Array:
 
 
 def _with_even_clock(channels: Channels, options: AuditOptions) -> Channels:
-    """Even times where the samples fit them better than the times that are given."""
+    """The samples at even times, if they fit these better than the given times."""
     t, y = channels.t, channels.scaled
     index, step = np.arange(len(t)), np.diff(t)
     usual = float(np.median(step))
@@ -173,11 +180,11 @@ def _with_even_clock(channels: Channels, options: AuditOptions) -> Channels:
     return channels.having(defect, t=best)
 
 
-# Where the samples break off ----------------------------------------------------------------------------------
+# Spikes and jumps ---------------------------------------------------------------------------------------------
 
 
 def _without_breaks(channels: Channels, options: AuditOptions) -> Channels:
-    """Single samples that are off are left out; what all that follow are off by is taken from them."""
+    """The samples without spikes, and with jumps subtracted from all later samples."""
     t, y, n = channels.t, channels.scaled.copy(), len(channels.t)
     size = np.linalg.norm(off_cubic(t, y), axis=1)
     least = options.break_off * (median_filter(size, 25, mode="nearest") + np.median(size)) + 4 * channels.step + 1e-12
@@ -213,8 +220,8 @@ def _without_breaks(channels: Channels, options: AuditOptions) -> Channels:
 
 
 def _explained(t: Array, y: Array, k: int, least: float) -> tuple[str, int, Array] | None:
-    """Kind, sample and size (m) of what makes the samples around k lie on cubics again: one that is off, or a jump;
-    None if neither does."""
+    """Kind, sample and size (m) of a spike or a jump that explains the deviations around sample k; None if neither
+    does."""
     low, high = max(k - 7, 0), min(k + 8, len(t))
     at, index = t[low:high], np.arange(low, high)
     before = off_cubic(at, y[low:high])

@@ -1,4 +1,4 @@
-"""What a recording leaves open where it could matter to a load."""
+"""Doubts: aspects of a motion that a recording leaves open and that could matter to the load."""
 
 from __future__ import annotations
 
@@ -17,9 +17,11 @@ CANNOT_TELL = "cannot_tell"
 
 @dataclass(frozen=True)
 class Borne:
-    """A motion, and what the load would bear beyond it: reserve (T,) m/s^2 in any direction, and rest, the same at rest
-    on a level tray; nominal, or in the worst case of the uncertain parameters. pushed: m/s^2 by which loads may push
-    otherwise than they do in the motion as it was read."""
+    """A motion with the acceleration reserve of the load, nominal or in the worst case.
+
+    reserve (T,): m/s^2, additional acceleration in any direction at which the load still holds. rest: the reserve at
+    rest on a level tray. pushed: m/s^2, unknown acceleration by the reaction of liquids and pendulums.
+    """
 
     motion: AuditedMotion
     reserve: Array
@@ -28,20 +30,20 @@ class Borne:
 
     @property
     def error(self) -> Array:
-        """(T,) m/s^2 by which the motion's acceleration, and what moves inside loads adds to it, may be wrong."""
+        """Bound (T,) of the error of the acceleration, m/s^2, including the reaction of liquids and pendulums."""
         return np.broadcast_to(self.motion.acceleration_error + self.motion.missed + self.pushed, self.reserve.shape)
 
     def hidden(self) -> tuple[Slip, float]:
-        """Bound on a slide that noise and resolution could hide, and the frequency (Hz) up to which they hide none."""
+        """Bound of the slip that noise and resolution could hide, and the frequency, Hz, up to which they hide none."""
         return hidden(self.motion, self.reserve, self.rest)
 
     @property
     def unsure(self) -> Mask:
-        """(T,) whether the motion is too much there, but by less than it is known."""
+        """Whether (T,) the motion exceeds the reserve by less than its uncertainty."""
         return (self.reserve < 0) & (self.reserve + self.error > 0)
 
     def edge(self) -> Doubt:
-        """Where the motion exceeds the reserve by less than its acceleration is uncertain."""
+        """The doubt that the motion exceeds the reserve by less than its uncertainty."""
         k = int(np.argmin(self.reserve))
         known = (
             "there are no samples"
@@ -51,8 +53,8 @@ class Borne:
         return "edge", f"at {self.motion.samples.t[k]:.3f} s the motion may or may not be too much: {known}"
 
     def errors(self) -> list[Doubt]:
-        """Errors of the samples that could explain a violation: defects that were found, and that no violation lasts
-        as long as a vibration of the highest frequency."""
+        """Errors of the samples that could explain a violation: their defects, and violations that are shorter than a
+        vibration of the highest frequency."""
         if self.motion.recording is None:
             return []
         t, highest = self.motion.samples.t, max(self.motion.options.highest, DEFAULT.highest)
@@ -69,12 +71,12 @@ class Borne:
         return [*self.motion.suspect, ("brief", f"{clause}: an error of the samples")]
 
     def unseen(self) -> list[Doubt]:
-        """Motion that a recording does not show and that could slide a load."""
+        """Doubts about motion that a recording does not show and that could slide a load."""
         recording, options, t = self.motion.recording, self.motion.options, self.motion.samples.t
         if recording is None:
             return []
-        # Where it comes from rest to such a speed within the recording, or from such a speed to rest, it can have done
-        # so before or after: that is said (`left_out`), and no doubt.
+        # If the recording contains a start to such a speed, or a stop from it, the motion before or after can be like
+        # that; the verdict mentions it (`left_out`), and it is not a doubt.
         doubts = self._ends(recording.slowest)
         slip, harmless = self.hidden()
         if slip.distance > options.hidden:  # it grows with noise^2 / rate
@@ -105,7 +107,7 @@ class Borne:
         return doubts
 
     def left_out(self) -> str:
-        """Assumptions and omissions of the verdict that everything holds; they stand before it."""
+        """Assumptions and omissions of the verdict "holds", in words; the verdict begins with them."""
         seen, highest = self.motion.recording, self.motion.options.highest
         if seen is None:
             return ""
@@ -120,8 +122,10 @@ class Borne:
         return "".join(first)
 
     def _ends(self, slowest: tuple[float, float] = (np.inf, np.inf)) -> list[Doubt]:
-        """A recording does not show how the tray reaches a speed at its ends, if a load would slide at a jump to
-        that speed. slowest: m/s, it must be as fast there too."""
+        """The doubt about a recording that begins or ends at a speed, if a load would slide at a jump to that speed.
+
+        slowest: m/s, speeds at the first and last sample below which there is no doubt.
+        """
         assert self.motion.recording is not None
         words = ("begins", "came before"), ("ends", "comes after")
         fast = [

@@ -1,4 +1,4 @@
-"""From samples as they were read to a motion of the tray, and what of the motion they cannot say."""
+"""The motion of the tray from samples, with its uncertainty."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ from salver.trajectory import JointMotion, MotionSamples
 if TYPE_CHECKING:
     from salver.models.arm.arm import ArmModel
 
-LEAST_DEGREES = 12.0  # angles beyond this, of which all are within the joints' ranges as degrees, are taken for such
-SUSPECT_STEP = 0.5  # s between samples: rather a clock in ms
+LEAST_DEGREES = 12.0  # larger angles that fit the joints' ranges as degrees count as degrees
+SUSPECT_STEP = 0.5  # s between samples, above which times are probably in ms
 
-Doubt = tuple[str, str]  # a code, and a clause that says what would tell
+Doubt = tuple[str, str]  # a code, and a clause with the remedy
 
 
 @dataclass(frozen=True)
 class RecordingQuality:
     """Noise and resolution of a recorded motion.
 
-    sensor: its noise. rate: Hz. bandwidth: (T,) of the curve, Hz. ends: m/s at which it begins and ends. slowest:
-    m/s, of the slowest instant from which it comes to such a speed within the recording, and of that to which it
-    comes from one. unseen: see `salver.auditing.recorded.Reading`; in s.
+    sensor: its noise. rate: Hz. bandwidth: (T,) of the fitted curve, Hz. ends: speeds at the beginning and the end,
+    m/s. slowest: m/s, least speed before the recording is last as fast as at its beginning, and least speed after it is
+    first as fast as at its end. unseen: see `salver.auditing.recorded.Reading`; in s.
     """
 
     sensor: Sensor
@@ -47,12 +47,12 @@ class RecordingQuality:
 
 @dataclass(frozen=True, repr=False)
 class AuditedMotion(Outlined):
-    """The tray's motion E in S as it will be audited.
+    """The motion of the tray frame E in S that is audited.
 
-    acceleration_error: (T,) m/s^2, or one number: by which the acceleration may be wrong through noise. missed: the
-    same, by which it may be too small because the samples are too few. recording: None for a motion that is known
-    exactly. doubts: (code, clause) of what forbids to say that everything holds; suspect: of what may explain that
-    something does not. notes: sentences on what was repaired, assumed or left out.
+    acceleration_error: (T,) or one number, m/s^2, bound of the error by noise. missed: likewise, acceleration that the
+    sampling cannot resolve. recording: None for a motion that is known exactly. doubts: (code, clause) that exclude the
+    verdict "holds"; suspect: (code, clause) that could explain a violation. notes: sentences on repairs, assumptions
+    and omissions.
     """
 
     samples: MotionSamples
@@ -68,9 +68,9 @@ class AuditedMotion(Outlined):
 def tray_motion(
     samples: Samples, arm: ArmModel | None, p_BE: Array, R_BE: Array, options: AuditOptions = DEFAULT
 ) -> AuditedMotion:
-    """Motion of the tray E. p_BE, R_BE: pose of E in the object frame B, for files that tell B's motion.
+    """The motion of the tray frame E. p_BE, R_BE: pose of E in the object frame B, for files with the motion of B.
 
-    Raises FileFormatError or SalverError with a sentence.
+    Raises FileFormatError or SalverError.
     """
     if isinstance(samples, TraySamples):
         found = repaired(channels_of(samples), options)
@@ -102,8 +102,10 @@ def tray_motion(
 
 
 def check_radians(q: Array, arm: ArmModel, source: str, form: str = "csv") -> None:
-    """Raises FileFormatError for positions q (N, n) that no joint of the arm has, and that all have if they are
-    degrees. form: of the file that they are from."""
+    """Raise FileFormatError for positions q (N, n) outside the joints' ranges that would be inside as degrees.
+
+    form: format of the file.
+    """
     low, high = arm.limits.q_min, arm.limits.q_max
     turned = np.deg2rad(q)
     if np.abs(q).max() > LEAST_DEGREES and np.all((turned >= low) & (turned <= high)):
@@ -118,8 +120,8 @@ def check_radians(q: Array, arm: ArmModel, source: str, form: str = "csv") -> No
 
 
 def _gains(arm: ArmModel, found: Channels) -> tuple[float, float]:
-    """m and rad (half the angle) by which one component of the tray's pose moves for each rad of all joints alike: by
-    the Jacobian, at its largest."""
+    """Largest displacement, m, and rotation, rad (half the angle), of the tray per unit of noise of all joints, by the
+    Jacobian."""
     some = found.y[:: max(1, len(found.y) // 50)]
     place, turn = np.array([np.linalg.norm(arm.body_jacobian(q).reshape(2, -1), axis=1) for q in some]).max(axis=0)
     return float(place / 3**0.5), float(0.5 * turn / 3**0.5)
@@ -128,7 +130,7 @@ def _gains(arm: ArmModel, found: Channels) -> tuple[float, float]:
 def _recorded(
     samples: TraySamples, gains: tuple[float, float] | None, found: Channels, options: AuditOptions
 ) -> AuditedMotion:
-    """gains: of joints, whose resolution and noise (if it is stated) are known."""
+    """The motion of recorded poses. gains: from joint noise to pose noise, for joint recordings."""
     t, p, quat, notes, noise = samples.t, samples.p, samples.quat_wxyz, list(samples.notes), options.noise
     doubts = [(defect.code, defect.clause) for defect in found.defects if defect.doubtful]
     suspect = [(defect.code, defect.clause) for defect in found.defects if defect.systematic]
@@ -141,7 +143,7 @@ def _recorded(
         )
         doubts.append(("filtered", clause))
         options = replace(options, highest=shown)
-        # As many samples as what was let through has to say, so that its noise is white again.
+        # Keep as many samples as the filtered signal has degrees of freedom, so that its noise is white again.
         every = max(1, min(int((len(t) - 1) / (t[-1] - t[0]) / (2 * shown)), len(t) // options.fewest))
         keep = np.unique(np.append(np.arange(0, len(t), every), len(t) - 1))
         t, p, quat = t[keep], p[keep], quat[keep]
@@ -162,7 +164,7 @@ def _recorded(
     reading = read_motion(t, p, quat, sensor, options)
     motion, error = reading.motion, reading.acceleration_error
     for begin, end in gaps:
-        error[(motion.t > begin) & (motion.t < end)] = np.inf  # what happens there is a guess
+        error[(motion.t > begin) & (motion.t < end)] = np.inf  # the motion in a gap is a guess
     speed = np.linalg.norm(motion.v_S, axis=1) + LEVER * np.linalg.norm(motion.omega_B, axis=1)
     ends = float(speed[0]), float(speed[-1])
     quality = RecordingQuality(sensor, 1 / step, reading.bandwidth, ends, _slowest(speed), reading.unseen)
@@ -192,7 +194,7 @@ def _sampling(t: Array, step: float, options: AuditOptions) -> list[Doubt]:
 
 
 def _gaps(t: Array, step: float, longest: float | None) -> list[tuple[float, float]]:
-    """Beginnings and ends of times without samples, longer than is bridged."""
+    """Beginnings and ends of gaps between samples that are longer than `longest`, s."""
     allowed = longest if longest is not None else max(0.02, 3.5 * step)
     k = np.flatnonzero(np.diff(t) > allowed * (1 + 1e-9))
     return [(float(t[i]), float(t[i + 1])) for i in k]
@@ -211,7 +213,7 @@ def _unbridged(gaps: list[tuple[float, float]], step: float) -> list[Doubt]:
 
 
 def _slowest(speed: Array) -> tuple[float, float]:
-    """The slowest instant before the last as fast as the first one, and after the first as fast as the last one."""
+    """Least speed before the last sample as fast as the first one, and after the first sample as fast as the last."""
     before = int(np.flatnonzero(speed >= 0.95 * speed[0])[-1])
     after = int(np.flatnonzero(speed >= 0.95 * speed[-1])[0])
     return float(speed[: before + 1].min()), float(speed[after:].min())

@@ -1,9 +1,8 @@
-"""Noise, resolution and motion of samples by frequency.
+"""Separation of noise and motion in samples, by frequency.
 
-Noise is what a sensor adds to every sample anew: white, and the same all along the recording. Its size is the least
-that any band of frequencies holds at most times; whatever rises above that, in any window of time and at any
-frequency, is motion (`standing_out`), however small it is against the whole. Where noise ends at
-a frequency, a filter ended it.
+Noise of a sensor is independent in each sample: white and stationary. Its size is the least power that any frequency
+band has at most times; everything above that, in any time window and at any frequency, is motion (`standing_out`). If
+the noise ends at a frequency, the samples were filtered.
 """
 
 from __future__ import annotations
@@ -20,35 +19,35 @@ from scipy.stats import median_abs_deviation
 from salver.auditing.spline import fit
 from salver.geometry import Array
 
-RESOLVED = 0.4  # of the sampling rate: content up to there has an acceleration that is known
-_SHORTEST = 8  # samples of the shortest window that has frequencies
-CONJUGATE = np.array([1.0, -1.0, -1.0, -1.0])  # of a quaternion
+RESOLVED = 0.4  # share of the sampling rate up to which accelerations are resolved
+_SHORTEST = 8  # samples of the shortest window for a spectrum
+CONJUGATE = np.array([1.0, -1.0, -1.0, -1.0])  # times a quaternion: its conjugate
 
 
 @dataclass(frozen=True)
 class NoiseLevel:
-    """size: standard deviation of each component, along the axis where it is largest. step: of the resolution."""
+    """Noise of samples. size: standard deviation of the noisiest component. step: resolution."""
 
     size: float
     step: float = 0.0
 
     @property
     def whole(self) -> float:
-        """Standard deviation with that of rounding, step / sqrt(12)."""
+        """Standard deviation including rounding, step / sqrt(12)."""
         return max(self.size, self.step / 12**0.5)
 
     @property
     def blur(self) -> float:
-        """Amplitude under which rounding shows nothing: of the first harmonic of steps that noise does not smooth."""
+        """Amplitude below which rounding hides motion: the first harmonic of steps that noise does not smooth."""
         return 0.64 * self.step if self.size < 0.5 * self.step else 0.0
 
 
 @dataclass(frozen=True)
 class Oscillations:
-    """Windows of time in which a frequency stands out of the noise; arrays (n,), or empty.
+    """Time windows in which a frequency exceeds the noise; arrays (n,), possibly empty.
 
-    first, last: samples (last excluded). frequency: Hz. amplitude: in the unit of the samples. excess: of the power
-    over what noise reaches. share: of the windows of this length that overlap, so that sums do not count twice.
+    first, last: indices of samples (last excluded). frequency: Hz. amplitude: in the unit of the samples. excess: power
+    over the threshold for noise. share: weight of the window among overlapping ones, so that sums do not count twice.
     """
 
     first: npt.NDArray[Any]
@@ -61,11 +60,10 @@ class Oscillations:
 
 @dataclass(frozen=True)
 class Spectrum:
-    """Power of samples (N, d) in bands half an octave wide, and above the last, as the standard deviation of white
-    noise of that power.
+    """Power of samples (N, d) in half-octave bands, as the standard deviation of white noise with that power.
 
-    edges: (K,) Hz, the lower ones of all bands but the first. sizes: (K, d), at most times. power: (K, 8, d), squared,
-    in eighths of the time. errors: (K,), by how much of themselves sizes err by chance.
+    edges: (K,) Hz, lower edges of all bands except the first. sizes: (K, d), exceeded only at few times. power:
+    (K, 8, d), squared sizes in eighths of the recording. errors: (K,), relative random errors of the sizes.
     """
 
     edges: Array
@@ -75,13 +73,13 @@ class Spectrum:
 
     @classmethod
     def of(cls, t: Array, y: Array) -> Spectrum:
-        """y (N, d), or quaternions (N, 4): as half the rotation vector, in the frame that turns, where noise is the
-        same whichever way it is turned (along the quaternion itself there is none)."""
+        """The spectrum of samples y (N, d), or of quaternions (N, 4) as half the rotation vector in the rotating frame,
+        in which noise does not depend on the orientation."""
         n, duration = len(t), float(t[-1] - t[0])
         top, low = RESOLVED * (n - 1) / duration, max(2.5 / duration, 1.0)
         edges = top * 2.0 ** (-0.5 * np.arange(max(1, int(2 * np.log2(top / low))), -1, -1))
         curves = [fit(t, y, np.full(n, edge)) for edge in edges]
-        share = np.diff([*(len(curve.spline.c) for curve in curves), n]) / n  # of the samples' freedom
+        share = np.diff([*(len(curve.spline.c) for curve in curves), n]) / n  # shares of the degrees of freedom
         values = [*(np.asarray(curve.spline(t)) for curve in curves), y]
         bands = [off(lower, upper) for lower, upper in pairwise(values)]
         axes = _principal(bands[-1])
@@ -94,8 +92,8 @@ class Spectrum:
 
     @property
     def noise(self) -> float:
-        """The least size that is surely less than the others, with those that differ from it by chance only: the least
-        of many that err is less than any is in truth. Of the axis where that is largest."""
+        """Noise level of the noisiest axis: the mean (r.m.s., weighted) of the least size and all sizes that differ
+        from it only by chance, because the least of several estimates alone would be too small."""
         sure = np.argmin(self.sizes * (1 + 2 * self.errors[:, None]), axis=0)
         chosen = np.take_along_axis(self.sizes, sure[None], axis=0)
         alike = np.abs(self.sizes - chosen) <= 3 * np.hypot(self.errors[:, None], self.errors[sure]) * chosen
@@ -104,7 +102,7 @@ class Spectrum:
 
 
 def off(curve: Array, y: Array) -> Array:
-    """(N, d) by which samples are off a curve at their times; of quaternions half the rotation vector (N, 3)."""
+    """Residuals (N, d) of samples from a curve; for quaternions half the rotation vector (N, 3)."""
     return product(curve * CONJUGATE, y - curve)[:, 1:] if y.shape[1] == 4 else y - curve
 
 
@@ -116,25 +114,25 @@ def product(a: Array, b: Array) -> Array:
 
 
 def _principal(residual: Array) -> Array:
-    """(d, d) axes along which residuals (N, d) are independent of one another; the tenth that is largest left out."""
+    """Principal axes (d, d) of residuals (N, d), without the largest tenth of them."""
     size = np.linalg.norm(residual, axis=1)
     usual = residual[size <= np.quantile(size, 0.9)]
     return np.asarray(np.linalg.eigh(usual.T @ usual)[1])
 
 
 def noise_level(t: Array, y: Array) -> NoiseLevel:
-    """Noise of samples y (N, 3), or quaternions (N, 4), at times t (N,), and the step that they are rounded to."""
+    """Noise and resolution of samples y (N, 3), or quaternions (N, 4), at times t (N,)."""
     found, step = Spectrum.of(t, y), resolution(y)
-    # What is rounded is off any smooth curve; what is smooth may still be whole multiples of something.
+    # Rounded samples deviate from every smooth curve; smooth ones may be multiples of a step by chance.
     return NoiseLevel(found.noise, step if np.sqrt(found.power[-1].max()) > 0.05 * step else 0.0)
 
 
 def resolution(y: Array) -> float:
-    """Step between values (N, d) that are all multiples of one: what the sensor or the file rounds to; 0 if none."""
+    """Resolution of values (N, d): the step of which all are multiples; 0 if there is none."""
     steps = []
     for column in y[: 1 << 14].T:
         values, moves = np.unique(column), np.abs(np.diff(column))
-        few = np.count_nonzero(moves) < 2 * len(values)  # values that it does not come back to
+        few = np.count_nonzero(moves) < 2 * len(values)  # most values occur once
         if len(values) < 2 or (few and len(values) < 6):
             continue
         step = float(np.diff(values).min())
@@ -143,19 +141,20 @@ def resolution(y: Array) -> float:
         whole = (values - values[0]) / step
         step *= float(whole[-1] / np.round(whole[-1]))
         whole = (values - values[0]) / step
-        # At constant speed all values are multiples of something; what is rounded moves by different numbers of steps.
+        # At constant speed all values are multiples of a step; rounded values differ by different numbers of steps.
         if np.abs(whole - np.round(whole)).max() < 0.05 and len(np.unique(np.round(moves / step))) > 1:
             steps.append(step)
     return min(steps, default=0.0)
 
 
 def filtered_at(t: Array, y: Array, drop: float, fewest: int) -> float:
-    """Hz, above which a filter has taken away the noise of samples y (N, d), and what shook them; infinite where they
-    do not show one. drop: factor of power over which it ends. fewest: samples, below which noise is not told from
-    motion: what the filter let through must be worth half as many.
+    """Cut-off frequency, Hz, of a filter that has removed noise and vibration of samples y (N, d); infinite if no
+    filter is visible.
 
-    Along the axis that moves least: noise is as strong over an octave and a half, at all times, and then ends, at all
-    times. Motion is stronger at some times than at others, or lies in a narrow band.
+    drop: factor by which the power falls at the cut-off. fewest: least number of samples for a separation of noise and
+    motion; the filtered signal must have half as many degrees of freedom. Judged along the axis that moves least: noise
+    is equally strong over an octave and a half at all times, and then ends at all times, whereas motion changes over
+    time or is in a narrow band.
     """
     y = y[:, np.ptp(y, axis=0) > 0]
     if y.shape[1] < 2:
@@ -163,7 +162,7 @@ def filtered_at(t: Array, y: Array, drop: float, fewest: int) -> float:
     own = y @ np.linalg.eigh(np.cov(y.T))[1][:, :1]
     found = Spectrum.of(t, own)
     power = found.power[:, :, 0]
-    # Noise never stands still; what was computed does, where the arm rests.
+    # Noise is never constant; computed samples are, when the arm rests.
     calmest = min(float(np.ptp(part)) for part in np.array_split(own, np.clip(len(t) // 8, 1, 32)))
     usual, rounding = np.median(power, axis=1), resolution(y) ** 2 / 3 + 1e-20
     for k in range(len(usual) - 3):
@@ -182,10 +181,10 @@ def filtered_at(t: Array, y: Array, drop: float, fewest: int) -> float:
 def standing_out(
     residual: Array, rate: float, level: NoiseLevel, negligible: float, false_alarm: float
 ) -> list[Oscillations]:
-    """Motion in residuals (N, d) beyond the noise, in windows of every length from the shortest.
+    """Oscillations in residuals (N, d) above the noise, in windows of all lengths from the shortest.
 
-    negligible: of accelerations, unit/s^2, in amplitude: an oscillation below it is let be. false_alarm: probability
-    that noise alone stands out somewhere.
+    negligible: amplitude of accelerations, unit/s^2, below which an oscillation is ignored. false_alarm: probability
+    that noise alone gives an oscillation.
     """
     n, d = residual.shape
     lengths = [_SHORTEST << k for k in range(11) if _SHORTEST << k < n] + [min(n, _SHORTEST << 11)]

@@ -10,28 +10,29 @@ from salver.errors import SalverError
 
 @dataclass(frozen=True)
 class AuditOptions:
-    """Options of an audit: its assumptions and confidence, each with the effect of doubling it.
+    """Options of an audit: its assumptions and its confidence. The second sentence is the effect of doubling a value.
 
-    highest: Hz, above which nothing shakes the tray. Twice the sampling rate is asked for, and noise hides four times
-        the acceleration at the highest frequency.
-    noise: standard deviation of the samples, m (rad of joints); None: found in them. Half as sensitive to motion.
-    longest_gap: s without samples that a curve bridges; None: 0.02 s, or 3.5 steps. Longer guesses are judged.
-    fewest: samples, below which noise is not told from motion. Recordings must be twice as long.
-    false_alarm: probability that noise alone is taken for motion, for each kind of window. Slightly faster curves.
-    hideable: standard deviations, over its window, of a shake that is always found. Doubled, noise hides twice as much.
-    certain: standard deviations in the error of an acceleration. Twice the error; more motions are on the edge.
-    negligible: m/s^2, amplitude of an oscillation that is let be. Slower curves.
-    usual: Hz, bandwidth of a curve that follows no more than it must. Faster curves, more noise in accelerations.
-    noticed: m, slide that the engine does not count either (`salver.simulation.outcome.Thresholds`).
-    hidden: m, slide that noise may hide at the worst. Fewer recordings cannot be told, and some are wrong.
-    fiercest: m/s^2 that no arm reaches (the fastest delta robots do). Errors of the samples become violations.
-    nearest, furthest: m from the origin, beyond which positions are in another unit.
-    drop: factor of power over which noise ends at a filter. Weaker filters are not seen.
-    break_off: size of a break over what usual samples are off their neighbours. Smaller breaks become jolts.
+    highest: Hz, highest frequency of vibration. Twice the sampling rate is needed, and noise hides four times the
+        acceleration at the highest frequency.
+    noise: standard deviation of the samples, m (rad for joints); None: estimated. Half as sensitive to motion.
+    longest_gap: s, longest gap that is interpolated; None: 0.02 s, or 3.5 steps. Longer guesses are judged.
+    fewest: least number of samples of a verdict. Recordings must be twice as long.
+    false_alarm: probability that noise counts as motion, for each kind of window. Slightly higher bandwidths.
+    hideable: size of a vibration that is always found, standard deviations over its window. Noise hides twice as much.
+    certain: standard deviations in the error of an acceleration. Twice the error; more motions are undecided.
+    negligible: m/s^2, amplitude of an oscillation that is ignored. Lower bandwidths.
+    usual: Hz, bandwidth at the start of a fit. Higher bandwidths, more noise in accelerations.
+    noticed: m, slip that the engine does not count either (`salver.simulation.outcome.Thresholds`).
+    hidden: m, largest slip that noise may hide in a verdict "holds". Fewer undecided recordings, more wrong verdicts.
+    fiercest: m/s^2, above the acceleration of any arm (the fastest delta robots reach it). Errors of the samples become
+        violations.
+    nearest, furthest: m, distances from the origin outside which positions are in another unit.
+    drop: factor of power by which noise falls at a filter. Weaker filters are not detected.
+    break_off: size of a spike or jump over the usual deviation from neighbours. Smaller ones become jolts.
     softening: c of a sloshing mode whose frequency is f (1 - c (a / R)^2) at height a: 0.07 to 0.3 in cups 0.6 to 1.5 R
-        deep, by nonlinear potential flow (tests/potential_flow.py). Resonance is said further from it.
-    runaway: height over that of linear sloshing, above which it is said to be near resonance. Said later.
-    narrow: m, radius or half side, below which sloshing was seen up to `rise` higher than predicted.
+        deep, by nonlinear potential flow (tests/potential_flow.py). Resonance is reported at a larger distance.
+    runaway: ratio to linear sloshing above which resonance is reported. It is reported later.
+    narrow: m, radius or half side of a glass below which sloshing was up to `rise` higher than predicted.
     rise: share of the height, in such a glass.
     """
 

@@ -1,8 +1,8 @@
-"""From recorded poses to a motion, and what of the motion the recording cannot show.
+"""The motion of recorded poses, and the oscillations that it does not include.
 
-The curve is found from below: a slow spline first, made faster where its residuals still hold anything that can be
-told from white noise (`salver.auditing.noise`), until nothing is left or the samples allow no more. What is left then
-is reported by frequency and amplitude (`Oscillations`).
+A spline is fitted with a low bandwidth first, which is raised where its residuals differ from white noise
+(`salver.auditing.noise`), until no difference is left or the sampling limits it. Remaining oscillations are reported by
+frequency and amplitude (`Oscillations`).
 """
 
 from __future__ import annotations
@@ -17,33 +17,33 @@ from salver.auditing.spline import Fit, fit
 from salver.geometry import Array, matrix_from_quat_wxyz
 from salver.trajectory import MotionSamples
 
-LEVER = 0.1  # m: what turns is judged by how it moves something so far away
-FASTER = 2.0  # bandwidth over the frequency that was found: its acceleration is then met to 2 %
-_PER_PERIOD = 12  # instants judged per period of the bandwidth, so 24 of what it follows: peaks are met to 0.9 %
-_GROWTH = 1.7  # by which the bandwidth grows at most between two looks at the residuals
-OUTER = 2  # samples at either end between which a curve bends as it likes
+LEVER = 0.1  # m, lever arm with which rotations are converted to displacements
+FASTER = 2.0  # ratio of bandwidth to the frequency to be followed; its acceleration is then accurate to 2 %
+_PER_PERIOD = 12  # judged instants in each period of the bandwidth; peaks are then accurate to 0.9 %
+_GROWTH = 1.7  # largest factor by which the bandwidth grows in an iteration
+OUTER = 2  # samples at each end between which the acceleration of the curve is not determined
 
 
 @dataclass(frozen=True)
 class Sensor:
-    """Noise of a sensor: of position (m) and orientation (rad, half the angle, in the frame that turns)."""
+    """Noise of a sensor: position (m) and orientation (rad, half the angle, in the rotating frame)."""
 
     position: NoiseLevel
     orientation: NoiseLevel
 
     @property
     def displacement(self) -> float:
-        """m: standard deviation of a sample of something `LEVER` away from the frame."""
+        """Standard deviation of the position of a point at a distance `LEVER` from the frame, m."""
         return float(np.hypot(self.position.whole, 2 * LEVER * self.orientation.whole))
 
 
 @dataclass(frozen=True)
 class Reading:
-    """A motion as read from samples.
+    """A motion estimated from samples.
 
-    motion: at the instants to be judged. bandwidth (T,): Hz. acceleration_error (T,): m/s^2, by which the
-    acceleration may be wrong by noise, and missed (T,), by which a spline so fast falls short of it. unseen: what
-    stands out of the noise and is in the samples but not in the motion, as displacements in m and times in s.
+    motion: at the judged instants. bandwidth (T,): Hz. acceleration_error (T,): m/s^2, bound of the error by noise.
+    missed (T,): m/s^2, acceleration that a spline of this bandwidth cannot follow. unseen: oscillations above the noise
+    that the motion does not include, as displacements in m and times in s.
     """
 
     motion: MotionSamples
@@ -54,7 +54,7 @@ class Reading:
 
 
 def sensor_of(t: Array, p: Array, quat_wxyz: Array) -> Sensor:
-    """The noise of a recording, as its samples show it."""
+    """The noise of a recording, estimated from its samples."""
     return Sensor(noise_level(t, p), noise_level(t, quat_wxyz))
 
 
@@ -67,23 +67,23 @@ def read_motion(t: Array, p: Array, quat_wxyz: Array, sensor: Sensor, options: A
     bandwidth = np.maximum(bandwidth, agile)
     grid = _instants(t, bandwidth)
     motion = _motion(grid, position, turning)
-    # Between the outermost samples a curve bends as it likes: there it is taken to bend on as two samples inside.
+    # Between the outermost samples the acceleration is not determined; that two samples inside is used instead.
     for end, outside in ((0, grid < t[OUTER]), (-1, grid > t[-1 - OUTER])):
         for bend in (motion.a_S, motion.alpha_B):
             bend[outside] = bend[~outside][end]
     error = np.zeros(len(grid))
     for curve, seen, metres in ((position, sensor.position, 1.0), (turning, sensor.orientation, 2 * LEVER)):
         error = np.hypot(error, metres * options.certain * seen.whole * curve.acceleration_error(grid, 1 / rate))
-        if seen.blur:  # steps last as long as the motion takes to pass one: no number of samples averages them out
+        if seen.blur:  # more samples do not average out the steps of the resolution
             steps = options.certain * seen.step / np.sqrt(12) * curve.acceleration_error(grid, curve.spacing(grid))
             error = np.hypot(error, metres * steps)
-    # Near the sampling's own limit a spline misses some of the acceleration: a quarter at the limit, by trial.
+    # Near the limit of the sampling a spline misses some of the acceleration: a quarter at the limit, by experiment.
     fast = np.interp(grid, t, bandwidth)
     missed = 0.25 * np.linalg.norm(motion.a_S, axis=1) * (fast / most) ** 6
     unseen = standing_out(off(position.spline(t), p), rate, sensor.position, options.negligible, options.false_alarm)
     for found in standing_out(
         off(turning.spline(t), quat_wxyz), rate, sensor.orientation, turned, options.false_alarm
-    ):  # by its place at the lever, and by the tilt of gravity
+    ):  # by displacement at the lever, and by the tilt of gravity
         place = 2 * (LEVER + 9.81 / (2 * np.pi * found.frequency) ** 2)
         unseen.append(replace(found, amplitude=place * found.amplitude))
     timed = (replace(x, first=t[x.first], last=t[np.minimum(x.last, len(t) - 1)]) for x in unseen if len(x.first))
@@ -93,9 +93,9 @@ def read_motion(t: Array, p: Array, quat_wxyz: Array, sensor: Sensor, options: A
 def _follow(
     t: Array, y: Array, level: NoiseLevel, rate: float, negligible: float, options: AuditOptions
 ) -> tuple[Fit, Array]:
-    """Spline whose bandwidth (N,) is raised until its residuals are noise."""
+    """A spline, and its bandwidth (N,), raised until the residuals are noise."""
     most, least = RESOLVED * rate, min(RESOLVED * rate, 1.5 / (t[-1] - t[0]))
-    # Up to here noise leaves no error in the acceleration (0.1 m/s^2) that is worth smoothing away.
+    # Up to this bandwidth noise causes a negligible error of the acceleration (0.1 m/s^2).
     unit = options.certain * level.whole * (2 * np.pi) ** 2 * np.sqrt(0.4 / rate)  # times f^2.5
     harmless = (0.1 / max(unit, 1e-300)) ** 0.4
     bandwidth = np.full(len(t), np.clip(min(harmless, options.usual), least, most))
@@ -113,7 +113,7 @@ def _follow(
 
 
 def _wanted(kinds: list[Oscillations], n: int) -> Array:
-    """(n,) frequency that each sample is to follow next: that of the window in which most stands out; 0 where none."""
+    """Frequency (n,) that the spline must follow next at each sample: that of the largest excess there; 0 if none."""
     first, last, frequency, excess = (
         np.concatenate([getattr(found, name) for found in kinds]) for name in ("first", "last", "frequency", "excess")
     )
@@ -125,7 +125,7 @@ def _wanted(kinds: list[Oscillations], n: int) -> Array:
 
 
 def _instants(t: Array, bandwidth: Array) -> Array:
-    """Dense enough for what is let through, both ends included."""
+    """Instants that are dense enough for the bandwidth, including both ends."""
     fine = np.union1d(np.linspace(t[0], t[-1], 201), t)
     dense = _PER_PERIOD * np.interp(fine, t, bandwidth)
     passed = np.concatenate([[0.0], np.cumsum(0.5 * (dense[1:] + dense[:-1]) * np.diff(fine))])
@@ -135,7 +135,7 @@ def _instants(t: Array, bandwidth: Array) -> Array:
 
 
 def _motion(t: Array, position: Fit, turning: Fit) -> MotionSamples:
-    """Position and quaternion as seven numbers; the quaternion need not stay normalised.
+    """The motion of fitted position and quaternion; the quaternion Q need not be normalised.
 
     With Q = |Q| q: Q^-1 Q' has the vector part omega/2, and Q^-1 Q'' - (Q^-1 Q')^2 has alpha/2.
     """

@@ -1,9 +1,10 @@
-"""Bounds on a slide that a recording does not show.
+"""Bounds of the slip by vibration that a recording does not show.
 
-A shake of amplitude A and frequency f on top of a motion that leaves the reserve r (m/s^2, what would still be borne in
-any direction) slides a load only while A (2 pi f)^2 > r, and then by 2 pi A (1 - r / a)^2 a cycle at most: the sliding
-block of Newmark (Effects of earthquakes on dams and embankments, Geotechnique 15, 1965) under a sine, to a quarter
-(the bound is checked by `tests/test_audit_slip.py`). So what is too small to be seen is judged by what it could do.
+A vibration of amplitude A and frequency f, on top of a motion with the reserve r (m/s^2, acceleration in any direction
+at which the load still holds), slides a load only if its acceleration a = A (2 pi f)^2 exceeds r, and then by at most
+2 pi A (1 - r / a)^2 in each cycle: the sliding block of Newmark (Effects of earthquakes on dams and embankments,
+Geotechnique 15, 1965) under a sine, to a quarter (`tests/test_audit_slip.py` checks the bound). So vibration that noise
+hides is judged by the slip that it could cause.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from salver.geometry import Array
 
 @dataclass(frozen=True)
 class Slip:
-    """The furthest slide (m) by a shake of `frequency` (Hz) and `amplitude` (m) around `time` (s)."""
+    """The largest slip (m), by a vibration of `frequency` (Hz) and `amplitude` (m) around `time` (s)."""
 
     distance: float
     frequency: float
@@ -29,14 +30,14 @@ class Slip:
 
 
 def per_cycle(amplitude: Array | float, frequency: Array | float, reserve: Array) -> Array:
-    """Bound of the slide in one cycle to the one side, m; reserve: that to this side, m/s^2."""
+    """Bound of the slip in one cycle to one side, m; reserve: m/s^2, to this side."""
     share = np.clip(reserve / np.maximum(amplitude * (2 * np.pi * frequency) ** 2, 1e-300), 0, 1)
     return np.asarray(2 * np.pi * amplitude * (1 - share) ** 2)
 
 
 def slide(t: Array, reserve: Array) -> float:
-    """Distance (m) by which the motion itself slides a load: Newmark's block, which gains speed while the reserve is
-    negative and loses it after. All to one side."""
+    """Slip (m) by the motion itself: Newmark's block, which accelerates while the reserve is negative and decelerates
+    afterwards, always to one side."""
     speed = moved = 0.0
     step = np.diff(t)
     if not (reserve < 0).any():
@@ -49,16 +50,16 @@ def slide(t: Array, reserve: Array) -> float:
 
 
 def _drift(amplitude: Array | float, frequency: Array | float, reserve: Array, rest: float) -> Array:
-    """(to the one side, more to the one side than back) in one cycle, m. What is missing of the reserve at rest on the
-    one side is to spare on the other."""
+    """Slip to one side, and net slip, in one cycle, m (2, ...); acceleration that reduces the reserve on one side adds
+    to it on the other. rest: reserve at rest, m/s^2."""
     there = per_cycle(amplitude, frequency, reserve)
     back = per_cycle(amplitude, frequency, 2 * rest - reserve)
     return np.stack([there, np.maximum(there - back, 0.0)])
 
 
 def hidden_shakes(motion: AuditedMotion, frequencies: Array) -> Iterator[tuple[float, float, float]]:
-    """Frequency (Hz), cycles, and amplitude over the noise, of shakes that noise just hides: over a longer window less
-    of it is hidden. frequencies: Hz, up to the highest that is reckoned with."""
+    """Frequency (Hz), cycles, and amplitude over the noise, of vibrations that noise just hides; a longer window hides
+    less. frequencies: Hz, up to the highest that is considered."""
     assert motion.recording is not None
     for frequency in frequencies:
         cycles = 1.0
@@ -71,15 +72,15 @@ def hidden_shakes(motion: AuditedMotion, frequencies: Array) -> Iterator[tuple[f
 
 
 def up_to(highest: float, count: int) -> Array:
-    """(count,) Hz, evenly spaced in the logarithm."""
+    """Frequencies (count,) up to `highest`, Hz, evenly spaced in the logarithm."""
     return np.geomspace(min(1.0, highest), highest, count)
 
 
 def hidden(motion: AuditedMotion, reserve: Array, rest: float) -> tuple[Slip, float]:
-    """By a shake that noise or the sensor's resolution hides, of any frequency up to the highest and as long as it
-    stays hidden. And the frequency up to which that is less than is let be, Hz.
+    """The largest slip by a vibration that noise or resolution hides, of any frequency up to the highest.
 
-    reserve: (T,) m/s^2 at the motion's instants. rest: the same at rest on a level tray.
+    Also returns the frequency up to which that slip is acceptable, Hz. reserve: (T,) m/s^2 along the motion. rest: the
+    reserve at rest on a level tray.
     """
     assert motion.recording is not None
     t, sensor, highest = motion.samples.t, motion.recording.sensor, motion.options.highest
@@ -97,9 +98,7 @@ def hidden(motion: AuditedMotion, reserve: Array, rest: float) -> tuple[Slip, fl
         window = max(1, min(len(least), round(cycles / frequency / grid)))
         passed = np.cumsum(np.pad(_drift(amplitude, frequency, least, rest), ((0, 0), (1, 0))), axis=1)
         there, more = (passed[:, window:] - passed[:, :-window]) * cycles / window
-        over = np.minimum(
-            there, more + there * min(1.0, 2 / cycles)
-        )  # it settles within two cycles to what drifts away
+        over = np.minimum(there, more + there * min(1.0, 2 / cycles))  # within two cycles it settles to the net slip
         k = int(np.argmax(over))
         if over[k] > motion.options.hidden:
             harmful = min(harmful, frequency)
@@ -109,7 +108,7 @@ def hidden(motion: AuditedMotion, reserve: Array, rest: float) -> tuple[Slip, fl
 
 
 def left_over(motion: AuditedMotion, reserve: Array, rest: float) -> Slip:
-    """By what stands out of the noise and is not in the motion: each window by its strongest frequency."""
+    """The slip by oscillations above the noise that the motion does not include, each window by its main frequency."""
     assert motion.recording is not None
     t = motion.samples.t
     worst = Slip(0.0, 0.0, 0.0, float(t[0]))

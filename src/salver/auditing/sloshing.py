@@ -1,11 +1,11 @@
-"""Bounds on what moves inside loads that a recording does not show.
+"""Bounds of sloshing and swinging that a recording does not show.
 
-What noise hides is a shake a(t) of amplitude A, N cycles and r times a mode's frequency f_n. Its mass, which hardly
-fades, moves by -a + 2 pi f_n times the integral of sin(2 pi f_n (t - s)) a(s), where the shake begins from rest: by
-A (1 + 4 N / r) at most; by 4 N r A, the integral of what drives it; and by 2 A r^2 / |1 - r|, what a shake that is
-there at once moves it by, as it swells and again as it fades. What samples that are too few make the motion fall short
-of is as fast as what was read there, or faster. The surface at rest beneath a mass is known as well as the acceleration
-is. All of it is added.
+Noise can hide a vibration a(t) of amplitude A, with N cycles and r times a mode's frequency f_n. The mass of the mode,
+with negligible damping, moves by -a + 2 pi f_n times the integral of sin(2 pi f_n (t - s)) a(s) if the vibration starts
+from rest. That is at most A (1 + 4 N / r); at most 4 N r A, by the integral of the excitation; and at most
+2 A r^2 / |1 - r|, by a vibration that starts and ends abruptly. Motion that the sampling does not resolve is assumed to
+be as fast as the recorded motion, or faster. The equilibrium of the mass is as uncertain as the acceleration. The
+bounds are added.
 """
 
 from __future__ import annotations
@@ -27,13 +27,16 @@ from salver.dynamics.modal_motion import ModalMotion
 from salver.geometry import Array, interpolated
 from salver.models.load_dynamics import GRAVITY
 
-FOLLOWED = 2.0  # times the fastest mode: a surface does not follow what shakes it faster, but for what moves a mass
-STEPS = 16  # of the integration, for each radian of the fastest mode: crests are then known to 0.2 %
+FOLLOWED = 2.0  # ratio to the fastest mode above which the surface does not follow vibration quasi-statically
+STEPS = 16  # integration steps per radian of the fastest mode, for crests to 0.2 %
 
 
 def unseen(name: str, parts: Sequence[LoadResponse], motion: AuditedMotion) -> tuple[LoadVerdict, float]:
-    """Bounds of what moves inside a body in a recorded motion, from its parts in the motion as read, and the unknown
-    acceleration (m/s^2) of the body."""
+    """The verdict on a body's liquid or pendulum in a recorded motion, with bounds of what the recording does not show,
+    and the unknown acceleration of the body, m/s^2.
+
+    parts: responses along the motion as estimated.
+    """
     found, pushed = list[LoadResponse](), 0.0
     for part in parts:
         away, inclined = _away(part.modes, motion)
@@ -46,7 +49,7 @@ def unseen(name: str, parts: Sequence[LoadResponse], motion: AuditedMotion) -> t
 
 
 def unmodelled(name: str, parts: Sequence[LoadResponse], known: LoadVerdict, options: AuditOptions) -> list[Doubt]:
-    """Near resonance, and in narrow glasses, sloshing goes higher than linear."""
+    """Doubts because sloshing may be higher than linear: near resonance, and in narrow glasses."""
     liquids = [part for part in parts if isinstance(part, SloshingResponse)]
     return _of_liquid(name, liquids, known, options) if isinstance(known, Spill) else []
 
@@ -75,12 +78,12 @@ def _of_liquid(name: str, parts: Sequence[SloshingResponse], known: Spill, optio
 
 
 def softened(modes: SurfaceMotion, softening: float) -> Array:
-    """(K,) how many times as high the first mode swings whose frequency f falls with its amplitude a: to second order
-    it is f (1 - c (a / R)^2), c: softening.
+    """Amplification (K,) of the first mode because its frequency f falls with its amplitude a, as f (1 - c (a / R)^2)
+    with c = softening.
 
-    a is that of the swing at each instant, so a short motion ends before the frequency matters and a long shake below
-    resonance runs away, as in nonlinear potential flow (tests/test_audit_sloshing.py). Semi-implicit Euler in steps of
-    its own, r along axes that stand still: r'' = -f - kd r' - (omega (1 - c (a / R)^2))^2 (f_z / g) r.
+    a is the amplitude at each instant, so that a short motion ends before the frequency matters, and a long excitation
+    below resonance grows, as in nonlinear potential flow (tests/test_audit_sloshing.py). Semi-implicit Euler, with r
+    along non-rotating axes: r'' = -f - kd r' - (omega (1 - c (a / R)^2))^2 (f_z / g) r.
     """
     which = modes.cases
     omega, kd, gain = (x[:, 0] for x in (which.omega, which.kd, which.gain))
@@ -105,7 +108,8 @@ def softened(modes: SurfaceMotion, softening: float) -> Array:
 
 
 def _away(modal: ModalMotion, motion: AuditedMotion) -> tuple[Array, Array]:
-    """(K, T, n_modes, 2) m by which each mass may be elsewhere, and (K, T, 1) slope by which the force may be."""
+    """Bounds of the unknown displacement of each mass (K, T, n_modes, 2), m, and of the slope of the force (K, T,
+    1)."""
     which, recording, highest = modal.cases, motion.recording, motion.options.highest
     assert recording is not None
     up = modal.upward.min(axis=1)[:, None, None]
@@ -130,18 +134,18 @@ def _away(modal: ModalMotion, motion: AuditedMotion) -> tuple[Array, Array]:
         shaken = shaken + (found.share * each).sum(axis=-1)
         slow = found.frequency <= fastest
         slope += float((found.amplitude * (2 * np.pi * found.frequency) ** 2)[slow].max(initial=0.0))
-    # In the outermost samples the tray may come to its acceleration at once, or at the last instant: an impulse.
+    # Within the outermost samples the tray may reach its acceleration at the first or the last instant: an impulse.
     outer = np.linalg.norm(motion.samples.a_S[[0, -1]], axis=1).sum() * OUTER / recording.rate
     shaken = shaken + 0.5 * outer / omega
     short = missed / (2 * np.pi * read) ** 2
     shaken = shaken + (short * _gain(read, modes[..., None], read * np.ptp(modal.t))).max(axis=-1)
-    lifted = 1 + which.omega**2 / GRAVITY * np.abs(modal.r).max(axis=1)  # what is wrong upwards stiffens it
+    lifted = 1 + which.omega**2 / GRAVITY * np.abs(modal.r).max(axis=1)  # vertical acceleration errors
     away = np.broadcast_to((lifted * shaken)[:, None], modal.r.shape)
     return away, (error + slope + np.where(read <= fastest, missed, 0.0))[:, None] / up
 
 
 def _gain(frequency: Array | float, mode: Array, cycles: Array | float) -> Array:
-    """By how much more than its container a mass may move, after so many cycles of a shake."""
+    """Bound of the displacement of a mass over that of its container, after some cycles of a vibration."""
     ratio = frequency / mode
     with np.errstate(divide="ignore"):
         off = 2 * ratio**2 / np.abs(1 - ratio)

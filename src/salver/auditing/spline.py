@@ -1,9 +1,8 @@
-"""Least-squares quintic splines through samples, with as many knots as the motion needs where it needs them.
+"""Least-squares quintic splines through samples, with a bandwidth that varies over time.
 
-Two differentiations turn a micrometre of noise at 1 kHz into metres per second squared, so what is differentiated is a
-spline with fewer knots than samples. Knots every 1/(2 f) let through what is slower than f, the *bandwidth*, which may
-differ from instant to instant. At the ends a spline has data on one side only, and its second derivative there is a
-hundred times less certain.
+Two differentiations turn a micrometre of noise at 1 kHz into metres per second squared; therefore a spline with fewer
+knots than samples is differentiated. Knots every 1/(2 f) s pass frequencies below f, the *bandwidth*. At the ends a
+spline has data on one side only, and its second derivative is a hundred times less certain.
 """
 
 from __future__ import annotations
@@ -18,12 +17,12 @@ from scipy.linalg import solveh_banded
 from salver.geometry import Array
 
 DEGREE = 5
-_END = 2  # knots left out at each end, as in the "not-a-knot" condition: otherwise a fast spline swings there
+_END = 2  # knots left out at each end, as in the "not-a-knot" condition, to prevent oscillation there
 
 
 @dataclass(frozen=True)
 class Fit:
-    """A spline (d,) through samples."""
+    """A fitted spline with values (d,)."""
 
     spline: BSpline
 
@@ -33,15 +32,15 @@ class Fit:
         return value, rate, bend
 
     def spacing(self, t: Array) -> Array:
-        """(N,) s between knots: the least of the intervals that hold or neighbour each time."""
+        """Distance between knots (N,) at times t, s: the least of the interval at each time and its neighbours."""
         knots = self.spline.t[DEGREE:-DEGREE]
         k = np.clip(np.searchsorted(knots, t, side="right") - 1, 0, len(knots) - 2)
         wide = np.diff(knots)
         return np.asarray(np.minimum.reduce([wide[np.clip(k + j, 0, len(wide) - 1)] for j in (-1, 0, 1)]))
 
     def acceleration_error(self, t: Array, step: Array | float) -> Array:
-        """(N,) standard deviation of the second derivative for samples of unit noise every `step` s; at the ends as if
-        no knots were left out there, for noise hides that a motion was bent."""
+        """Standard deviation (N,) of the second derivative for unit noise in samples every `step` s; at the ends as if
+        no knots were left out, because noise may hide an acceleration there."""
         knots, h = self.spline.t[DEGREE:-DEGREE], self.spacing(t)
         factor = np.interp(np.minimum(t - knots[0], knots[-1] - t) / h, *_end_error())
         return np.asarray(factor * np.sqrt(step / h) / h**2)
@@ -55,16 +54,16 @@ def fit(t: Array, y: Array, bandwidth: Array) -> Fit:
     banded = np.zeros((DEGREE + 1, normal.shape[0]))
     for k in range(min(DEGREE + 1, normal.shape[0])):
         banded[DEGREE - k, k:] = normal.diagonal(k)
-    banded[DEGREE] += 1e-13 * banded[DEGREE].max()  # solvable where a knot has hardly any sample
+    banded[DEGREE] += 1e-13 * banded[DEGREE].max()  # keeps it solvable with few samples at a knot
     middle = y.mean(axis=0)
     coefficients = solveh_banded(banded, design.T @ (y - middle))
-    # One step of refinement takes back what the ridge does.
+    # One step of iterative refinement removes the effect of the ridge.
     coefficients += solveh_banded(banded, design.T @ (y - middle - design @ coefficients))
     return Fit(BSpline(knots, coefficients + middle, DEGREE))
 
 
 def knots_for(t: Array, bandwidth: Array) -> Array:
-    """Clamped knots, 2 f of them a second, each with a sample of its own between it and the next."""
+    """Clamped knots, 2 f of them a second, with at least one sample between neighbours."""
     passed = np.concatenate([[0.0], np.cumsum((bandwidth[1:] + bandwidth[:-1]) * np.diff(t))])
     intervals = max(1, int(np.ceil(passed[-1] - 1e-9)))
     inner = np.interp(np.arange(1, intervals) * (passed[-1] / intervals), passed, t)
@@ -81,8 +80,8 @@ def knots_for(t: Array, bandwidth: Array) -> Array:
 
 @cache
 def _end_error() -> tuple[Array, Array]:
-    """Standard deviation of the second derivative over the distance from an end, both in units of the spacing h and of
-    sqrt(step / h) / h^2 for unit noise: by dense algebra on a long uniform spline."""
+    """Distances from an end, in knot spacings h, and the standard deviation of the second derivative there for unit
+    noise, in units of sqrt(step / h) / h^2; from a long uniform spline."""
     intervals, each = 24, 12
     knots = np.pad(np.arange(intervals + 1.0), DEGREE, mode="edge")
     t = (np.arange(intervals * each) + 0.5) / each

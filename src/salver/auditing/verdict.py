@@ -1,7 +1,7 @@
-"""The verdict: it holds, it does not, or it cannot be told; and what it would take.
+"""The verdict of an audit: the load holds, does not hold, or the samples cannot tell.
 
-It holds when every motion that the samples allow keeps everything in its place; it does not when none does. Between the
-two it cannot be told, and the verdict says what would tell.
+It holds if every motion that the samples allow keeps the load in place, and does not hold if none of them does.
+Otherwise the verdict says which samples or knowledge would decide.
 """
 
 from __future__ import annotations
@@ -39,18 +39,18 @@ from salver.tables import Table, Tabular
 if TYPE_CHECKING:
     from salver.models.arm.arm import ArmModel
 
-EDGES = 16  # of the friction pyramids: at most 2 % short of the round cone
+EDGES = 16  # of the friction pyramids, which are at most 2 % inside the round cone
 
-AT_ONCE = 4096  # instants whose margins are in memory together
+AT_ONCE = 4096  # instants whose margins are computed at once
 SPILLS = ("spills", "unsettled")
-AT_REST = 1e-3  # m/s or rad/s
+AT_REST = 1e-3  # m/s or rad/s, below which the tray is at rest
 
 
 @dataclass(frozen=True, repr=False)
 class Audit(Shown, Tabular):
     """A motion and its consequences for the scenario's objects; each is computed when it is first read.
 
-    source: what was read. motion: the tray's, with what had to be repaired or assumed. given: as it was read.
+    source: name of the file. motion: motion of the tray, with repairs and assumptions. given: the samples as read.
     """
 
     scenario: Scenario
@@ -60,16 +60,18 @@ class Audit(Shown, Tabular):
 
     @cached_property
     def margins(self) -> Margins:
-        """At all instants; of very many at those that decide (`_decisive`)."""
+        """The margins at all instants, or at the decisive ones of very many (`_decisive`)."""
         return self._margins_at(self._decisive)
 
     @cached_property
     def _loads(self) -> PayloadResponse | None:
-        """Along the whole motion: they remember. Where it stands still at an end nothing accelerates what is inside
-        before or after, whatever the samples there say."""
+        """Responses of liquids and pendulums along the whole motion, because they depend on its history.
+
+        If the tray rests at an end, the acceleration there is taken as zero, whatever the noise of the samples.
+        """
         s, w, seen = self.motion.samples, self._w.copy(), self.motion.recording
         still, zero = self._resting(), np.zeros((1, 3))
-        outside = 0.0 if seen is None else OUTER / seen.rate  # s, in which a recording does not show an acceleration
+        outside = 0.0 if seen is None else OUTER / seen.rate  # s at each end, with unknown acceleration
         for k, away in ((0, s.t - s.t[0]), (-1, s.t[-1] - s.t)):
             if still[k]:
                 rest, near = motion_vector(s.R_SB[[k]], zero, zero, zero)[0], np.flatnonzero(away < outside)
@@ -78,7 +80,7 @@ class Audit(Shown, Tabular):
         return PayloadResponse.along(self._model.payload, s.t, w)
 
     def _resting(self) -> tuple[bool, bool]:
-        """Whether the tray stands still at the beginning, and at the end."""
+        """Whether the tray is at rest at the beginning, and at the end."""
         s = self.motion.samples
         speed = np.maximum(np.abs(s.v_S).max(axis=1), np.abs(s.omega_B).max(axis=1))
         return bool(speed[0] <= AT_REST), bool(speed[-1] <= AT_REST)
@@ -98,18 +100,18 @@ class Audit(Shown, Tabular):
 
     @cached_property
     def reserves(self) -> tuple[Array, Array]:
-        """(T,) exact margins at all instants, nominal and in the worst case; some at a time."""
+        """Exact margins (T,) at all instants, nominal and in the worst case, computed in pieces."""
         parts = []
         every = np.arange(len(self._w))
-        for k in every[::AT_ONCE]:  # whose rows are let go before the next are made: long recordings have gigabytes
+        for k in every[::AT_ONCE]:  # in pieces: the rows of long recordings take gigabytes
             some = self._margins_at(every[k : k + AT_ONCE])
             parts.append((some.exact, some.exact_worst))
         return np.concatenate([exact for exact, _ in parts]), np.concatenate([worst for _, worst in parts])
 
     @cached_property
     def _decisive(self) -> Indices:
-        """Of more than `AT_ONCE` instants those with the least margins, the steepest, the first that fail, and others
-        all along."""
+        """At most `AT_ONCE` decisive instants: those with the least margins, the most tilted, the first violations, and
+        others spread over the motion."""
         n, s = len(self._w), self.motion.samples
         if n <= AT_ONCE:
             return np.arange(n)
@@ -124,16 +126,16 @@ class Audit(Shown, Tabular):
 
     @cached_property
     def worst(self) -> Status:
-        """Over the scenario's uncertain set."""
+        """The verdict in the worst case of the scenario's uncertain set."""
         return self._verdict(worst=True)
 
     def reserve(self, worst: bool = False) -> Array:
-        """(T,) m/s^2: acceleration, in any direction, that would still be borne beyond the motion's own."""
+        """Reserve (T,), m/s^2: additional acceleration in any direction at which the load still holds."""
         return self._borne[worst].reserve
 
     @cached_property
     def _borne(self) -> tuple[Borne, Borne]:
-        """Nominal, and in the worst case."""
+        """The motion with its reserve, nominal and in the worst case."""
         still = Margins(self._model, np.zeros(1), at_rest()[None])
         resting = (still.exact, still.exact_worst)
         nominal, worst = (
@@ -143,14 +145,14 @@ class Audit(Shown, Tabular):
         return nominal, worst
 
     def _pushed(self, worst: bool) -> float:
-        """m/s^2 by which what moves inside may push its body more, or less, than the motion as it was read says."""
+        """Largest unknown acceleration of a body by its liquid or pendulum, m/s^2."""
         return max((pushed for _, pushed in self._inner[worst].values()), default=0.0)
 
     @cached_property
     def _inner(self) -> tuple[dict[str, tuple[LoadVerdict, float]], dict[str, tuple[LoadVerdict, float]]]:
-        """What moves inside each body comes to at most in the motion that was recorded, and by how much it may push
-        otherwise than in the motion as it was read (m/s^2); nominal, and in the worst case. Nothing where the motion is
-        known."""
+        """For each body with a liquid or pendulum its verdict with bounds of what the recording does not show, and the
+        unknown acceleration of the body, m/s^2; nominal, and in the worst case. Empty for a motion that is known
+        exactly."""
         if self._loads is None or self.motion.recording is None:
             return {}, {}
         nominal, worst = (
@@ -183,17 +185,17 @@ class Audit(Shown, Tabular):
             return cannot_tell(doubts, worst)
         first = borne.left_out()
         if worst and self.motion.recording is None and self.scenario.payload.uncertain.shake is None:
-            first = f"Not checked: {unshaken()}. "  # a recording shows how the tray shook
+            first = f"Not checked: {unshaken()}. "  # a recording shows the vibration of the tray
         return replace(status, sentence=first + status.sentence)
 
     def _begun(self) -> list[Doubt]:
-        """That it is not known how loads move inside at the beginning."""
+        """The doubt about the state of liquids and pendulums at the beginning."""
         if self._loads is None or self._resting()[0]:
             return []
         return [("begun", "the motion begins moving, and how what is inside moves then is not known")]
 
     def _unsure(self, worst: bool) -> list[Doubt]:
-        """What moves inside of which it cannot be told whether it goes too far."""
+        """Doubts whether liquids and pendulums exceed their limits."""
         if self._loads is None:
             return []
         doubts = []
@@ -229,12 +231,12 @@ class Audit(Shown, Tabular):
         return doubts
 
     def hidden(self, worst: bool = False) -> tuple[Slip, float]:
-        """How far noise and resolution could hide a slide, and up to which frequency (Hz) they hide none."""
+        """Bound of the slip that noise and resolution could hide, and the frequency, Hz, up to which they hide none."""
         return self._borne[worst].hidden()
 
     @cached_property
     def arm(self) -> Status:
-        """Whether the joints keep to their ranges and the arm touches nothing, where their motion is given."""
+        """Whether the joints stay in their ranges and the arm collides with nothing, for a joint motion."""
         given, arm = self.given, _arm(self.scenario)
         if not isinstance(given, JointSamples) or arm is None:
             return NOT_CHECKED
@@ -242,13 +244,12 @@ class Audit(Shown, Tabular):
 
     @property
     def ok(self) -> bool:
-        """Whether everything holds in the worst case (and so in the nominal one), and nothing is known against it for
-        the arm."""
+        """Whether the load holds in the worst case (and so at nominal values), and the arm's check is good."""
         return self.nominal.ok and self.worst.ok and self.arm.ok
 
     @property
     def outcome(self) -> str:
-        """In the worst case: "holds", "does_not_hold" or "cannot_tell"."""
+        """Outcome in the worst case: "holds", "does_not_hold" or "cannot_tell"."""
         codes = {self.nominal.code, self.worst.code}
         if codes - {"holds", CANNOT_TELL}:
             return "does_not_hold"
@@ -256,8 +257,8 @@ class Audit(Shown, Tabular):
 
     @cached_property
     def speeds(self) -> SafeSpeeds:
-        """At which constant shares of its speed the load is kept, at nominal parameters; of very many instants, at
-        those that decide at full speed and standing still."""
+        """Constant speed factors at which the load is kept, at nominal parameters; for very many instants, from those
+        that are decisive at full speed and at rest."""
         return self._speeds(worst=False)
 
     @cached_property
@@ -288,11 +289,11 @@ class Audit(Shown, Tabular):
 
     @cached_property
     def costs(self) -> dict[str, float]:
-        """What each uncertain parameter alone takes from the least margin, largest first."""
+        """Loss of the least margin by each uncertain parameter alone, largest first."""
         return dict(sorted(self.margins.costs().items(), key=lambda item: -item[1]))
 
     def facts(self) -> dict[str, str]:
-        """What a notebook shows of it."""
+        """Facts that a notebook shows."""
         return {
             "scenario": self.scenario.name,
             "verdict": self.outcome.replace("_", " "),
@@ -305,7 +306,7 @@ class Audit(Shown, Tabular):
         }
 
     def table(self) -> Table:
-        """The tray's motion (frame E) as it was understood, and how far it is from the edge, for pandas and xarray."""
+        """The estimated motion of the tray frame E, with its margins, for pandas and xarray."""
         s, (nominal, worst) = self.motion.samples, self.reserves
         values = {"p_SE": s.p_SB, "v_S": s.v_S, "a_S": s.a_S, "omega_E": s.omega_B, "alpha_E": s.alpha_B}
         curves = {"margin": nominal, "margin_worst_case": worst}
@@ -319,7 +320,7 @@ class Audit(Shown, Tabular):
         )
 
     def summary(self) -> dict[str, Any]:
-        """Everything, for machines."""
+        """The whole audit as a JSON object."""
         s, margins = self.motion.samples, self.margins
         return {
             "holds": self.nominal.ok and self.worst.ok,
@@ -376,7 +377,7 @@ def audit(
 ) -> Audit:
     """Audit a trajectory file (formats: `salver.motion_files`), or columns of one, for the objects of a scenario.
 
-    topic: of a bag. units: of a table, as in "deg,mm,ms". Raises SalverError, one sentence for each mistake.
+    topic: topic of a bag. units: of a table, as in "deg,mm,ms". Raises SalverError, one sentence for each mistake.
     """
     return audit_samples(read_for(scenario, path, topic, units=units), scenario, options)
 
@@ -388,7 +389,7 @@ def audit_legs(
     options: AuditOptions = DEFAULT,
     units: str | None = None,
 ) -> tuple[Audit, ...]:
-    """`audit` of a motion of several legs, which rests between them: each leg with what is then on the tray."""
+    """`audit` of a motion of several legs, which rests between them: each leg with its own load."""
     parts = cut_at_rests(read_for(scenario, path, topic, units=units), len(scenario.legs))
     return tuple(audit_samples(part, leg, options) for part, leg in zip(parts, scenario.each_leg, strict=True))
 
@@ -402,7 +403,7 @@ def read_for(
 ) -> Samples:
     """Read a motion file, or columns by name, with the joint names of the scenario's arm.
 
-    joints_first: a file with tray and joints is one of the joints, if there is an arm. units: of a table, as in
+    joints_first: if a file has tray and joints, read the joints, if there is an arm. units: of a table, as in
     "deg,mm,ms". Raises FileFormatError; SalverError for unknown units.
     """
 
@@ -418,7 +419,7 @@ def read_for(
 
 
 def audit_samples(samples: Samples, scenario: Scenario, options: AuditOptions = DEFAULT) -> Audit:
-    """`audit` of samples that were read."""
+    """`audit` of samples."""
     first = scenario.payload.first
     joints = _arm(scenario) if isinstance(samples, JointSamples) else None
     motion = tray_motion(samples, joints, *invert(first.p_EB, first.R_EB), options)
@@ -434,5 +435,5 @@ def _arm(scenario: Scenario) -> ArmModel | None:
 
 
 def audit_motion(motion: AuditedMotion, scenario: Scenario, source: str = "motion") -> Audit:
-    """Audit a motion of the tray that is known with its accelerations."""
+    """Audit a motion of the tray whose accelerations are known."""
     return Audit(scenario, source, motion)

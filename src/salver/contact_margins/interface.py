@@ -14,7 +14,7 @@ from salver.models.contact.wrench_cone import friction_needed, tip_over_margin
 from salver.models.contact_rows import ContactRows
 from salver.models.interfaces import Interface, needed_at_tray, to_tray
 
-_TOLERANCE = 1e-9  # of a margin, as a share of the weight
+_TOLERANCE = 1e-9  # tolerance of a margin, as a share of the weight
 _FINE = 32  # edges of the pyramids of the nominal verdict: at most 0.5 % short of the round cone
 
 
@@ -49,7 +49,7 @@ class InterfaceMargins:
 
     @cached_property
     def wrench_B(self) -> Array:
-        """(T, 6) what the support must give, at nominal parameters, at B of the object, N and N m."""
+        """Wrench (T, 6) from the support at nominal parameters, at and in B of the object, N and N m."""
         network = self.whole.model.networks[self.network]
         required = [needed_at_tray(body, body.inertial.phi) for body in network.bodies]
         wrench_E = self.whole.w @ np.einsum("jik,jkw->iw", network.share[self.index], np.array(required)).T
@@ -103,18 +103,18 @@ class InterfaceMargins:
 
     @cached_property
     def friction_needed(self) -> Array:
-        """For friction pyramids, inscribed: at most 1/cos(pi / edges) above the round cone's."""
+        """Friction needed (T,) for inscribed pyramids: at most 1/cos(pi / edges) times that for round cones."""
         return friction_needed(self.interface.contacts, self.wrench_B)
 
     @cached_property
     def tip_over(self) -> Array:
-        """m, see `tip_over_margin`."""
+        """Tip-over margin (T,) at nominal parameters, m; see `tip_over_margin`."""
         return tip_over_margin(self.interface.contacts, self.wrench_B)
 
     @cached_property
     def tip_over_worst(self) -> Array:
-        """m: least distance over the uncertain set (a bound). Where forces can be shared in several ways the worst case
-        takes its own; it is not said to be better than nominal."""
+        """Lower bound (T,) of the tip-over margin over the uncertain set, m; never above the nominal one, even if the
+        worst case distributes the forces of several supports differently."""
         rows = self.whole.model.support[self.network]
         value = self.whole.worst_case(rows) + self._internal_worst @ rows.internal.T
         own = np.flatnonzero(rows.interface == self.index)
@@ -127,10 +127,9 @@ class InterfaceMargins:
 
     @cached_property
     def friction_needed_worst(self) -> float:
-        """Least coefficient (of this interface) that keeps the whole motion from sliding in the worst case, and no less
-        than what the nominal case needs.
+        """Least friction coefficient of this interface at which the whole motion does not slide in the worst case.
 
-        Infinite when no friction would do. By bisection to 1e-4, on the facets with the coefficient taken out.
+        It is at least the nominal one, and infinite if no friction suffices. By bisection to 1e-4.
         """
         if float(self.tipping_worst.min()) < -_TOLERANCE:
             return float("inf")
@@ -161,7 +160,7 @@ class InterfaceMargins:
 
     @property
     def least_friction(self) -> float:
-        """Least friction of the uncertain set."""
+        """Least friction coefficient in the uncertain set."""
         network = self.whole.model.networks[self.network]
         return self.whole.model.payload.least_friction(network.bodies[self.interface.upper])
 
@@ -180,7 +179,7 @@ class InterfaceMargins:
 
     @cached_property
     def _finely_needed(self) -> Array:
-        """`friction_needed` (T,) by finer pyramids, where the model's say that more is needed than there is."""
+        """`friction_needed` (T,), with finer pyramids where it exceeds the friction with those of the model."""
         needed = self.friction_needed.copy()
         unclear = np.flatnonzero(needed > self.friction)
         if len(unclear):
@@ -192,7 +191,7 @@ class InterfaceMargins:
         """Why it fails, with figures."""
         after = int(np.searchsorted(self.t, time))
         if code == "lifts":
-            return "nothing presses it on its support"
+            return "no force presses it on its support"
         if code == "tips":
             beyond = -(self.tip_over_worst if worst else self.tip_over)[after:]
             distance = float(beyond[np.isfinite(beyond)].max())
@@ -200,7 +199,7 @@ class InterfaceMargins:
         if worst:
             needed = self.friction_needed_worst
             much = f"friction {needed:.3f}" if np.isfinite(needed) else "more friction than any"
-            return f"the motion needs {much} where at least {self.least_friction:.3f} is sure"
+            return f"the motion needs {much}, and the least in the ranges is {self.least_friction:.3f}"
         finely = self._finely_needed[after:]
         needed = float(finely[np.isfinite(finely)].max())
         return f"it needs friction up to {needed:.3f} and has {self.friction:.3f}"

@@ -1,4 +1,4 @@
-"""The part of margins that does not depend on the motion: networks of a scenario and their constraints."""
+"""The part of the margins that does not depend on the motion: contact networks and their constraints."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from salver.models.payload import Payload
 from salver.models.uncertain.parameters import NOTHING, Parameter, UncertainSet
 from salver.scenario import Scenario
 
-EDGES = 8  # of the friction pyramids, at least: at most 8 % short of the round cone
+EDGES = 8  # least number of edges of the friction pyramids, which are then at most 8 % inside the round cone
 
 
 @dataclass(frozen=True, repr=False)
 class MarginModel(Outlined):
     """The part of a scenario's margins that does not depend on the motion; made by `margin_model`.
 
-    payload: with `edges` to its friction pyramids; own_edges: as the scenario has them.
+    payload: with `edges` edges of its friction pyramids. own_edges: number of edges in the scenario.
     """
 
     payload: Payload
@@ -61,7 +61,7 @@ class MarginModel(Outlined):
 
     @cached_property
     def support(self) -> tuple[ContactRows, ...]:
-        """Rows of the support polygon's edges in m, and of f_z and -f_z, per weight, over the uncertain set."""
+        """Rows of the support polygon's edges, m, and of f_z and -f_z, per weight, over the uncertain set."""
         return tuple(self.rows(i, self.uncertain, edge_rows, True) for i in range(len(self.networks)))
 
     def with_only(self, parameter: Parameter) -> MarginModel:
@@ -70,10 +70,10 @@ class MarginModel(Outlined):
 
 
 def margin_model(scenario: Scenario, edges: int | None = None) -> MarginModel:
-    """The margin model of a scenario; the last few are kept. edges: of the friction pyramids.
+    """The margin model of a scenario, cached.
 
-    Unless given, a multiple of the scenario's own, so that every plan within the scenario's pyramids is within these;
-    the scenario's own where the contacts have too many points for more.
+    edges: of the friction pyramids. By default a multiple of the scenario's, so that these pyramids contain the
+    scenario's; the scenario's own if the contacts have too many points for more.
     """
     own = scenario.contact.edges
     finer = own * -(-EDGES // own)
@@ -98,7 +98,7 @@ def coefficient_rows(edges: int) -> RowsOf:
 
 
 def edge_rows(contacts: ContactSet) -> tuple[Array, Labels]:
-    """Edges (label 0), f_z (1) and -f_z (2)."""
+    """Rows of the support polygon's edges (label 0), of f_z (1) and of -f_z (2)."""
     edges, normal = support_rows(contacts)
     return np.vstack([edges, normal, -normal]), np.array([0] * len(edges) + [1, 2])
 

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 def tray_motion(scenario: Scenario, samples: MotionSamples) -> Array:
-    """w (T, 12) of the tray frame E when the first object's B moves as `samples`."""
+    """Motion regressor w (T, 12) of the tray frame E if frame B of the first object moves as `samples`."""
     first = scenario.payload.first
     w_B = motion_vector(samples.R_SB, samples.a_S, samples.omega_B, samples.alpha_B)
     return w_B @ frame_map(*invert(first.p_EB, first.R_EB)).T

@@ -1,16 +1,16 @@
-"""At which constant factors of its full speed a motion keeps its load, and how fast that factor may change.
+"""Speed factors at which a motion keeps its load, and the rate at which the factor may change.
 
-A motion run at speed factor s, which changes at s' (1/s), has s times the velocities, and accelerations s^2 a + s' v.
-So the tray's motion regressor is
+A motion run at speed factor s, which changes at the rate s' (1/s), has velocities s v and accelerations s^2 a + s' v.
+So the motion regressor of the tray is
 
     w(s, s') = w_static + s^2 (w(1) - w_static) + s' (twist, 0),
 
-w_static of gravity alone in the same posture, twist = (R^T v, omega) at full speed. A contact margin is concave in w,
-and so in (s^2, s'), also in the worst case. What holds standing still in every posture and at full speed then holds at
-every factor between, and factors at which a motion holds are one interval. Inner dynamics have their own time scale:
-with them, factors are tried on a grid, finer where little is left.
+with w_static at rest in the same posture, and twist = (R^T v, omega) at full speed. A contact margin is concave in w,
+and so in (s^2, s'), also in the worst case. So a load that holds at rest in every posture and at full speed holds at
+every factor between, and the factors at which it holds are one interval. Liquids and pendulums have their own time
+scale: with them, factors are checked on a grid, which is refined where the margin is small.
 
-The tray is taken to follow its motion exactly at every speed.
+The tray is assumed to follow its motion exactly at every speed.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ from salver.geometry import Array, Indices
 from salver.models.tray_motion import motion_vector
 from salver.trajectory import MotionSamples
 
-TRIED = np.append(0.0, 1.04 ** np.arange(-59.0, 1.0))  # factors at which a motion with inner dynamics is looked at
-FINEST = 1e-3  # of the factor: edges are found to this with inner dynamics
-SLOWEST, FASTEST = 0.01, 5.0  # factors beyond which none is sought
-MOST_RATE = 100.0  # 1/s
-BEYOND = 1.001  # times what no margin lasts to: worst cases of contents are known to a thousandth of their curvature
-_TOLERANCE = 1e-9  # of a margin, as a share of the weight
+TRIED = np.append(0.0, 1.04 ** np.arange(-59.0, 1.0))  # factors that are checked with a liquid or pendulum
+FINEST = 1e-3  # resolution of the limits of the factor with a liquid or pendulum
+SLOWEST, FASTEST = 0.01, 5.0  # limits of the search for factors
+MOST_RATE = 100.0  # 1/s, limit of the search for a rate
+BEYOND = 1.001  # safety factor of a bound, because worst cases of contents are known to a thousandth of their curvature
+_TOLERANCE = 1e-9  # tolerance of a margin, as a share of the weight
 _HAPPENS = {"unsettled": "still sloshes"}
 
 Intervals = tuple[tuple[float, float], ...]
@@ -46,12 +46,12 @@ Intervals = tuple[tuple[float, float], ...]
 class SafeSpeeds:
     """The constant speed factors at which a motion keeps its load.
 
-    intervals: of factors from 0 to 1, in order. fastest: the largest factor that keeps it, which may be above 1; None
-    without any. failure: what happens at the factor `fails_at`, next below the uppermost interval (or above, where that
-    begins at 0); None when it holds at all from 0 to 1. rate: the largest rate of the factor (1/s, up or down) that
-    keeps contact at every constant factor from 0 to 1; None where that is not known. tried: number of factors that were
-    checked; 0 when the intervals are exact. lacking: of each range of factors at which it fails that at which most is
-    missing, of those tried. unchecked: what is left out at other speeds, in words.
+    intervals: safe intervals of factors from 0 to 1, in order. fastest: largest safe factor, possibly above 1; None if
+    there is none. fails_at, failure: a factor just below the uppermost interval (or above it, if that begins at 0), and
+    the status there; None if all factors from 0 to 1 are safe. rate: largest rate of the factor (1/s, up or down) at
+    which contact holds for all factors from 0 to 1; None if unknown. tried: number of factors that were checked; 0 if
+    the intervals are exact. lacking: for each unsafe range the checked factor with the largest violation. unchecked:
+    limitations at other speeds, in words.
     """
 
     intervals: Intervals
@@ -71,7 +71,7 @@ class SafeSpeeds:
 
     @property
     def pace(self) -> Status:
-        """The least time in which the same path just holds: details["factor"] of the duration, None without any."""
+        """The shortest time in which the path holds: details["factor"] times the duration, None if there is none."""
         if self.fastest is None:
             return Status("tilted", self.sentence, False, {"factor": None})
         tried = ", and at no less that was tried" if self.tried else ""
@@ -106,7 +106,7 @@ class SafeSpeeds:
         return f"Holds at {told} of full speed"
 
     def summary(self) -> dict[str, Any]:
-        """For machines."""
+        """The result as a JSON object."""
         return {
             "every": self.every,
             "unchecked": self.unchecked,
@@ -124,7 +124,7 @@ def safe_speeds(model: MarginModel, tray: MotionSamples, worst: bool, *, rate: b
     """The speed factors at which a motion of the tray frame E keeps the load.
 
     tray: (T,) instants of E at full speed. worst: over the whole uncertain set, else at nominal parameters. rate:
-    whether the rate of the factor is asked for; of no inner dynamics it is known.
+    compute the largest rate of the factor too; it is unknown with a liquid or pendulum.
     """
     scaled = TimeScaled(model, tray, worst)
     tried, lacking = 0, tuple[float, ...]()
@@ -149,38 +149,38 @@ class TimeScaled:
 
     @cached_property
     def static(self) -> Array:
-        """(T, 12) the tray's motion regressor at rest in each posture."""
+        """Motion regressor (T, 12) of the tray at rest in each posture."""
         zero = np.zeros_like(self.tray.v_S)
         return motion_vector(self.tray.R_SB, zero, zero, zero)
 
     @cached_property
     def moving(self) -> Array:
-        """(T, 12) what it feels at full speed beyond that."""
+        """Motion regressor (T, 12) at full speed minus `static`."""
         s = self.tray
         return motion_vector(s.R_SB, s.a_S, s.omega_B, s.alpha_B) - self.static
 
     @cached_property
     def twist(self) -> Array:
-        """(T, 12) of the tray in E at full speed, and zeros."""
+        """Twist of the tray in E at full speed, padded with zeros (T, 12)."""
         s = self.tray
         return np.hstack([np.einsum("tji,tj->ti", s.R_SB, s.v_S), s.omega_B, np.zeros((len(s.t), 6))])
 
     def w(self, squared: float, rate: float = 0.0, at: Indices | slice = slice(None)) -> Array:
-        """(T, 12) what it feels at the square of a factor and a rate of it, 1/s."""
+        """Motion regressor (T, 12) at the square of a factor and a rate of the factor, 1/s."""
         return np.asarray(self.static[at] + squared * self.moving[at] + rate * self.twist[at])
 
     def margin(self, squared: float, rate: float = 0.0, at: Indices | slice = slice(None)) -> Array:
-        """(T,) least margin of all contacts, as a share of the weight."""
+        """Least margin (T,) of all contacts, as a share of the weight."""
         margins = Margins(self.model, self.tray.t[at], self.w(squared, rate, at))
         return (margins.exact_worst if self.worst else margins.exact) + _TOLERANCE
 
     def margins(self, factor: float) -> Margins:
-        """Everything at a constant factor, in the time that it then takes; standing still in that of `SLOWEST`."""
+        """All margins at a constant factor, over the stretched time; for factor 0 over that of `SLOWEST`."""
         w, t = self.w(factor**2), (self.tray.t - self.tray.t[0]) / (factor or SLOWEST)
         return Margins(self.model, t, w, PayloadResponse.along(self.model.payload, t, w))
 
     def slack(self, factor: float) -> float:
-        """The least of all contact margins and of what inner dynamics keep of their limits, as shares."""
+        """Least of all contact margins and slacks of liquids and pendulums, as shares."""
         margins = self.margins(factor)
         swings = min((float(each.slack.min()) for each in margins.load_verdicts(self.worst)), default=np.inf)
         if swings < 0:
@@ -188,7 +188,7 @@ class TimeScaled:
         return min(swings, float((margins.exact_worst if self.worst else margins.exact).min()) + _TOLERANCE)
 
     def failure(self, intervals: Intervals) -> tuple[float | None, Status | None]:
-        """A factor beside the uppermost interval at which the load is not kept, and what happens there."""
+        """An unsafe factor beside the uppermost interval, and the status there."""
         if intervals == ((0.0, 1.0),):
             return None, None
         low, high = intervals[-1] if intervals else (0.0, 0.0)
@@ -209,7 +209,7 @@ class TimeScaled:
         return factor, replace(status, details={**status.details, "posture_time": posture})
 
     def largest_rate(self) -> float:
-        """1/s, of the factor up or down, that keeps every contact at every factor from 0 to 1."""
+        """Largest rate of the factor, up or down, 1/s, at which every contact holds for all factors from 0 to 1."""
         corners = [(squared, sign) for squared in (0.0, 1.0) for sign in (1.0, -1.0)]
 
         def margin(rate: float) -> Array:
@@ -244,7 +244,7 @@ def _exact(scaled: TimeScaled) -> tuple[Intervals, float | None]:
     low = squared - _edge(scaled, squared, here, 0.0, still)
     most, beyond = (1.0, full) if full.min() < 0 and squared < 1 else (FASTEST**2, None)
     if beyond is None:
-        # Nothing holds beyond where the line through rest and here ends: far beyond, all would be sought.
+        # By concavity no factor is safe beyond the root of the line through rest and this factor.
         ends = np.divide(still, still - here, out=np.full(len(here), np.inf), where=still > here)
         most = min(most, BEYOND * squared * float(ends.min()))
         beyond = scaled.margin(most)
@@ -272,7 +272,7 @@ def _between(scaled: TimeScaled) -> float | None:
 
 
 def _edge(scaled: TimeScaled, begin: float, here: Array, end: float, there: Array) -> float:
-    """The largest step from the square of a factor at which all holds, towards another, at which all still holds."""
+    """The last safe squared factor between a safe one (`begin`) and another (`end`), with their margins (T,)."""
     failing, way = np.flatnonzero(there < 0), np.sign(end - begin)
     return least_root(
         lambda away, some: scaled.margin(begin + way * away, 0.0, failing[some]),
@@ -284,15 +284,15 @@ def _edge(scaled: TimeScaled, begin: float, here: Array, end: float, there: Arra
 
 
 def _tried(scaled: TimeScaled) -> tuple[Intervals, float | None, int, tuple[float, ...]]:
-    """The intervals of factors up to 1 of a load with inner dynamics, the largest of them, how many were tried, and of
-    each range between at which most is missing."""
+    """For a load with a liquid or pendulum: safe intervals of factors up to 1, the largest safe factor, the number of
+    checked factors, and the worst factor of each unsafe range."""
     known = {float(s): scaled.slack(float(s)) for s in TRIED}
     while True:
         factors = sorted(known)
         between = []
         for a, b in pairwise(factors):
             edge = (known[a] < 0) != (known[b] < 0)
-            # Between two that hold a third may not, where they differ by more than what is left.
+            # Between two safe factors another may be unsafe, if their slacks differ by more than what remains.
             near = 0 <= min(known[a], known[b]) < abs(known[a] - known[b])
             if b - a > (FINEST if edge else 8 * FINEST) and (edge or near):
                 between.append(0.5 * (a + b))
@@ -312,7 +312,7 @@ def _tried(scaled: TimeScaled) -> tuple[Intervals, float | None, int, tuple[floa
 
 
 def _above(scaled: TimeScaled) -> float:
-    """The factor from 1 to which all that are tried hold, of a load with inner dynamics."""
+    """The largest factor above 1 up to which all checked ones are safe, for a load with a liquid or pendulum."""
     low, high = 1.0, 1.04
     while high < FASTEST and scaled.slack(high) >= 0:
         low, high = high, 1.04 * high
@@ -323,11 +323,11 @@ def _above(scaled: TimeScaled) -> float:
 
 
 def least_root(f: Callable[[float, Indices], Array], low: float, high: float, begin: Array, end: Array) -> float:
-    """The first zero of n concave functions between low, where they are begin (n,) >= 0, and high, where they are end
-    (n,) < 0: to 1e-6, on the side where none is negative; high if there is none.
+    """The least root of n concave functions between low, with values begin (n,) >= 0, and high, with values end (n,).
 
-    f: of a place, those that are asked for. A function lies above its chord: one whose chord ends beyond a root that is
-    known is not asked again, and few are near the least.
+    To 1e-6, on the side where all are positive; high if none is negative there. f: a function of a point and the
+    indices of the functions to evaluate. A concave function lies above its chord, so that functions whose chord has its
+    root beyond a known root need no further evaluation.
     """
     if not len(begin):
         return high

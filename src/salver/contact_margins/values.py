@@ -1,4 +1,4 @@
-"""Values of all contact rows along one motion, nominal and in the worst case, before they are called margins."""
+"""Values of all contact constraints along a motion, nominal and in the worst case; margins are computed from them."""
 
 from __future__ import annotations
 
@@ -14,12 +14,15 @@ from salver.models.contact.internal_wrench import internal_wrenches
 from salver.models.contact_rows import ContactRows
 from salver.models.uncertain.worst_case import ALL
 
-AT_ONCE = 256  # instants
+AT_ONCE = 256  # instants that are computed at once that are computed at once
 
 
 @dataclass(frozen=True)
 class RowValues:
-    """t (T,); w (T, 12): motion of the tray frame E. loads: what moves inside them along it, or None."""
+    """Contact constraints along a motion: t (T,), motion regressor w (T, 12) of the tray frame E.
+
+    loads: responses of liquids and pendulums along the motion, or None.
+    """
 
     model: MarginModel
     t: Array
@@ -48,7 +51,7 @@ class RowValues:
     def worst_case(self, rows: ContactRows) -> Array:
         """Worst case of the rows (T, n)."""
         value = rows.worst(self.w)
-        if self.loads is not None:  # some instants at a time: of all cases at all of them there is too much
+        if self.loads is not None:  # in pieces of time, because all cases at all instants would need too much memory
             for first in range(0, len(value), AT_ONCE):
                 at = slice(first, first + AT_ONCE)
                 value[at] += most_added(rows, self.loads.worst, at, ALL, coarsely=False)

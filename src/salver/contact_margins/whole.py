@@ -1,4 +1,4 @@
-"""Margins of everything on the tray along a motion, and the verdict."""
+"""All margins of a load along a motion, and the verdict."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 def margins(scenario: Scenario, samples: MotionSamples, *, edges: int | None = None) -> Margins:
     """All margins of a motion of B, the frame of the scenario's first object (T instants).
 
-    edges: of the friction pyramids, inscribed; unless given the least multiple of the scenario's that is 8 or more.
+    edges: of the inscribed friction pyramids; default: the least multiple of the scenario's that is 8 or more.
     """
     w = tray_motion(scenario, samples)
     return Margins(margin_model(scenario, edges), samples.t, w, PayloadResponse.along(scenario.payload, samples.t, w))
@@ -40,7 +40,7 @@ class Margins(Shown, RowValues, Plotted):
     """Margins of all objects along one motion; each is computed when it is first read."""
 
     def facts(self) -> dict[str, str]:
-        """What a notebook shows of them."""
+        """Facts that a notebook shows."""
         worst, nominal = self.verdict(worst=True), self.verdict()
         return {
             "worst case": worst.sentence,
@@ -51,7 +51,7 @@ class Margins(Shown, RowValues, Plotted):
 
     @cached_property
     def interfaces(self) -> tuple[InterfaceMargins, ...]:
-        """One for every interface, network by network; within one, in the order of the objects."""
+        """Margins of every interface, network by network, in the order of the objects."""
         return tuple(
             InterfaceMargins(self, i, e)
             for i, net in enumerate(self.model.networks)
@@ -64,12 +64,12 @@ class Margins(Shown, RowValues, Plotted):
 
     @cached_property
     def exact(self) -> Array:
-        """(T,) least exact margin of all interfaces at nominal parameters, as a share of the normal force."""
+        """Least exact margin (T,) of all interfaces at nominal parameters, as a share of the normal force at rest."""
         return np.min([-self.nominal_values[i][0].max(axis=1) for i in range(len(self.model.networks))], axis=0)
 
     @cached_property
     def exact_worst(self) -> Array:
-        """(T,) the same in the worst case of the uncertain set."""
+        """Least exact margin (T,) of all interfaces in the worst case of the uncertain set."""
         return np.min([-self.worst_values[i][0].max(axis=1) for i in range(len(self.model.networks))], axis=0)
 
     def curves(self) -> tuple[Array, Curves]:
@@ -80,8 +80,8 @@ class Margins(Shown, RowValues, Plotted):
     def verdict(self, worst: bool = False) -> Status:
         """Holds, slides, tips or lifts: the first interface that fails, and when, in one sentence.
 
-        Both with inscribed friction pyramids: nominal, with 32 edges or more; worst case, with those of `margins`
-        over the whole uncertain set, so "holds" is sure, "slides" and "tips" say that it cannot be excluded.
+        Friction pyramids are inscribed: with 32 edges or more for the nominal case, with those of `margins` for the
+        worst case. So "holds" is certain, whereas "slides" and "tips" cannot be excluded.
         """
         failures = [f for m in self.interfaces if (f := m.failure(worst)) is not None]
         payload = self.model.payload
@@ -113,7 +113,7 @@ class Margins(Shown, RowValues, Plotted):
         return Status("holds", sentence, True, details)
 
     def load_verdicts(self, worst: bool = False) -> list[LoadVerdict]:
-        """How near what moves inside each load comes to its limits."""
+        """Verdicts on the liquid or pendulum in each load."""
         return [] if self.loads is None else self.loads.load_verdicts(worst)
 
     def worst_parameters(self) -> dict[str, float]:
@@ -128,11 +128,11 @@ class Margins(Shown, RowValues, Plotted):
         return dict(zip(uncertain.names, worst.tolist(), strict=True))
 
     def only(self, parameter: Parameter) -> Margins:
-        """With only this parameter uncertain."""
+        """The margins with only this parameter uncertain."""
         model, loads = self.model.with_only(parameter), self.loads
         return Margins(model, self.t, self.w, loads and loads.only(model.payload))
 
     def costs(self) -> dict[str, float]:
-        """What each uncertain parameter, alone, takes from the least exact margin (share of the normal force)."""
+        """Loss of the least exact margin by each uncertain parameter alone, as a share of the normal force."""
         least = float(self.exact.min())
         return {p.name: least - float(self.only(p).exact_worst.min()) for p in self.model.uncertain.parameters}

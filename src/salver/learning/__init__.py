@@ -1,4 +1,4 @@
-"""The load's parameters from logs of carrying it: ranges that cover the truth, not points."""
+"""Identification of the load from logs: ranges of its parameters that contain the true values."""
 
 from salver.learning.load.identify import Identified, identify
 from salver.learning.load.ranges import Range

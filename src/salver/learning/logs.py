@@ -1,4 +1,4 @@
-"""Logs of an arm that carried something: joint positions with joint torques, with wrist forces and torques, or both."""
+"""Logs of an arm: joint positions with joint torques, with forces and torques at the wrist, or with both."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from salver.geometry import Array
 from salver.motion_files.readers import BAGS, read_table
 from salver.motion_files.samples import reordered
 
-GAP = 0.03  # s between two samples, at most
-LONGEST = 600.0  # s of a log
-MOVES = 0.02  # rad that some joint must move, for a motion
+GAP = 0.03  # s, longest distance between two samples
+LONGEST = 600.0  # s, longest log
+MOVES = 0.02  # rad, least movement of some joint in a log
 FORCE = ("fx", "fy", "fz", "tx", "ty", "tz")
 
 
 @dataclass(frozen=True, eq=False)
 class Log:
-    """One run, K samples of n joints. t (K,): s, from any beginning. q (K, n): rad.
+    """One run, K samples of n joints.
 
-    tau (K, n): N m at the joints, gravity included; None when there are none. wrench_F (K, 6): force N and torque N m
-    that the arm exerts through the sensor on all beyond it, at the flange, in its axes (f_z > 0 at rest, upright); None
-    when there is no sensor. source: where it was read.
+    t (K,): s, with any origin. q (K, n): rad. tau (K, n): joint torques including gravity, N m; None without them.
+    wrench_F (K, 6): force, N, and torque, N m, that the arm exerts through the sensor, at the flange, in its axes
+    (f_z > 0 at rest, upright); None without a sensor. source: name of the file.
     """
 
     source: str
@@ -37,13 +37,12 @@ class Log:
 
 
 def read_log(path: str | Path, n: int, names: Sequence[str] = (), topic: str | None = None) -> Log:
-    """A log of an arm with n joints.
+    """Read a log of an arm with n joints.
 
-    .npz with t, q and tau or wrench_F, as `salver execute` and `salver simulate` write it; .csv with the columns t,
-    q1 ... qn and tau1 ... taun, or fx, fy, fz, tx, ty, tz, or all; or a ROS bag with a JointState that has efforts, a
-    WrenchStamped, or both. names: of the joints, in the arm's order, for a bag; topic: of its JointState.
-
-    Raises FileFormatError, one sentence.
+    path: .npz with t, q and tau or wrench_F, as `salver execute` and `salver simulate` write it; .csv with the columns
+    t, q1 ... qn and tau1 ... taun, or fx, fy, fz, tx, ty, tz, or all; or a ROS bag with a JointState that has efforts,
+    a WrenchStamped, or both. names: of the joints, in the arm's order, for a bag. topic: of its JointState. Raises
+    FileFormatError, one sentence.
     """
     path = Path(path)
     if path.suffix.lower() in BAGS or path.is_dir():
@@ -90,7 +89,7 @@ def _read_csv(path: Path, n: int) -> dict[str, Array]:
 
 
 def check_times(t: Array, q: Array, source: str, planned: Array | None = None) -> None:
-    """Raise FileFormatError for times t (K,) and positions q (K, n) that are no log of a motion planned as (L, n)."""
+    """Raise FileFormatError when times t (K,) and positions q (K, n) are not a log of a motion, planned as (L, n)."""
     step = np.diff(t)
     if not np.isfinite(t).all() or step.min() <= 0:
         k = int(np.argmin(step > 0))
@@ -148,9 +147,11 @@ def _check(log: Log, n: int) -> None:
 
 
 def _saturated(column: Array) -> float:
-    """For which share of the time values (K,) are at the largest, when that is no chance: in one sample of twenty, or
-    for more than four in a row, and four times as often or as long as at any other (sensors of coarse steps stay a
-    while everywhere). Else 0."""
+    """Share of the samples (K,) at their largest value, if that suggests saturation; else 0.
+
+    It does if one sample of twenty is there, or more than four in a row, and four times as many as at any other value
+    (coarse sensors repeat every value).
+    """
     size = float(np.abs(column).max())
     there = np.abs(np.abs(column) - size) < 1e-9 * max(size, 1e-9)
     begins = np.flatnonzero(np.diff(column, prepend=np.nan))

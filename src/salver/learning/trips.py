@@ -1,18 +1,18 @@
-"""Careful first, then fast: carry for what is known, identify, narrow the ranges, plan again.
+"""Learning a load over several trips: carry it safely, identify it, narrow the ranges, plan again.
 
-Each trip's plan is safe for all loads within the ranges of its scenario, and those are made to cover the true one, so
-the load is meant to stay on every trip. A plan that is slower than the one before is not taken: that one was safe for
-wider ranges.
+Each trip's plan is safe for all loads within the ranges of its scenario, and the ranges contain the true load, so that
+the load should stay on every trip. If a plan is slower than the one before, that one is used again, because it was safe
+for wider ranges.
 
-A first trip is short and gentle, and so hides the height of the centre of mass. So between it and the second the arm
-makes an excitation trajectory, safe as any trip (`salver.learning.load.excite`); joint torques, too, locate the centre
-of mass by it. And no carry shows more friction than its plan assumes. So the tray tilts, shortly and each time a little
-steeper (`salver.learning.friction.tilts`), until the load moves by more than a mark on the tray hides, or could tip: by
-two centimetres at most, whatever its friction is. Then it is put back.
+A first trip is gentle and does not show the height of the centre of mass. Therefore an excitation trajectory, as safe
+as any trip, follows (`salver.learning.load.excite`), by which joint torques locate the centre of mass too. A trip does
+not show more friction than its plan assumes. Therefore short tilts of the tray follow, each a little steeper
+(`salver.learning.friction.tilts`), until the load moves by more than a mark on the tray can hide, or could tip; it
+moves by two centimetres at most, and is put back.
 
-Here the load is carried in the physics engine, which alone knows the true one, and judged there. What the arm's
-sensors say (`salver.learning.load.sensors`) is made along what the engine's arm does with the load strapped to the
-tray, and with the empty tray: what loose contacts of the engine do to an arm is no property of a load.
+The true load is known to the physics engine only, in which it is carried and judged. The readings of the arm's sensors
+(`salver.learning.load.sensors`) are simulated along the motion of the engine's arm with the load fixed to the tray, and
+with the empty tray, to exclude effects of the engine's loose contacts on the arm.
 """
 
 from __future__ import annotations
@@ -49,12 +49,12 @@ class LearningOptions:
     """Options of learning a load while it is carried.
 
     Attributes:
-        rate: samples of the simulated sensors a second.
-        effort: of each plan: a second of search is nothing beside a trip.
-        excitation: s, of the excitation trajectory; doubled, ranges get narrower and a trip is lost.
-        tilts: short tilts at most.
-        worth: of friction; a tilt that promises less is not made.
-        timestep: s, of the engine's steps at most: with longer ones a tall load rocks on its soft contacts.
+        rate: samples per second of the simulated sensors.
+        effort: of the search for each plan.
+        excitation: s, duration of the excitation trajectory; doubled, ranges are narrower and a trip takes longer.
+        tilts: largest number of short tilts.
+        worth: least increase of the friction's lower bound for which a tilt is made.
+        timestep: s, largest step of the engine; with longer ones a tall load rocks on its soft contacts.
     """
 
     rate: float = 1000.0
@@ -70,8 +70,10 @@ LEARNING = LearningOptions()
 
 @dataclass(frozen=True)
 class Tilt:
-    """A short tilt. moved: m by which the load was seen to have. outcome: of the engine, where a load that moved
-    "slides". found: what it shows of friction, or None for a load that was lost.
+    """A short tilt.
+
+    moved: measured displacement of the load, m. outcome: of the engine; "slides" for a load that moved. found: the
+    friction that it proves, or None if the load was lost.
     """
 
     plan: Plan
@@ -82,7 +84,7 @@ class Tilt:
 
 @dataclass(frozen=True)
 class Excitation:
-    """An excitation trajectory, from where a trip begins and back. outcome: of the engine."""
+    """An excitation trajectory from the start of a trip and back. outcome: of the engine."""
 
     plan: Plan
     outcome: str
@@ -90,10 +92,12 @@ class Excitation:
 
 @dataclass(frozen=True)
 class Trip:
-    """plan: what was carried out; its scenario has the ranges it was planned for. outcome: of the engine, "holds" or
-    what became of the load. kept: whether the plan is that of the trip before. learnt: from the logs so far; None if
-    they contradict the ranges or the load was lost, as told says. known: with all ranges after it. excitation, tilts:
-    made then, before the next; excitation is None where there was none to make.
+    """One trip with the load.
+
+    plan: its scenario has the ranges that it was planned for. outcome: of the engine. kept: whether the plan is that of
+    the trip before. learnt: the load identified from all logs so far; None if they contradict the ranges or the load
+    was lost; `told` says which. known: the scenario with all ranges after the trip. excitation, tilts: made after the
+    trip, before the next.
     """
 
     number: int
@@ -108,18 +112,18 @@ class Trip:
 
     @property
     def lost(self) -> bool:
-        """Whether the load was lost, on the trip or on what was made then."""
+        """Whether the load was lost on the trip, the excitation trajectory or a tilt."""
         then = self.excitation is not None and self.excitation.outcome != "holds"
         return self.outcome != "holds" or then or any(tilt.found is None for tilt in self.tilts)
 
     @property
     def margin(self) -> float:
-        """Least margin in the worst case of the ranges, of the weight."""
+        """Least margin in the worst case of the ranges, as a share of the weight."""
         return float(self.plan.margins.exact_worst.min())
 
 
 def true_load(scenario: Scenario, seed: int) -> Array:
-    """(11,) a load drawn from the scenario's set: values of `INERTIAL` in the shape's frame G, then friction."""
+    """A random load (11,) from the scenario's set: values of `INERTIAL` in the shape's frame G, then friction."""
     payload, body = scenario.payload, scenario.payload.first
     values = np.append(inertial_vector(body.inertial), body.friction)
     drawn = draw(payload.uncertain, 1, seed, bodies=payload.bodies)[0]
@@ -144,12 +148,16 @@ def trips(
     tilts: bool = True,
     level: float = USUAL.levelled,
 ) -> Iterator[Trip]:
-    """Trips with one hidden true load that is drawn with the seed; they end early when the load is lost.
+    """Trips with one hidden true load, which the seed determines; they end early when the load is lost.
 
-    first: the plan to begin with, of this scenario; unless given it is made. tilts: whether friction is looked for
-    after the first trip, with a robot whose base is level to so many deg.
+    Args:
+        count: number of trips.
+        first: plan of the first trip, of this scenario; default: it is planned.
+        tilts: whether friction is measured after the first trip.
+        level: deg, largest tilt error of the robot's base.
 
-    Raises ScenarioError for a scenario without an arm or with several objects, or for which no safe motion is found.
+    Raises:
+        ScenarioError: no arm, several objects, or no safe motion.
     """
     if scenario.arm is None or len(scenario.objects) > 1:
         raise ScenarioError(f"{scenario.name}: learning needs an arm, and one object on its tray.")
@@ -175,7 +183,7 @@ def trips(
         except SalverError as error:
             told = str(error)
         if learnt is not None:
-            learnt = hidden.learnt  # with what was told then
+            learnt = hidden.learnt  # with its messages
         trip = Trip(number, plan, outcome, not better, learnt, hidden.known, excitation, tuple(made_tilts), told)
         yield trip
         if trip.lost:
@@ -184,8 +192,8 @@ def trips(
 
 @dataclass
 class _Hidden:
-    """A load that only the engine knows, and what is known of it. base: the scenario to begin with, in whose frame B
-    all runs are understood; known: with the ranges of now."""
+    """A hidden load, with the present knowledge about it. base: the first scenario, in whose frame B all runs are
+    expressed."""
 
     base: Scenario
     true: Array
@@ -202,14 +210,14 @@ class _Hidden:
         return values | {"friction": float(self.true[10])}
 
     def carried(self, plan: Plan) -> SimulationRecord:
-        """Outcome of the load on the tray."""
+        """Record of a run of a plan with the true load."""
         physics = plan.scenario.physics
         step = min(physics.timestep, physics.command_period / np.ceil(physics.command_period / LEARNING.timestep))
         stiff = replace(plan, scenario=plan.scenario.with_changes(physics__timestep=float(step)))
         return simulate(stiff, parameters=self.named(plan), seed=self.seed)
 
     def identify(self, plan: Plan, name: str) -> Identified:
-        """Narrow the ranges by logs of a plan, and all before. Raises SalverError when these contradict each other."""
+        """Narrow the ranges by logs of a plan and all earlier logs. Raises SalverError when these contradict them."""
         arm = SensedArm(
             replace(plan, scenario=self.base),
             1000 * self.seed + len(self.runs) + 1,
@@ -230,7 +238,7 @@ class _Hidden:
         return found
 
     def excite(self) -> Excitation | None:
-        """Make an excitation trajectory; None when there is none."""
+        """Plan and run an excitation trajectory; None if none is found."""
         try:
             plan = plan_excite(self.known, LEARNING.excitation)
         except UnreachableError:
@@ -241,7 +249,7 @@ class _Hidden:
         return Excitation(plan, outcome)
 
     def climb(self, level: float) -> Iterator[Tilt]:
-        """Tilt, each time as steep as what is known allows, until the load moves, or could tip."""
+        """Make short tilts, each as steep as the known friction allows, until the load moves or could tip."""
         for number in range(1, LEARNING.tilts + 1):
             plan = short_tilt(self.known, level=level)
             promised, before = friction(plan, level=level).low, self.known.payload
@@ -249,7 +257,7 @@ class _Hidden:
                 return
             record = self.carried(plan)
             moved = float(record.slip.max())
-            if record.outcome not in ("holds", "slides"):  # meant never to be
+            if record.outcome not in ("holds", "slides"):  # should not happen
                 yield Tilt(plan, moved, record.outcome, None)
                 return
             assert plan.scenario.arm is not None
@@ -270,7 +278,7 @@ def _with_friction(scenario: Scenario, other: Scenario) -> Scenario:
 
 
 def _empty(plan: Plan, named: dict[str, float]) -> tuple[Plan, dict[str, float]]:
-    """The plan with nothing on the tray, but a millionth of the load, and a controller that knows it."""
+    """The plan with a nearly empty tray (a millionth of the load), which the controller knows."""
     mass, robot = plan.scenario.payload.first.inertial.mass, plan.scenario.physics.robot
     knowing = robot.model_dump() | {"payload_error": -mass}
     nothing = {name: (1e-6 if name == "mass" or name.startswith("inertia") else 1.0) * x for name, x in named.items()}
@@ -278,7 +286,7 @@ def _empty(plan: Plan, named: dict[str, float]) -> tuple[Plan, dict[str, float]]
 
 
 def _done(plan: Plan, named: dict[str, float], seed: int) -> Done:
-    """Motion of the engine's arm, `LEARNING.rate` times a second."""
+    """Executed motion of the engine's arm, sampled at `LEARNING.rate`."""
     trace = Experiment(plan).strapped(named, seed)
     ddq = np.gradient(trace.dq, trace.t, axis=0)
     every = max(1, round(1 / (LEARNING.rate * (trace.t[1] - trace.t[0]))))

@@ -1,6 +1,6 @@
-"""One family of motion files: CSV, JSON, YAML and JSON of ROS messages (MoveIt's too), ROS bags; read and written.
+"""Reading and writing of motion files: CSV, JSON, ROS messages as YAML and JSON (also of MoveIt), ROS bags.
 
-`read` gives samples of the tray or of the joints; `write` writes a `MotionSeries`: what is known at the same instants.
+`read` returns samples of the tray or of the joints; `write` writes a `MotionSeries`.
 """
 
 from salver.motion_files.motion import MotionSeries

@@ -1,4 +1,4 @@
-"""The content of a motion file: joints, tray and object, as far as known, at the same instants."""
+"""The content of a motion file: joints, tray and object at common instants."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ class MotionSeries(Outlined):
     """A motion at T instants; time in whole nanoseconds, so that t is exact in every format.
 
     ns (T,): int64, nanoseconds from the start. joint_names: n names, empty without joints; q, dq, ddq, tau (T, n).
-    p_SE, quat_SE_wxyz: the tray. p_SB, quat_SB_wxyz, v_S, a_S, omega_B, alpha_B: the first object. What is not known
-    is None. about: where it comes from, for the heading of a file. verdict: on the motion, one line, that begins with
-    "UNSAFE: " when it fails; empty when there is none. stops: instants, ns, at which this motion may be left for
-    another one to rest (of joints, from its own time 0): who is asked to stop takes the first that is left, or goes on
-    to the end where none is.
+    p_SE, quat_SE_wxyz: the tray. p_SB, quat_SB_wxyz, v_S, a_S, omega_B, alpha_B: the first object. Unknown quantities
+    are None. about: provenance, for the heading of a file. verdict: one line, which begins with "UNSAFE: " if the
+    motion failed; empty without a verdict. stops: (instant in ns at which this motion may be left, motion of the joints
+    to rest, with its own time from 0). After a stop request the next stop is taken, or the motion is finished if none
+    is left.
     """
 
     ns: Array
@@ -48,18 +48,18 @@ class MotionSeries(Outlined):
 
     @property
     def t(self) -> Array:
-        """(T,) s."""
+        """Times (T,), s."""
         return self.ns * 1e-9
 
     @property
     def known(self) -> dict[str, Array]:
-        """Arrays that there are, by name, in the order of the files."""
+        """The arrays that are not None, by name, in the order of the files."""
         values = {name: getattr(self, name) for name in QUANTITIES}
         return {name: value for name, value in values.items() if value is not None and value.shape[1]}
 
     @classmethod
     def of(cls, samples: Samples) -> MotionSeries:
-        """A motion from what was read, to be written again."""
+        """The motion of samples that were read, to be written again."""
         ns: Any = np.round(samples.t * 1e9).astype(np.int64)
         if isinstance(samples, JointSamples):
             return cls(ns, samples.names, samples.q, samples.dq, samples.ddq, verdict=samples.verdict)
@@ -69,10 +69,10 @@ class MotionSeries(Outlined):
 
     @classmethod
     def in_turn(cls, parts: Sequence[MotionSeries], pause: float, step: float) -> MotionSeries:
-        """Motions one after the other, of joints and tray alone: which object is the first changes between them.
+        """Several motions in sequence, of joints and tray only, because the first object changes between them.
 
-        pause: s of standing still from the end of one to the start of the next, at least `step`; a sample every `step`.
-        Where there are stops, whoever asks for one before the next motion begins gets none of it.
+        pause: s at rest between two motions, at least `step`, with a sample every `step`, s. If the motions have stops,
+        a stop request during a pause prevents the next motion.
         """
         pause_ns, step_ns = round(max(pause, step) * 1e9), round(step * 1e9)
         names = [name for name in OF_ALL if all(getattr(part, name) is not None for part in parts)]

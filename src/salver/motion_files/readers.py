@@ -1,17 +1,16 @@
-"""Reading a motion: which format, tables (CSV, or columns that are there already), salver's JSON. Formats of ROS are in
-`salver.motion_files.ros_readers`.
+"""Reading of motion files: choice of the format, tables (CSV, or columns in memory), salver's JSON.
+`salver.motion_files.ros_readers` reads formats of ROS.
 
 CSV, one header line, separated by commas, semicolons, tabs or blanks (decimal commas where commas do not separate):
 
 - time: `t`, `time`, `time_s`, `timestamp`, `time_from_start` (s), or `t_`, `time_`, `stamp_` with ms, us or ns;
-- a tray motion: `x, y, z` (m) and `qw, qx, qy, qz`: the names say which component is which, so wxyz and xyzw
-  are both read rightly. Also `p_SE_x, ..., quat_SE_w, ...`, `pose.position.x, ..., pose.orientation.w, ...`.
-  `p_SB_x, ..., quat_SB_w, ...` is the motion of the object's frame B instead;
-- a joint motion: the joints' own names (with or without `_position`, or `q_` before), or `q1 ... qn`, `J1 ... Jn`,
+- a tray motion: `x, y, z` (m) and `qw, qx, qy, qz`, in any order. Also `p_SE_x, ..., quat_SE_w, ...`,
+  `pose.position.x, ..., pose.orientation.w, ...`. `p_SB_x, ..., quat_SB_w, ...` is the motion of the object's frame B;
+- a joint motion: the joints' names (with or without `_position`, or `q_` before), or `q1 ... qn`, `J1 ... Jn`,
   `A1 ... An`, in rad; with `dq_` or `_velocity` their velocities, with `ddq_` or `_acceleration` their accelerations.
-  It remains a recording.
+  It counts as a recording, not as a command.
 
-Other columns are left out. Other units: `salver.motion_files.units`.
+Other columns are ignored. Other units: `salver.motion_files.units`.
 """
 
 from __future__ import annotations
@@ -43,7 +42,7 @@ from salver.motion_files.samples import (
 from salver.motion_files.units import PARTS, SI, Units
 from salver.motion_files.verdict import verdict_in
 
-_TIME: dict[str, float | None] = dict.fromkeys(("t", "time", "timestamp", "time_from_start"))  # s, or as is given
+_TIME: dict[str, float | None] = dict.fromkeys(("t", "time", "timestamp", "time_from_start"))  # None: `--units`
 _TIME |= {"time_s": 1.0, **{f"{name}_{unit}": size for name in ("t", "time", "stamp") for unit, size in PARTS.items()}}
 _POSITION = re.compile(r"(?:pose[._])?(?:p|pos|position)?(?:[._]?(s[eb]))?[._]?([xyz])")
 _QUATERNION = re.compile(r"(?:pose[._])?(?:q|quat|quaternion|orientation)(?:[._]?(s[eb]))?[._]?([wxyz])")
@@ -68,14 +67,20 @@ def read(
     as_path: bool = False,
     units: Units = SI,
 ) -> Samples:
-    """A motion of the tray (or the object), or of the arm's joints, from a file.
+    """Read a motion of the tray, of the object, or of the arm's joints from a file.
 
-    By its ending: .csv or .txt; .npz with t and q, as `salver execute` and `salver simulate` log joints; .yaml, .yml or
-    .json with a trajectory_msgs/JointTrajectory (also in a MoveIt RobotTrajectory) or a nav_msgs/Path; .json as salver
-    writes it; a bag (.bag, .mcap, .db3, or a directory with metadata.yaml). joint_names: gives the arm's names, called
-    only when they are needed to understand a table. topic: which one of a bag. as_path: only the way matters, not the
-    time: joints go before the tray where a table has both, and two samples are enough. units: of a table. Raises
-    FileFormatError, one sentence for each mistake.
+    Args:
+        path: .csv or .txt; .npz with t and q, as `salver execute` and `salver simulate` log joints; .yaml, .yml or
+        .json
+            with a trajectory_msgs/JointTrajectory (also in a MoveIt RobotTrajectory) or a nav_msgs/Path; .json that
+            salver wrote; a bag (.bag, .mcap, .db3, or a directory with metadata.yaml).
+        joint_names: returns the arm's joint names; called only if a table needs them.
+        topic: topic of a bag.
+        as_path: only the path matters, not the time: joints are preferred to the tray, and two samples suffice.
+        units: units of a table.
+
+    Raises:
+        FileFormatError: one sentence for each mistake.
     """
     path = Path(path)
     if not _exists(path):
@@ -85,7 +90,7 @@ def read(
 
 
 def _read(path: Path, joint_names: JointNames, topic: str | None, as_path: bool, units: Units) -> Samples:
-    """`read`, without what the file says of itself."""
+    """`read`, without the verdict in the file."""
     ending = path.suffix.lower()
     if units.text and ending not in TABLES:
         raise FileFormatError(f"{path} is no table ({', '.join(TABLES)}), so it is in rad, m and s; leave --units out.")
@@ -133,12 +138,12 @@ def _of_arrays(path: Path) -> JointSamples:
 def _exists(path: Path) -> bool:
     try:
         return path.exists()
-    except (OSError, ValueError):  # a name that no file has
+    except (OSError, ValueError):  # an invalid file name
         return False
 
 
 def _of_json(document: Mapping[str, Any], source: str, joint_names: JointNames, as_path: bool) -> Samples:
-    """Arrays by name, as `salver.motion_files.writers.write_json` writes them."""
+    """Samples from arrays by name, as `salver.motion_files.writers.write_json` writes them."""
     names = document.get("joint_names")
     header, parts = ["t"], []
     try:
@@ -170,8 +175,8 @@ def column_names(quantity: str, joint_names: tuple[str, ...]) -> list[str]:
 
 
 def of_columns(columns: Mapping[str, Any], joint_names: JointNames = no_joints, units: Units = SI) -> Samples:
-    """A motion of columns by name: a mapping of arrays, or a pandas DataFrame (whose index is the time where no column
-    is). Raises FileFormatError."""
+    """A motion from columns by name: a mapping of arrays, or a pandas DataFrame, whose index is the time if no column
+    is. Raises FileFormatError."""
     source = f"the {type(columns).__name__}"
     if not hasattr(columns, "keys"):
         raise FileFormatError(f"{source} is no motion; give a file, a mapping of columns by name, or a DataFrame.")
@@ -195,7 +200,8 @@ def of_table(
     as_path: bool = False,
     units: Units = SI,
 ) -> Samples:
-    """Tray or joint motion; the header decides which. With both it is the tray's, or the joints' `as_path`."""
+    """A tray or joint motion, depending on the header; if it has both, that of the tray, or with `as_path` of the
+    joints."""
     lowered = [name.lower() for name in header]
     for j, name in enumerate(lowered):
         first = lowered.index(name)
@@ -238,7 +244,7 @@ def of_table(
 
 
 def _pose_columns(header: list[str]) -> dict[str, dict[str, int]]:
-    """frame ("", "se", "sb") -> {"px": column, ..., "qz": column}."""
+    """Columns of poses: frame ("", "se", "sb") -> {"px": column, ..., "qz": column}."""
     found: dict[str, dict[str, int]] = {}
     for j, name in enumerate(header):
         for letter, pattern in (("q", _QUATERNION), ("p", _POSITION)):
@@ -250,7 +256,7 @@ def _pose_columns(header: list[str]) -> dict[str, dict[str, int]]:
 
 
 def _joint_columns(header: list[str], joint_names: tuple[str, ...]) -> dict[str, int]:
-    """Columns of joint positions by name: the arm's names, else numbers, else what calls itself a joint's position."""
+    """Columns of joint positions: those with the arm's names, else numbered ones, else those named as positions."""
     position = {re.sub(r"^(?:position[._]|q_)|[._]pos(?:ition)?$", "", name): j for j, name in enumerate(header)}
     named = {name: position[name] for name in joint_names if name in position}
     if named:
@@ -272,7 +278,7 @@ _RATES = {1: ("dq_{}", "velocity.{}", "{}_velocity", "{}_vel"), 2: ("ddq_{}", "a
 
 
 def _rates(header: list[str], values: Array, joints: tuple[str, ...], order: int) -> Array | None:
-    """Velocities (order 1) or accelerations (2) of all these joints, where the table has them."""
+    """Velocities (order 1) or accelerations (2) of all joints, or None if the table lacks some."""
     for pattern in _RATES[order]:
         names = [pattern.format(name.removeprefix("q_")) for name in joints]
         if all(name in header for name in names):
@@ -281,14 +287,16 @@ def _rates(header: list[str], values: Array, joints: tuple[str, ...], order: int
 
 
 def read_path(path: Path, joint_names: tuple[str, ...], topic: str | None = None, units: Units = SI) -> Array:
-    """(K, n) joint positions, rad, in the order of `joint_names`: of any motion file, or of a table without times, one
-    posture a row; its columns go by the joints' names where it has a heading. Raises FileFormatError."""
+    """Joint positions (K, n), rad, in the order of `joint_names`, from a motion file or from a table of postures.
+
+    A table of postures has a posture in each row and no times; a heading names its columns. Raises FileFormatError.
+    """
     if path.suffix.lower() in TABLES and _exists(path):
         header, values = read_table(path, headless=True)
         if not any(name.lower() in _TIME for name in header):
             count = values.shape[1]
             wrong = next((word for word in header if not _is_number(word)), None)
-            if any(_is_number(word) for word in header):  # a posture with a mistake in it is no heading
+            if any(_is_number(word) for word in header):  # a posture with a mistake, not a heading
                 raise FileFormatError(
                     f'{path}, line 1: "{wrong}" is no number; every row must be {len(joint_names)} joint angles in rad.'
                 )
@@ -316,7 +324,7 @@ def read_path(path: Path, joint_names: tuple[str, ...], topic: str | None = None
 
 
 def read_table(path: Path, headless: bool = False) -> tuple[list[str], Array]:
-    """Header and numbers (N, columns). headless: without a header is accepted; it is empty then."""
+    """Read the header and the numbers (N, columns) of a table. headless: accept a table without a header."""
     try:
         with open(path, encoding="utf-8-sig") as file:
             start = next(((k, line) for k, line in enumerate(file) if line.strip() and not line.startswith("#")), None)
@@ -339,7 +347,7 @@ def read_table(path: Path, headless: bool = False) -> tuple[list[str], Array]:
 
 
 def _numbers(path: Path, skipped: int, separator: str | None, columns: int) -> Array:
-    """(N, columns) below line `skipped`, which is the header's, counted from 0."""
+    """The numbers (N, columns) of a table; skipped: index of the header's line, from 0."""
     table: Any = path
     point = "."
     try:
@@ -347,7 +355,7 @@ def _numbers(path: Path, skipped: int, separator: str | None, columns: int) -> A
             point = ","
             table = [line.replace(point, ".") for line in path.read_text(encoding="utf-8-sig").splitlines()]
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)  # of a file without rows, which is told below
+            warnings.simplefilter("ignore", UserWarning)  # a file without rows is refused below
             values = np.loadtxt(table, delimiter=separator, ndmin=2, skiprows=skipped + 1, encoding="utf-8-sig")
     except (ValueError, UnicodeDecodeError):
         values = np.zeros((1, 0))
@@ -360,14 +368,14 @@ def _numbers(path: Path, skipped: int, separator: str | None, columns: int) -> A
 
 
 def _has_decimal_commas(path: Path, skipped: int) -> bool:
-    """Whether numbers have commas and none has a point: with both, a comma could stand between thousands."""
+    """Whether numbers have commas and none has a point; with both, commas could separate thousands."""
     with open(path, encoding="utf-8-sig") as file:
         rows = [line for line in islice(file, skipped + 1, None) if not line.startswith("#")]
     return any("," in row for row in rows) and not any("." in row for row in rows)
 
 
 def _point_at_fault(path: Path, skipped: int, separator: str | None, columns: int, point: str) -> None:
-    """Raise FileFormatError that names the first line that is no row of numbers."""
+    """Raise FileFormatError with the first line that is not a row of numbers."""
     with open(path, encoding="utf-8-sig", errors="replace") as file:
         for k, line in enumerate(file, 1):
             if k <= skipped + 1 or not line.strip() or line.startswith("#"):

@@ -1,6 +1,6 @@
 """Motions in the formats of ROS: a JointTrajectory message as YAML or JSON, and bags through rosbags.
 
-Quaternions of ROS are x, y, z, w; they are turned round here and nowhere else.
+Quaternions of ROS are x, y, z, w; only this module and `ros_writers` convert them.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ JOINT_STATE = "sensor_msgs/msg/JointState"
 POSE = "geometry_msgs/msg/PoseStamped"
 PATH = "nav_msgs/msg/Path"
 WRENCH = "geometry_msgs/msg/WrenchStamped"
-SPARSE = 0.03  # s from a joint's sample to one of the wrist
+SPARSE = 0.03  # s, largest distance from a joint's sample to one of the wrist
 KINDS = (TRAJECTORY, JOINT_STATE, POSE, PATH)
-OBJECT = "object_path"  # ends the name of a path of the object's frame B
-LARGEST_YAML, LARGEST_JSON = 5_000_000, 100_000_000  # bytes: YAML is read at some 0.2 MB/s
+OBJECT = "object_path"  # end of the name of a path of the object's frame B
+LARGEST_YAML, LARGEST_JSON = 5_000_000, 100_000_000  # bytes; YAML is read at about 0.2 MB/s
 LARGEST_BAG = 2_000_000_000  # bytes
 MOST_MESSAGES = 5_000_000
-DEEPEST = 8  # that a trajectory may lie in a message
+DEEPEST = 8  # largest depth of a trajectory in a message
 _NESTED = ("trajectory", "joint_trajectory", "planned_trajectory", "msg", "goal")
 
 
@@ -79,7 +79,8 @@ def _json(text: str, path: Path) -> Any:
 
 
 def _yaml(text: str, path: Path) -> Any:
-    """The first document. Aliases are refused: a message has none, and a few lines of them unfold without end."""
+    """The first document of a YAML text. Aliases are refused, because messages have none and they can expand without
+    limit."""
     from ruamel.yaml import YAML
     from ruamel.yaml.composer import Composer, ComposerError
     from ruamel.yaml.error import YAMLError
@@ -109,12 +110,12 @@ def _yaml(text: str, path: Path) -> Any:
         TypeError,
         RecursionError,
         OverflowError,
-    ) as error:  # dates, numbers and nesting beyond Python's
+    ) as error:  # dates, numbers and nesting beyond Python's limits limits
         raise FileFormatError(f"{path} is not YAML of a trajectory ({type(error).__name__}).") from None
 
 
 def _find_trajectory(data: Any, depth: int = 0) -> Mapping[str, Any] | None:
-    """The message itself, or inside a RobotTrajectory, an action goal or a list of one."""
+    """The JointTrajectory in a message: itself, or inside a RobotTrajectory, an action goal or a list of one."""
     if depth > DEEPEST:
         return None
     if isinstance(data, Mapping):
@@ -153,7 +154,7 @@ def _from_trajectory(joint_names: Any, points: Any, source: str, as_path: bool =
 
 
 def _column(points: Any, key: str, n: int, source: str) -> Array | None:
-    """(N, n) of one field; None when the points do not have it."""
+    """Values (N, n) of one field of the points; None if they do not have it."""
     rows = [() if (row := _get(point, key)) is None else row for point in points]
     for k, row in enumerate(rows):
         if not _is_row(row):
@@ -181,7 +182,7 @@ def _get(item: Any, key: str, default: Any = None) -> Any:
 
 
 def _seconds(stamp: Any) -> float:
-    """Seconds of a number, or of a ROS time or duration (1: secs, nsecs; 2: sec, nanosec)."""
+    """Seconds of a number, or of a time or duration of ROS 1 (secs, nsecs) or ROS 2 (sec, nanosec)."""
     if isinstance(stamp, int | float):
         return float(stamp)
     for whole, rest in (("sec", "nanosec"), ("secs", "nsecs")):
@@ -191,7 +192,7 @@ def _seconds(stamp: Any) -> float:
 
 
 def read_bag(path: Path, topic: str | None = None, as_path: bool = False) -> Samples:
-    """The only motion of a bag, or that of `topic`: JointTrajectory, JointState, or of the tray PoseStamped or Path."""
+    """Read the only motion of a bag, or that of `topic`: JointTrajectory, JointState, PoseStamped or Path."""
     name, kind, messages = _messages(path, lambda connections: _choose(connections, topic, path))[0]
     source = f"{path}, topic {name}"
     if kind == TRAJECTORY:
@@ -208,8 +209,10 @@ def read_bag(path: Path, topic: str | None = None, as_path: bool = False) -> Sam
 
 
 def read_sensed(path: Path, topic: str | None = None) -> tuple[JointSamples, Array | None]:
-    """The joints of a bag (of `topic`, where several tell them) with their efforts, and what its WrenchStamped says at
-    these times: (N, 6) force and torque, None without."""
+    """Read the joints of a bag with their efforts, and its WrenchStamped (N, 6) at their times, or None.
+
+    topic: topic of the joints, if there are several.
+    """
 
     def chosen(connections: Sequence[Any]) -> list[Any]:
         shown = ", ".join(f"{c.topic} ({c.msgtype})" for c in connections) or "none"
@@ -242,8 +245,8 @@ def read_sensed(path: Path, topic: str | None = None) -> tuple[JointSamples, Arr
 
 
 def _messages(path: Path, chosen: Callable[[Sequence[Any]], list[Any]]) -> list[tuple[str, str, list[tuple[int, Any]]]]:
-    """Topic, type and messages (with their stamps of recording) of each topic of a bag that is chosen of its
-    connections."""
+    """Topic, type and messages, with the times of their recording, of each connection of a bag that `chosen`
+    selects."""
     from rosbags.highlevel import AnyReader
     from rosbags.typesys import Stores, get_typestore
 
@@ -268,7 +271,7 @@ def _messages(path: Path, chosen: Callable[[Sequence[Any]], list[Any]]) -> list[
                 found[connection.topic][1].append((stamp, reader.deserialize(raw, connection.msgtype)))
     except FileFormatError:
         raise
-    except Exception as error:  # a damaged bag leads its reader anywhere
+    except Exception as error:  # the reader of a damaged bag raises various exceptions
         reason = str(error).splitlines()[0][:200] if str(error) else type(error).__name__
         raise FileFormatError(f"{path} cannot be read as a ROS bag ({reason}).") from None
     if sum(len(messages) for _, messages in found.values()) > MOST_MESSAGES:
@@ -292,7 +295,7 @@ def _choose(connections: Sequence[Any], topic: str | None, path: Path) -> list[A
                 f"{', '.join(KINDS)}."
             )
         return chosen
-    # Paths beside a motion of the joints are drawn from it, and that of the object from the tray's.
+    # Paths beside a joint motion are derived from it, and a path of the object from that of the tray.
     usable = [c for c in usable if c.topic != STOPS]
     usable = [c for c in usable if c.msgtype != PATH] or [c for c in usable if not c.topic.endswith(OBJECT)] or usable
     topics = {c.topic for c in usable}
@@ -303,13 +306,13 @@ def _choose(connections: Sequence[Any], topic: str | None, path: Path) -> list[A
 
 
 def _times(messages: Sequence[tuple[int, Any]]) -> Array:
-    """s since the first of them."""
+    """Times since the first message, s."""
     stamps = _stamps(messages)
     return stamps - stamps[0]
 
 
 def _stamps(messages: Sequence[tuple[int, Any]]) -> Array:
-    """Stamps of the headers, s; of the recording where there are none."""
+    """Stamps of the headers, s, or times of the recording if there are none."""
     stamps = np.array([_seconds(message.header.stamp) for _, message in messages])
     if np.all(stamps == 0):
         stamps = np.array([stamp for stamp, _ in messages]) * 1e-9
@@ -346,7 +349,7 @@ def _poses(messages: Sequence[tuple[int, Any]], source: str) -> TraySamples:
 
 
 def _from_path(poses: Any, name: str, source: str) -> TraySamples:
-    """A nav_msgs/Path: of the tray, or of the object where its name says so. Every pose has its own stamp."""
+    """Samples of a nav_msgs/Path, in which every pose has a stamp: of the tray, or of the object by its name."""
     rows = []
     try:
         for pose in poses:

@@ -1,7 +1,7 @@
-"""ROS 2: a bag (mcap) with the joint trajectory and the paths of tray and object, and the same messages as YAML.
+"""ROS 2: a bag (mcap) with the joint trajectory and the paths of tray and object, and these messages as YAML.
 
-Quaternions are xyzw here and only here. Times are whole nanoseconds from the start of the motion; the stamp of a
-message is 0 because a plan has no date.
+Quaternions of ROS are x, y, z, w. Times are whole nanoseconds from the start of the motion; the stamp of a message is
+0, because a plan has no date.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ TOPICS = {
 }
 WORLD_FRAME = "world"
 _BILLION = 1_000_000_000
-BAG_VERSION: Any = 8  # of the bag's metadata: the older of the two that are written
+BAG_VERSION: Any = 8  # version of the bag's metadata, the older one that rosbags writes
 
 
 def messages(motion: MotionSeries) -> dict[str, dict[str, Any]]:
-    """Topic to message, as plain mappings in the order of the message definitions."""
+    """The messages by topic, as mappings in the order of the message definitions."""
     out: dict[str, dict[str, Any]] = {}
     none = np.zeros((len(motion.ns), 0))
     given = {"positions": motion.q, "velocities": motion.dq, "accelerations": motion.ddq, "effort": motion.tau}
@@ -83,8 +83,8 @@ def _time(ns: int) -> dict[str, int]:
 
 
 def write_bag(motion: MotionSeries, path: Path) -> list[Path]:
-    """A rosbag2 directory with one mcap file, one message a topic; of the topic STOPS one message a stop, recorded at
-    the instant at which the motion may be left for it. Raises SalverError when `path` exists."""
+    """Write a rosbag2 directory with one mcap file and one message in each topic; the topic STOPS has one message for
+    each stop, recorded at the instant at which the motion may be left. Raises SalverError when `path` exists."""
     from rosbags.rosbag2 import StoragePlugin, Writer
     from rosbags.typesys import Stores, get_typestore
 
@@ -115,9 +115,9 @@ def write_bag(motion: MotionSeries, path: Path) -> list[Path]:
 
 
 def typed(store: Any, kind: str, values: dict[str, Any]) -> Any:
-    """A message of rosbags filled from a mapping; what the mapping leaves out is zero or empty.
+    """A message of rosbags with values from a mapping; missing fields are zero or empty.
 
-    Raises KeyError for what there is not in such a message.
+    Raises KeyError for a field that the message does not have.
     """
     members: dict[str, Any] = {}
     if unknown := values.keys() - {name for name, _ in store.fielddefs[kind][1]}:
@@ -138,8 +138,8 @@ def typed(store: Any, kind: str, values: dict[str, Any]) -> Any:
 
 
 def write_yaml(motion: MotionSeries, path: Path) -> list[Path]:
-    """One file a message, as `ros2 topic pub` reads them: PATH for the joint trajectory (for the tray's path when
-    there is no arm), PATH with _tray_path and _object_path before its ending for the others."""
+    """Write a file for each message, as `ros2 topic pub` reads them: PATH for the joint trajectory (or the tray's path
+    without an arm), PATH with _tray_path and _object_path before its ending for the others."""
     made = []
     found = messages(motion)
     for topic, message in found.items():
@@ -151,7 +151,7 @@ def write_yaml(motion: MotionSeries, path: Path) -> list[Path]:
 
 
 def _write_stops(motion: MotionSeries, path: Path, wrapped: Callable[[dict[str, Any]], dict[str, Any]]) -> list[Path]:
-    """PATH with _stops before its ending: a table of times, and the stops as trajectories by name."""
+    """Write the stops to PATH with _stops before its ending: a table of times, and the trajectories by name."""
     if not motion.stops:
         return []
     table, named = [], {}
@@ -166,7 +166,7 @@ def _write_stops(motion: MotionSeries, path: Path, wrapped: Callable[[dict[str, 
 
 
 def write_robot_trajectory(motion: MotionSeries, path: Path) -> list[Path]:
-    """A moveit_msgs/RobotTrajectory. Raises SalverError for a motion without joints."""
+    """Write a moveit_msgs/RobotTrajectory. Raises SalverError for a motion without joints."""
 
     def wrapped(joints: dict[str, Any]) -> dict[str, Any]:
         return {"joint_trajectory": joints, "multi_dof_joint_trajectory": _NO_OTHER_JOINTS}
@@ -177,7 +177,7 @@ def write_robot_trajectory(motion: MotionSeries, path: Path) -> list[Path]:
 
 
 def _headed(motion: MotionSeries, kind: str) -> str:
-    """The comments above a message: its type and the verdict on its motion, first where that warns."""
+    """The comments above a message: its type and the verdict on its motion, first if that is a warning."""
     lines = [f"# {text}\n" for text in (kind, motion.verdict) if text]
     return "".join(reversed(lines) if warns(motion.verdict) else lines)
 
@@ -186,8 +186,8 @@ _NO_OTHER_JOINTS = {"header": {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": ""
 
 
 def write_message(motion: MotionSeries, path: Path) -> list[Path]:
-    """A trajectory_msgs/JointTrajectory as JSON, with its verdict when that warns. Raises SalverError for a motion of
-    the tray."""
+    """Write a trajectory_msgs/JointTrajectory as JSON, with its verdict if that is a warning. Raises SalverError for a
+    motion of the tray."""
     verdict = {"verdict": motion.verdict} if warns(motion.verdict) else {}
     return [write_atomic(path, to_json({**verdict, **_joints(motion, path)}), keep=True)]
 
@@ -200,9 +200,9 @@ def _joints(motion: MotionSeries, path: Path) -> dict[str, Any]:
 
 
 def _block(value: dict[str, Any], indent: str) -> list[str]:
-    """YAML lines of a mapping: what holds only scalars in one line, the rest indented.
+    """YAML lines of a mapping: entries with only scalars in one line, others indented.
 
-    A general emitter takes ten times as long for a thousand points.
+    A general YAML emitter would take ten times as long for a thousand points.
     """
     lines = []
     for key, item in value.items():
@@ -225,6 +225,6 @@ def _flow(value: Any) -> str:
         return "[" + ", ".join(_flow(item) for item in value) + "]"
     if isinstance(value, float):
         text = repr(float(value))
-        # YAML 1.1, which ROS reads, takes 1e-05 for a word.
+        # YAML 1.1, which ROS reads, parses 1e-05 as text.
         return text if "e" not in text or "." in text else text.replace("e", ".0e")
     return json.dumps(value)

@@ -1,4 +1,4 @@
-"""A recorded or planned motion as it was read: samples in time, and the checks that every format shares."""
+"""Samples of a motion that was read from a file, with the checks that all formats share."""
 
 from __future__ import annotations
 
@@ -12,20 +12,19 @@ from salver.display import Outlined
 from salver.errors import FileFormatError
 from salver.geometry import Array, continuous
 
-FEWEST = 8  # samples of a recording: below that no acceleration can be told from noise
+FEWEST = 8  # least number of samples of a recording, to separate accelerations from noise
 SHORTEST_STEP = 1e-5  # s
 NUMBERED = re.compile(r"(?:q_)?(([qja])_?\[?(\d+)\]?)", re.IGNORECASE)  # names that only number the joints: q1, J1, A1
-AT_REST = 0.02  # m/s, rad/s: below that a motion rests between two legs
+AT_REST = 0.02  # m/s or rad/s, below which a motion is at rest between two legs
 
 
 @dataclass(frozen=True, repr=False)
 class TraySamples(Outlined):
     """Poses of the tray frame E (or of the object frame B) in S.
 
-    t (N,) s from the first sample; p (N, 3) m; quat_wxyz (N, 4), continuous in sign, of norm 1 up to what
-    the file rounds. frame: "E" or "B". notes: what was repaired on reading, as sentences.
-    form: of the file, one of `salver.motion_files.FORMS`. verdict: "UNSAFE: why" where the file says so of itself, else
-    empty.
+    t (N,): s from the first sample. p (N, 3): m. quat_wxyz (N, 4): continuous in sign, of norm 1 up to rounding in the
+    file. frame: "E" or "B". notes: repairs on reading, as sentences. form: format of the file, one of
+    `salver.motion_files.FORMS`. verdict: the warning in the file ("UNSAFE: why"), else empty.
     """
 
     t: Array
@@ -38,17 +37,16 @@ class TraySamples(Outlined):
     verdict: str = ""
 
     def paced(self, factor: float) -> TraySamples:
-        """The path in `factor` times the time."""
+        """The motion stretched in time by `factor`."""
         return replace(self, t=self.t * factor)
 
 
 @dataclass(frozen=True, repr=False)
 class JointSamples(Outlined):
-    """Joint positions q (N, n) at t (N,), with velocities and accelerations where the file has them.
+    """Joint positions q (N, n) at t (N,), with velocities and accelerations if the file has them.
 
-    names: (n,) of the joints, in the order of the columns. commanded: whether a controller is told to run through
-    these waypoints with these velocities; otherwise they are a recording. form, verdict: as in `TraySamples`. tau: (N,
-    n) N m, of a recording that has it, where it was asked for.
+    names: (n,) of the joints, in the order of the columns. commanded: whether these are waypoints of a command, with
+    velocities; otherwise they are a recording. form, verdict: as in `TraySamples`. tau: (N, n), N m, or None.
     """
 
     t: Array
@@ -64,7 +62,7 @@ class JointSamples(Outlined):
     verdict: str = ""
 
     def paced(self, factor: float) -> JointSamples:
-        """The path in `factor` times the time."""
+        """The motion stretched in time by `factor`."""
         dq, ddq = (None if x is None else x / factor**k for k, x in ((1, self.dq), (2, self.ddq)))
         return replace(self, t=self.t * factor, dq=dq, ddq=ddq)
 
@@ -73,9 +71,9 @@ Samples = TraySamples | JointSamples
 
 
 def cut_at_rests(samples: Samples, count: int) -> list[Samples]:
-    """The motion in `count` parts, each from rest to rest, cut in the middle of its longest rests.
+    """The motion cut in the middle of its longest rests into `count` parts, each from rest to rest.
 
-    Raises FileFormatError when it rests less often on its way.
+    Raises FileFormatError when it rests less often.
     """
     t = samples.t
     x = samples.q if isinstance(samples, JointSamples) else np.hstack([samples.p, samples.quat_wxyz])
@@ -109,7 +107,7 @@ def tray_samples(t: Array, p: Array, quat_wxyz: Array, frame: str, source: str) 
             f"{source}: the position of sample {k + 1} is {np.abs(p[k]).max():.4g} m away; positions are in metres "
             "(of a table also in others: --units mm)."
         )
-    quat = continuous(quat_wxyz / np.median(norm))  # one factor for all: what the file rounds to stays a step
+    quat = continuous(quat_wxyz / np.median(norm))  # one factor for all samples keeps the resolution of the file
     t, keep, notes = _clock(t, np.hstack([p, quat]), source)
     return TraySamples(t[keep] - t[0], p[keep], quat[keep], frame, source, notes)
 
@@ -147,7 +145,7 @@ def reordered(samples: JointSamples, names: tuple[str, ...]) -> JointSamples:
 
 
 def _numbered(names: tuple[str, ...]) -> bool:
-    """Whether the names only number the joints (q1, J1, A1, ...), so that they fit any arm of that many joints."""
+    """Whether the names only number the joints (q1, J1, A1, ...), so that they fit any arm with as many joints."""
     return all(NUMBERED.fullmatch(name) or name.isdigit() for name in names)
 
 
@@ -166,8 +164,10 @@ def _finite(arrays: dict[str, Array], source: str) -> None:
 
 
 def _clock(t: Array, y: Array, source: str, fewest: int = FEWEST) -> tuple[Array, Array, tuple[str, ...]]:
-    """Times, indices to keep, and notes. Time may stand still, never run backwards: of equal samples (N, d) at one time
-    the later ones are dropped, others are spread till the next time."""
+    """Repaired times, indices of samples to keep, and notes. Raises FileFormatError if times decrease.
+
+    Equal samples (N, d) at one time are dropped; different samples at one time are spread until the next time.
+    """
     step = np.diff(t)
     back = np.flatnonzero(step < 0)
     if len(back):

@@ -20,9 +20,9 @@ _SIZES = {
 
 @dataclass(frozen=True)
 class Units:
-    """Sizes of a table's units in rad, m and s; velocities and accelerations are per second in any case.
+    """Factors from a table's units to rad, m and s; velocities and accelerations are always per second.
 
-    prismatic: (n,) for each joint of the arm, in its order. text: as the user named the units, empty for SI.
+    prismatic: (n,) whether each joint of the arm is prismatic. text: the units as the user gave them, empty for SI.
     """
 
     angle: float = 1.0
@@ -33,7 +33,7 @@ class Units:
 
     @classmethod
     def parse(cls, text: str | None, prismatic: Sequence[bool] = ()) -> Units:
-        """Units of a list such as "deg,mm,ms"; what it does not name is in SI. Raises SalverError."""
+        """The units of a list such as "deg,mm,ms"; others are SI. Raises SalverError."""
         if text is None:
             return SI
         named = [unit.strip() for unit in text.split(",")]
@@ -45,14 +45,14 @@ class Units:
         return cls(angle, length, time, tuple(map(bool, prismatic)), ", ".join(named))
 
     def of_joints(self, count: int) -> Array:
-        """(count,) sizes of the units of joint positions."""
+        """Factors (count,) from the units of joint positions to rad or m."""
         if len(self.prismatic) != count:
             return np.full(count, self.angle)
         return np.where(self.prismatic, self.length, self.angle)
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """A sentence for the user on what was converted; none for SI."""
+        """A sentence about the conversion; none for SI."""
         said = f"Units of the table: {self.text}; every answer and every written file is in rad, m, s."
         return (said,) if self.text else ()
 

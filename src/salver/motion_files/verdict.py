@@ -1,5 +1,5 @@
-"""The verdict in a motion file: an unsafe motion says so in its name and first in its text; one that loses its load
-when it is run slower says that first in its text."""
+"""The verdict in a motion file: a file with an unsafe motion is marked in its name and at its beginning; one with a
+motion that loses its load at lower speed at its beginning."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ from salver.errors import UnsafeError
 UNSAFE = "UNSAFE"
 SPEED = "NOT AT EVERY SPEED"
 _SAID = re.compile(rf'({UNSAFE}|{SPEED}): ([^\n"]*)')
-_HEAD = 2000  # bytes of a file in which its verdict stands
+_HEAD = 2000  # bytes at the beginning of a file that contain its verdict
 
 
 def one_line(text: str) -> str:
-    """The text without line breaks and control characters: as a comment of any format may hold it."""
+    """The text without line breaks and control characters, for a comment in any format."""
     return " ".join("".join(c if c.isprintable() else " " for c in text).split())
 
 
 def warns(verdict: str) -> bool:
-    """Whether a verdict must be read before its motion is run, also where a file has no room for a heading."""
+    """Whether a verdict is a warning, which every file must carry."""
     return verdict.startswith((UNSAFE, SPEED))
 
 
 def place_for(path: str | Path, verdict: str, unsafe: bool) -> Path:
-    """The path of a motion with that verdict: `path`, or with UNSAFE at the end of its name.
+    """The path of a file for a motion with a verdict: `path`, with UNSAFE at the end of the name if the motion failed.
 
-    unsafe: whether a motion that fails its verdict may be written at all. Raises UnsafeError.
+    unsafe: whether a motion that failed may be written; otherwise it raises UnsafeError.
     """
     path = Path(path)
     if not verdict.startswith(UNSAFE):
@@ -44,8 +44,8 @@ def place_for(path: str | Path, verdict: str, unsafe: bool) -> Path:
 
 
 def verdict_in(path: Path) -> str:
-    """ "UNSAFE: why" where a motion file says so of itself, in its text or its name, or that it is not safe at every
-    speed; else empty."""
+    """The warning in the text or the name of a motion file, "UNSAFE: why" or that it is not safe at every speed; else
+    empty."""
     found = _SAID.search(_text(path))
     if found:
         return f"{found[1]}: {found[2].strip()}"
@@ -53,7 +53,7 @@ def verdict_in(path: Path) -> str:
 
 
 def _text(path: Path) -> str:
-    """The text with the verdict of a file or of a bag."""
+    """The text of a file or a bag that can contain its verdict."""
     if path.suffix.lower() == ".npz":
         with np.load(path, allow_pickle=False) as arrays:
             return str(arrays["verdict"]) if "verdict" in arrays.files else ""

@@ -1,5 +1,5 @@
-"""Writing a motion: which format; CSV and JSON, every number with all its digits. Formats of ROS are in
-`salver.motion_files.ros_writers`."""
+"""Writing of motion files: choice of the format; CSV and JSON, with all digits of every number.
+`salver.motion_files.ros_writers` writes formats of ROS."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from salver.motion_files.motion import MotionSeries
 from salver.motion_files.readers import FORMAT, column_names
 from salver.motion_files.verdict import place_for, warns
 
-# Format to the endings of its files; a bag is a directory.
+# File endings by format; a bag is a directory.
 ENDINGS = {
     "csv": (".csv", ".txt"),
     "json": (".json",),
@@ -27,10 +27,11 @@ ENDINGS = {
 
 
 def write(motion: MotionSeries, path: str | Path, form: str | None = None, *, unsafe: bool = False) -> list[Path]:
-    """Write a motion; returns the files. Another file that stands at `path` is kept, numbered.
+    """Write a motion; returns the files. An existing file at `path` is kept, numbered.
 
-    form: one of `ENDINGS`; by default what the ending says (.json: salver's own; none: a bag). unsafe: write also a
-    motion that fails its verdict, with UNSAFE in its name and first in the file. Raises SalverError; UnsafeError.
+    form: one of `ENDINGS`; default: by the file's ending (.json: salver's own; none: a bag). unsafe: also write a
+    motion that failed verification, marked with UNSAFE in its name and at its beginning. Raises SalverError,
+    UnsafeError.
     """
     from salver.motion_files import ros_writers
 
@@ -50,7 +51,7 @@ def write(motion: MotionSeries, path: str | Path, form: str | None = None, *, un
 
 
 def form_of(path: str | Path, like: str | None = None) -> str:
-    """The format that a name asks for; where its ending leaves that open, the one that is given. Raises SalverError."""
+    """The format of a file by its ending; `like` decides if the ending is ambiguous. Raises SalverError."""
     ending = Path(path).suffix.lower()
     matching = [form for form, endings in ENDINGS.items() if ending in endings or (not ending and form == "ros2")]
     if not matching:
@@ -59,7 +60,7 @@ def form_of(path: str | Path, like: str | None = None) -> str:
 
 
 def columns(motion: MotionSeries) -> dict[str, Array]:
-    """Name to values (T,): t, then each component, as p_SE_x, quat_SE_w, q_panda_joint1. Units as in the docs (SI)."""
+    """Columns (T,) by name: t, then each component, such as p_SE_x, quat_SE_w, q_panda_joint1, in SI units."""
     out: dict[str, Array] = {"t": motion.t}
     for name, values in motion.known.items():
         out.update(zip(column_names(name, motion.joint_names), values.T, strict=True))
@@ -67,7 +68,8 @@ def columns(motion: MotionSeries) -> dict[str, Array]:
 
 
 def write_csv(motion: MotionSeries, path: Path) -> list[Path]:
-    """One row an instant, one column a component; headings as in `columns`, below the verdict where it warns."""
+    """Write a row for each instant and a column for each component, headings as in `columns`, below a warning if there
+    is one."""
     table = columns(motion)
     text = io.StringIO()
     text.write(f"# {motion.verdict}\n" if warns(motion.verdict) else "")
@@ -79,7 +81,7 @@ def write_csv(motion: MotionSeries, path: Path) -> list[Path]:
 
 
 def write_json(motion: MotionSeries, path: Path) -> list[Path]:
-    """Arrays by name, and where they come from."""
+    """Write the arrays by name, with their provenance."""
     document: dict[str, Any] = {
         **({"verdict": motion.verdict} if motion.verdict else {}),
         "format": FORMAT,

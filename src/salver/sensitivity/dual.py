@@ -1,7 +1,7 @@
-"""Stacks of 3-vectors that may carry their derivative: first-order forward differentiation by hand-sized rules.
+"""Stacks of 3-vectors with derivatives: dual numbers for forward differentiation.
 
-The planner needs the derivative of sensitivities by the coefficients of the reference. Written once on
-these, the formulas of `salver.sensitivity.tray` serve both plain evaluation (no tangent) and planning.
+The planner needs the derivatives of sensitivities by the coefficients of the reference. With these, the formulas of
+`salver.sensitivity.tray` serve both plain evaluation (no tangent) and planning.
 
 Shapes: value (T, P, 3), tangent (T, P, 3, n_z) or None for zero; T instants, P parameters (or 1).
 """
@@ -39,28 +39,28 @@ class Dual:
         return Dual(self.value - other.value, self.tangent - other.tangent)
 
     def scaled(self, factor: float | Array) -> Dual:
-        """Times a constant, or a constant (P, 1) that differs between parameters."""
+        """The product with a constant, or with a constant (P, 1) for each parameter."""
         factor = np.asarray(factor, dtype=float)
         tangent = None if self.tangent is None else self.tangent * factor[..., None]
         return Dual(self.value * factor, tangent)
 
     def mapped(self, matrix: Array) -> Dual:
-        """Times constant matrices (..., 3, 3)."""
+        """The product of constant matrices (..., 3, 3) with the vectors."""
         value = (matrix @ self.value[..., None])[..., 0]
         if self.tangent is None:
             return Dual(value)
-        if matrix.ndim == 3 and self.tangent.shape[1] == 1:  # the same for all instants: one below the other
+        if matrix.ndim == 3 and self.tangent.shape[1] == 1:  # one matrix for all instants: a single product
             rows = matrix.reshape(-1, 3) @ self.tangent[:, 0]
             return Dual(value, rows.reshape(len(rows), len(matrix), 3, rows.shape[2]))
         return Dual(value, matrix @ self.tangent)
 
     @cached_property
     def vanishes(self) -> bool:
-        """Whether it is zero whatever the variables are."""
+        """Whether it is identically zero."""
         return self.tangent is None and not self.value.any()
 
     def cross(self, other: Dual) -> Dual:
-        if self.vanishes or other.vanishes:  # a motion that does not turn, a body with its centre of mass at B
+        if self.vanishes or other.vanishes:  # no rotation, or the centre of mass at B
             return Dual(np.zeros(np.broadcast_shapes(self.value.shape, other.value.shape)))
         left = hat(self.value)
         value = (left @ other.value[..., None])[..., 0]
@@ -79,14 +79,14 @@ class DualRotation:
     tangent: Array | None = None
 
     def to_body(self, vector_S: Dual) -> Dual:
-        """R^T u; turning R by dtheta adds (R^T u) x dtheta."""
+        """R^T u; a perturbation dtheta of R adds (R^T u) x dtheta."""
         turned = vector_S.mapped(np.swapaxes(self.matrix, -1, -2))
         if self.tangent is None:
             return turned
         return Dual(turned.value, _sum(turned.tangent, hat(turned.value) @ self.tangent))
 
     def to_world(self, vector_B: Dual) -> Dual:
-        """R u; turning R by dtheta adds R (dtheta x u)."""
+        """R u; a perturbation dtheta of R adds R (dtheta x u)."""
         turned = vector_B.mapped(self.matrix)
         if self.tangent is None:
             return turned
@@ -94,5 +94,5 @@ class DualRotation:
 
 
 def joined(*parts: Dual) -> Array:
-    """Values of several stacks side by side, (T, P, 3 len(parts)), those that stand for all instants repeated."""
+    """Values of several stacks side by side, (T, P, 3 len(parts)), broadcast over instants."""
     return np.concatenate(np.broadcast_arrays(*(part.value for part in parts)), axis=-1)

@@ -1,17 +1,17 @@
 """Closed-loop sensitivity of any plant and any controller: section III of the paper.
 
 A plant x' = f(x, u, p, t) under a controller with internal state, xi' = g(xi, x, y_d(t), p_n, t) and
-u = h(xi, x, y_d(t), p_n, t), is given as CasADi expressions. How its state and its input react to the true
-parameters p around p = p_n follows, together with the nominal motion, from
+u = h(xi, x, y_d(t), p_n, t), is given as CasADi expressions. The derivatives of its state and its input by the true
+parameters p at p = p_n follow, together with the nominal motion, from
 
     Pi'    = f_x Pi + f_u Theta + f_p          Pi    = dx/dp
     Pi_xi' = g_x Pi + g_xi Pi_xi               Pi_xi = dxi/dp
     Theta  = h_x Pi + h_xi Pi_xi               Theta = du/dp
 
-(the paper prints a dot over Theta; h is algebraic, so Theta is what is meant). CasADi supplies the partial
-derivatives exactly. All of it is integrated together by the eighth-order method of `salver.integration`,
-with step halving until the results agree: unlike an adaptive solver it takes a reference that is only
-sampled, marches thousands of perturbed plants at once, and gives the same arrays every time.
+(the paper prints a dot over Theta; h is algebraic, so that Theta itself is meant). CasADi supplies exact partial
+derivatives. All equations are integrated together by the eighth-order method of `salver.integration`, with the step
+halved until the results agree: unlike an adaptive solver it works with a sampled reference, integrates thousands of
+perturbed plants at once, and is deterministic.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ from salver.integration import Rate, integrate
 from salver.sensitivity.symbolic import ca
 
 SampledReference = Callable[[Array], npt.ArrayLike]  # times (K,) to y_d (K, n_y)
-_CONTRACTION = 16  # half the step errs by less than this share of the change; eighth order promises 255
-_HALVINGS = 11  # from an eighth of the span: 8192 steps at most
+_CONTRACTION = 16  # the error after halving the step is below 1/16 of the change; eighth order would give 1/255
+_HALVINGS = 11  # largest number of halvings, from an eighth of the span: at most 8192 steps
 
 
 def _none() -> ca.SX:
@@ -41,14 +41,13 @@ def _none() -> ca.SX:
 class ClosedLoop:
     """Plant and controller as CasADi SX expressions of SX symbols, all columns: eqs (6), (7).
 
-    x, p, p_nominal: symbols of state, true parameters, and what the controller believes of them (same size as p,
-    or empty when it uses none). f: x' in terms of x, u, p, t. h: u in terms of xi, x, y_d, p_nominal, t.
-    u: the symbol for the input inside f. xi, g: internal state of the controller and its rate, empty if it has none.
-    t: symbol of time. y_d: symbol of the reference, sampled by whoever integrates; or give `reference`, its
-    expression in t, and y_d is replaced by it. parameters_reach_controller: say so when g or h contain p itself,
-    as when the controller reads a sensor whose scale is uncertain; their direct terms are then included.
-
-    Raises ValueError when expressions and symbols do not fit together.
+    x, p, p_nominal: symbols of the state, the true parameters, and the controller's nominal parameters (of the size of
+    p, or empty). f: x' in terms of x, u, p, t. h: u in terms of xi, x, y_d, p_nominal, t.
+    u: the symbol for the input in f. xi, g: internal state of the controller and its derivative; empty without one.
+    t: symbol of time. y_d: symbol of the reference, which is sampled during integration; or give `reference`, its
+    expression in t, which replaces y_d. parameters_reach_controller: must be True if g or h contain p itself, for
+    example through a sensor with an uncertain scale; their direct terms are then included.
+    Raises ValueError when expressions and symbols do not match.
     """
 
     x: ca.SX
@@ -94,7 +93,7 @@ class ClosedLoop:
 
 
 def variational(loop: ClosedLoop) -> ca.Function:
-    """Right-hand side of the equations above, for use in other CasADi programmes.
+    """Right-hand side of the variational equations as a CasADi function.
 
     (x, xi, Pi, Pi_xi, p, p_nominal, t, y_d) to (x', xi', Pi', Pi_xi', u, Theta).
     """
@@ -111,7 +110,7 @@ def variational(loop: ClosedLoop) -> ca.Function:
 
 
 def closed_loop_rate(loop: ClosedLoop) -> ca.Function:
-    """(x, xi, p, p_nominal, t, y_d) to (x', xi', u)."""
+    """CasADi function from (x, xi, p, p_nominal, t, y_d) to (x', xi', u)."""
     loop = loop.closed
     symbols = [loop.x, loop.xi, loop.p, loop.p_nominal, loop.t, loop.y_d]
     return _function("closed_loop", symbols, [ca.substitute(loop.f, loop.u, loop.h), loop.g, loop.h])
@@ -125,8 +124,8 @@ def _function(name: str, symbols: list[ca.SX], expressions: list[ca.SX]) -> ca.F
 
 
 class _Evaluated:
-    """A function of arrays to arrays: CasADi's own calls take most of their time to turn arrays into its matrices and
-    back, here numbers are written to where it looks for them and read from where it leaves them."""
+    """A CasADi function that is called with arrays through its buffers, without converting them to CasADi matrices,
+    which takes most of the time of a usual call."""
 
     def __init__(self, function: ca.Function) -> None:
         self._buffer: Any
@@ -147,7 +146,7 @@ class _Evaluated:
 
 @dataclass(frozen=True)
 class Sensitivity:
-    """Nominal motion and first-order reactions, time axis first.
+    """Nominal motion and first-order sensitivities, time axis first.
 
     t (T,); x (T, n_x), xi (T, n_xi), u (T, n_u); state_sensitivity Pi (T, n_x, n_p); controller_sensitivity
     Pi_xi (T, n_xi, n_p); input_sensitivity Theta (T, n_u, n_p). status: whether the tolerance was met; its detail
@@ -179,10 +178,10 @@ def sensitivity(
 ) -> Sensitivity:
     """Integrate x, xi, Pi and Pi_xi together from t[0], and evaluate u and Theta, at increasing times t (T,).
 
-    reference: y_d of times, when the loop leaves it to be sampled. Pi0 (n_x, n_p), Pi_xi0 (n_xi, n_p): reaction
-    of the initial state, zero by default. tolerance: error estimated from the last halving of the step, relative to
-    each quantity's size; a change below absolute_tolerance, in the quantity's own unit, does not count.
-    corners: instants at which the reference is not smooth.
+    reference: function of times that returns y_d, if the loop has no expression for it. Pi0 (n_x, n_p),
+    Pi_xi0 (n_xi, n_p): sensitivities of the initial state, default zero. tolerance: error estimated from the last
+    halving of the step, relative to each quantity's size; changes below absolute_tolerance, in the quantity's unit, are
+    ignored. corners: instants at which the reference is not smooth.
     """
     t = np.asarray(t, dtype=float)
     n_x, n_xi, n_p = loop.x.numel(), loop.xi.numel(), loop.p.numel()
@@ -245,9 +244,9 @@ def simulate(
     absolute_tolerance: float = 1e-12,
     corners: Sequence[float] = (),
 ) -> Motions:
-    """The full closed loop under true parameters p_samples (n, n_p), while the controller believes p_nominal (n_p,).
+    """Simulate the full closed loop with true parameters p_samples (n, n_p) and a controller with p_nominal (n_p,).
 
-    x0 (n_x,) or (n, n_x) and xi0 (n_xi,) or (n, n_xi) at t[0]; the rest as in `sensitivity`.
+    x0 (n_x,) or (n, n_x) and xi0 (n_xi,) or (n, n_xi) at t[0]; other arguments as in `sensitivity`.
     """
     t = np.asarray(t, dtype=float)
     n_x, n_xi, n_p = loop.x.numel(), loop.xi.numel(), loop.p.numel()
@@ -255,7 +254,7 @@ def simulate(
     n = p.shape[1]
     believed = _sized("p_nominal", p_nominal, (n_p,))[: loop.p_nominal.numel()]
     start = [np.broadcast_to(np.asarray(z, dtype=float), (n, size)) for z, size in ((x0, n_x), (xi0, n_xi))]
-    # Samples are columns; what all of them share (belief, time, reference) is handed over once.
+    # Samples are columns; nominal parameters, time and reference are common to all.
     function = _Evaluated(closed_loop_rate(loop).map("closed_loops", "serial", n, [3, 4, 5], []))
 
     def evaluate(s: Array, time: float, y: Array) -> list[Array]:
@@ -273,7 +272,7 @@ def simulate(
 
 
 def _sampled(loop: ClosedLoop, reference: SampledReference | None, t: Array) -> Array:
-    """y_d (K, n_y) at times, empty columns when the loop has its reference inside."""
+    """y_d (K, n_y) at times t (K,); without columns if the loop has an expression for it."""
     if loop.reference is not None or loop.y_d.numel() == 0:
         return np.empty((len(t), 0))
     if reference is None:
@@ -295,11 +294,11 @@ def _refined(
     tolerances: tuple[float, float],
     corners: Sequence[float],
 ) -> tuple[Array, Status]:
-    """Integrate with ever smaller steps until the last halving changes nothing that matters."""
+    """Integrate with steps halved until the change is within the tolerances."""
     tolerance, absolute = tolerances
     step, coarse, error = float(t[-1] - t[0]) / 8, None, np.inf
     for _ in range(_HALVINGS):
-        with np.errstate(over="ignore", invalid="ignore"):  # a step beyond the stability limit: the next is shorter
+        with np.errstate(over="ignore", invalid="ignore"):  # an unstable step; the next one is shorter
             fine = integrate(rates_at, state, float(t[0]), t, step, corners)
         if coarse is not None:
             error = _relative_difference(coarse, fine, absolute) / _CONTRACTION
@@ -315,8 +314,8 @@ def _refined(
 def _relative_difference(a: Array, b: Array, absolute: float) -> float:
     """Largest |a - b| of (T, rows, columns), relative to the entry's largest value over time.
 
-    An entry a thousand times smaller than its column's largest counts relative to a thousandth of that, and a
-    difference below `absolute` not at all, so that entries which are only rounding do not count.
+    For entries below a thousandth of their column's largest, it is relative to that thousandth; differences below
+    `absolute` are ignored, so that rounding does not matter.
     """
     if not (np.isfinite(a).all() and np.isfinite(b).all()):
         return float("inf")

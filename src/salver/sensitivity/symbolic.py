@@ -1,4 +1,4 @@
-"""CasADi, which only the engine for loops of your own needs; without it, one sentence that says how to get it."""
+"""CasADi, which only user-defined loops need; without it, a MissingDependencyError with one sentence."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ try:
     import casadi as ca
 except ImportError:
     raise MissingDependencyError(
-        "Sensitivities of a loop of your own need CasADi; install it with: pip install 'salver[engine]'."
+        "Sensitivities of a user-defined loop need CasADi; install it with: pip install 'salver[engine]'."
     ) from None
 
 __all__ = ["ca"]

@@ -1,10 +1,12 @@
-"""Closed-loop sensitivity of the carried object in its exact form: a linear filter of the inertial regressor.
+"""Closed-loop sensitivity of the carried object, as a linear filter of the inertial regressor.
 
 To first order in the parameters the tracking error of object and controller obeys
+
     e'' + kd e' + kp e = D(t) dp,    D = [R D_v; D_w],    [D_v; D_w] = M_n^-1 Y(t) dphi/dp,
-translation in S, rotation in B, and the state deviates by -e. This is section III of the paper solved for
-its own plant (18) and controller (19); `salver.sensitivity.engine` integrates the same variational equations
-in general form, and the tests hold both against central differences of the nonlinear closed loop.
+
+translation in S, rotation in B; the deviation of the state is -e. This is the exact solution of section III of the
+paper for its plant (18) and controller (19). `salver.sensitivity.engine` integrates the variational equations in
+general form; the tests compare both with central differences of the nonlinear closed loop.
 """
 
 from __future__ import annotations
@@ -26,7 +28,7 @@ from salver.trajectory import MotionSamples, Reference
 class BodyMotion:
     """The object's motion in B, (T, 1, 3) each: rotation, specific force R^T (a - g), omega, alpha, velocity.
 
-    Of a motion that does not turn, rotation, omega and alpha are kept at one instant and broadcast.
+    For a motion without rotation, rotation, omega and alpha are stored for one instant and broadcast.
     """
 
     rotation: DualRotation
@@ -45,7 +47,7 @@ class BodyMotion:
         omega_tangent: Array | None = None,
         alpha_tangent: Array | None = None,
     ) -> BodyMotion:
-        """From samples (T), with derivatives (T, 3, n_z) of v_S, a_S, the rotation (in B), omega_B and alpha_B."""
+        """The motion from samples (T), with tangents (T, 3, n_z) of v_S, a_S, the rotation (in B), omega_B, alpha_B."""
 
         def dual(value: Array, tangent: Array | None) -> Dual:
             return Dual(value[:, None], None if tangent is None else tangent[:, None])
@@ -63,11 +65,11 @@ class BodyMotion:
 
     @property
     def weight(self) -> Dual:
-        """R^T (-g): the specific force of the object standing still in each posture."""
+        """R^T (-g): the specific force at rest in each orientation."""
         return self.rotation.to_body(Dual(-GRAVITY_S[None, None]))
 
     def of_frame(self, p_BX: Array, R_BX: Array) -> BodyMotion:
-        """What a body with frame X feels that moves rigidly with B."""
+        """The motion of a frame X fixed to B."""
         arm = Dual(p_BX[None, None])
         force = self.force + self.alpha.cross(arm) + self.omega.cross(self.omega.cross(arm))
         turn, tangent = R_BX.T, self.rotation.tangent
@@ -80,26 +82,26 @@ class BodyMotion:
         )
 
     def wrench(self, phi: Array) -> tuple[Dual, Dual]:
-        """(f, tau) (T, P, 3) at B of bodies with inertial parameters phi (10, P): eq (1), linear in phi.
+        """Wrench f, tau, each (T, P, 3), at B for bodies with inertial parameters phi (10, P): eq (1), linear in phi.
 
-        Columns may as well be directions d phi: then these are the columns of Y(t) d phi.
+        With directions d phi as columns, it is Y(t) d phi.
         """
         return self.push(phi), self.turn(phi)
 
     @cached_property
     def still(self) -> bool:
-        """Whether it does not turn, whatever the variables are."""
+        """Whether there is no rotation, for all values of the variables."""
         return self.omega.vanishes and self.alpha.vanishes
 
     def push(self, phi: Array) -> Dual:
-        """f of `wrench`: of mass and first moment."""
+        """f of `wrench`, which depends on mass and first moment."""
         pushed, moment = self.force.scaled(phi[0, :, None]), Dual(phi[1:4].T[None])
         if self.still or moment.vanishes:
             return pushed
         return pushed + self.alpha.cross(moment) + self.omega.cross(self.omega.cross(moment))
 
     def turn(self, phi: Array) -> Dual:
-        """tau of `wrench`: of first moment and inertia."""
+        """tau of `wrench`, which depends on first moment and inertia."""
         levered, inertia, omega = Dual(phi[1:4].T[None]).cross(self.force), inertia_matrix(phi[4:].T), self.omega
         if self.still:
             return levered
@@ -108,10 +110,10 @@ class BodyMotion:
 
 @dataclass(frozen=True)
 class TraySensitivity:
-    """First-order reaction of the closed loop along a motion of B, time axis first.
+    """First-order sensitivity of the closed loop along a motion of B, time axis first.
 
-    e_p, e_v in S, e_R, e_w in B: tracking errors (T, n_p, 3) per unit of each parameter. Of them follow, as
-    (T, n_p, 3), dp in S, dtheta in B, dv in S, domega in B (the rows of Pi), and df, dtau of the wrench at B.
+    e_p, e_v in S, e_R, e_w in B: tracking errors (T, n_p, 3) per unit of each parameter. They determine dp in S, dtheta
+    in B, dv in S, domega in B (the rows of Pi), and df, dtau of the wrench at B, each (T, n_p, 3).
     """
 
     loop: TrayLoop
@@ -147,7 +149,7 @@ class TraySensitivity:
     def dtau(self) -> Dual:
         kp, kd = self.loop.gains.kp[1], self.loop.gains.kd[1]
         omega, inertia = self.motion.omega, self.loop.body.inertia_com
-        # alpha x dtheta + omega x domega - omega x (omega x dtheta), of which e_w alone is left of the last two.
+        # alpha x dtheta + omega x domega - omega x (omega x dtheta); the last two combine to a term with e_w alone.
         turned = self.motion.alpha.cross(self.dtheta) - omega.cross(self.e_w)
         dalpha = turned + self.e_w.scaled(kd) + self.e_R.scaled(kp)
         gyroscopic = self.domega.cross(omega.mapped(inertia)) + omega.cross(self.domega.mapped(inertia))
@@ -177,16 +179,16 @@ class TrayLoop:
 
     @cached_property
     def pushing(self) -> Indices:
-        """Parameters that act on the force, and so on the place: what changes mass or first moment."""
+        """Parameters that change mass or first moment, and so force and position."""
         return np.flatnonzero(self.phi_jacobian[:4].any(axis=0))
 
     @cached_property
     def turning(self) -> Indices:
-        """Parameters that act on the torque, and so on the orientation: what changes first moment or inertia."""
+        """Parameters that change first moment or inertia, and so torque and orientation."""
         return np.flatnonzero(self.phi_jacobian[1:].any(axis=0))
 
     def forcing(self, motion: BodyMotion) -> tuple[Dual, Dual]:
-        """D: R D_v in S of the parameters `pushing`, D_w in B of those `turning`, each (T, some of n_p, 3)."""
+        """D: R D_v in S for the parameters `pushing`, D_w in B for those in `turning`, each (T, n, 3)."""
         f, tau = motion.push(self.phi_jacobian[:, self.pushing]), motion.turn(self.phi_jacobian[:, self.turning])
         return (
             motion.rotation.to_world(f.scaled(1 / self.body.mass)),
@@ -194,7 +196,7 @@ class TrayLoop:
         )
 
     def sensitivity(self, grid: QuadratureGrid, at_grid: BodyMotion, at_times: BodyMotion) -> TraySensitivity:
-        """Pi and the wrench sensitivity on `grid.t`, of a motion given there and at `grid.times`."""
+        """Pi and the wrench sensitivity on `grid.t`, for a motion given there and at `grid.times`."""
         (kp, kp_R), (kd, kd_R) = self.gains.kp, self.gains.kd
         forcing_S, forcing_B = self.forcing(at_times)
         count = self.phi_jacobian.shape[1]
@@ -210,12 +212,12 @@ class TrayLoop:
 
 
 def _respond(error_filter: LinearFilter, forcing: Dual, which: Indices, count: int) -> tuple[Dual, Dual]:
-    """Errors and their rates by `count` parameters, of which those in `which` have a forcing."""
+    """Errors and their derivatives for `count` parameters, of which those in `which` have a forcing."""
     errors = np.zeros((2, error_filter.nodes, count, 3))
     errors[:, :, which] = error_filter.respond(forcing.value)
     if forcing.tangent is None:
         return Dual(errors[0]), Dual(errors[1])
-    # Most variables leave most components alone: one axis of a position moves one axis of the error.
+    # Most variables change few components: one axis of the position changes one axis of the error.
     drive = forcing.tangent.reshape(len(forcing.tangent), forcing.tangent[0].size)
     moved = drive.any(axis=0)
     n_z = forcing.tangent.shape[-1]

@@ -1,8 +1,8 @@
-"""Tubes around nominal quantities: paper, eqs (8) to (12). No dynamics here.
+"""Tubes around nominal quantities: paper, eqs (8) to (12).
 
-All are first order: the quantity is taken as linear in the parameters over their set. Within that, the
-box radius is the exact bound over the box (8) and the ellipsoid radius the exact bound over the ellipsoid;
-the paper uses the latter for the former, which is too small as soon as two parameters vary together.
+All are first order: the quantity is assumed linear in the parameters over their set. Under this assumption the box
+radius is the exact bound over the box (8), and the ellipsoid radius the exact bound over the ellipsoid; the paper uses
+the latter for the box, which is too small if more than one parameter varies.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from salver.models.uncertain.parameters import UncertainSet, support
 
 
 def radius(sensitivity: Array, uncertain: UncertainSet) -> Array:
-    """Half-width (...) of the tube of quantities with sensitivity (..., n_p): eq (11), of the set's own kind.
+    """Half-width (...) of the tube of quantities with sensitivity (..., n_p) over a box or an ellipsoid: eq (11).
 
     Box: sum_j |s_j| delta_j. Ellipsoid: sqrt(s W s^T).
     """
@@ -22,7 +22,7 @@ def radius(sensitivity: Array, uncertain: UncertainSet) -> Array:
 
 
 def excess(values: Array, nominal: Array, tube_radius: Array) -> Array:
-    """How far values (..., T, c) are outside the tubes nominal +- radius of eq (12), each (T, c); negative inside."""
+    """Distance of values (..., T, c) outside the tubes nominal +- radius of eq (12), each (T, c); negative inside."""
     return np.asarray(np.abs(values - nominal) - tube_radius)
 
 

@@ -1,1 +1,1 @@
-"""Friction from logs, and tilts that test it."""
+"""Friction from logs, and tilts of the tray that measure it."""

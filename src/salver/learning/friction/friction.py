@@ -1,17 +1,18 @@
-"""Friction, never as a point: what a run without a slip proves of it, what a slip does, and a test that tilts slowly.
+"""Bounds of the friction coefficient from runs: a lower one from a run without slip, an upper one from a slip.
 
-A load whose centre of mass stands at c on the tray needs, of each kilogram, f(c) = f + alpha x c + omega x (omega x c),
-whatever its mass. While it does not slide, the friction coefficient, as the mean over its base weighted by pressure, is
-at least |f_t| / f_n; where c and the level of the robot's base are known as ranges, at least the smallest such ratio,
+A load with centre of mass c on the tray needs the specific force f(c) = f + alpha x c + omega x (omega x c),
+independent of its mass. While it does not slide, its friction coefficient, as the mean over its base weighted by
+pressure, is at least |f_t| / f_n. If c and the level of the robot's base are known as ranges, it is at least the
+smallest such ratio,
 
     min over c of |f_t(c)| / f_n(c) = max over unit u of min over corners c of u . f_t(c) / f_n(c)
 
-(both are quasi-linear in c and linear in u: Sion 1958). Any u gives a bound, so few directions are never optimistic. It
-is said of that base and that pressure, not of each of its points, nor of how it resists being turned.
+(both are quasi-linear in c and linear in u: Sion 1958). Every u gives a bound, so that few directions are conservative.
+The bound holds for this base and this pressure, not for each of its points, and not for torsional friction.
 
-If a load begins to slide on a slowly tilted tray, where nothing twists it, its friction is at most the friction needed
-there. On a short tilt (`salver.learning.friction.tilts`) a load with less friction slides farther: a displacement
-below d implies at least the friction with which the load would have moved by d.
+If a load begins to slide on a slowly tilted tray, which exerts no torsional moment, its friction is at most the
+friction needed there. On a short tilt (`salver.learning.friction.tilts`) a load with less friction slides farther: a
+displacement below d implies at least the friction with which the load would have moved by d.
 """
 
 from __future__ import annotations
@@ -39,21 +40,22 @@ METHOD, SHORT = "tilt", "short tilt"
 
 @dataclass(frozen=True)
 class FrictionOptions:
-    """Options of a friction test: its errors and its motion. All of it is on the safe side of what is proven.
+    """Options of a friction test: its errors, which make the bounds conservative, and its motion.
 
     Attributes:
-        level: deg by which a robot's base may lean; doubled, a slow tilt proves 0.01 less.
-        levelled: deg, the same of a base that was levelled for short tilts; doubled, each proves 0.004 less.
-        unseen: deg by which a tray may be off what was planned, when there is no log.
-        shakes: share of gravity that may shake a tray beyond what the joints tell, and start a slip.
-        unnoticed: m that a load may have moved beyond what was seen, against a mark on the tray; doubled, a short tilt
-            proves 0.003 less.
-        farthest: m that a short tilt may move a load; doubled, it proves more and the load needs more room.
-        speed: deg/s at which a tray is tilted slowly; doubled, the test is shorter and shakes more.
-        hold: s that a slow tilt stays at its angle.
-        bends: rad/s^2 tried, of a short tilt where it is steepest: the more, the shorter, and the nearer to tipping.
-            Without the least, the first tilt of a tall bottle shows less than is known, and none is made.
-        spare: share of the weight by which a test stays from tipping, and of friction that it asks for beyond.
+        level: deg, largest tilt error of a robot's base; doubled, a slow tilt proves 0.01 less.
+        levelled: deg, tilt error of a base that was levelled for short tilts; doubled, each proves 0.004 less.
+        unseen: deg, largest deviation of the tray from the plan, without a log.
+        shakes: vibration that the joints do not show, as a share of gravity, and that may start a slip.
+        unnoticed: m, displacement of the load that a mark on the tray does not show; doubled, a short tilt proves 0.003
+            less.
+        farthest: m, largest displacement of a load on a short tilt; doubled, it proves more and the load needs more
+            room.
+        speed: deg/s of a slow tilt; doubled, the test is shorter and vibrates more.
+        hold: s at the angle of a slow tilt.
+        bends: rad/s^2, angular accelerations of short tilts that are tried: larger ones are shorter and nearer to
+            tipping. Without the least, the first tilt of a tall bottle proves less than is known, and none is made.
+        spare: margin of a test to tipping, as a share of the weight, and additional friction that it demands.
     """
 
     level: float = 0.5
@@ -75,8 +77,8 @@ USUAL = FrictionOptions()
 class Friction:
     """Range of one load's friction from a run.
 
-    low: proven by not having slid, at `low_time`; None when nothing is. high: by having slid, at `high_time`, or
-    None. plan: what was carried out.
+    low: lower bound, from the instant `low_time` without slip; None without a bound. high: upper bound, from the slip
+    at `high_time`; None without a slip. plan: the plan that was run.
     """
 
     plan: Plan
@@ -87,7 +89,7 @@ class Friction:
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """The result in sentences: contact, range, and what is unknown."""
+        """The result in sentences: contact, range, and limitations."""
         where = f"the base of {self.plan.scenario.payload.first.name} on the tray, as a mean weighted by pressure"
         under = "for every centre of mass and place within the ranges"
         found = (("least", self.low, self.low_time), ("most", self.high, self.high_time))
@@ -104,9 +106,10 @@ class Friction:
         return (*values, pressure) if values and area else values
 
     def learnt_scenario(self, scenario: Scenario | None = None) -> Scenario:
-        """A scenario of this load (the plan's own, unless given) with what is left of its range of friction.
+        """A scenario of this load (by default the plan's) with its range of friction narrowed.
 
-        Raises SalverError when nothing is, ScenarioError when its centre of mass may be where it was not in the plan.
+        Raises SalverError when the range becomes empty, ScenarioError when the scenario's range of the centre of mass
+        exceeds that of the plan.
         """
         scenario = self.plan.scenario if scenario is None else scenario
         body, tested = lone_load(scenario), self.plan.scenario.payload.first
@@ -132,9 +135,9 @@ class Friction:
 
 
 def needed(w: Array, com_E: Array, reach: Array, off: float) -> tuple[Array, Array]:
-    """(T,) friction that a load needs at least, and at most, for any centre of mass in a box com_E +- reach (3,), m.
+    """Least and largest friction (T,) that a load needs, for any centre of mass in the box com_E +- reach (3,), m.
 
-    w: (T, 12) of the tray frame E. off: m/s^2 by which the specific force may be another, in any direction.
+    w: (T, 12) of the tray frame E. off: m/s^2, error of the specific force in any direction.
     """
     force = _forces(w, com_E, reach)
     along, normal = np.linalg.norm(force[..., :2], axis=2), force[..., 2]
@@ -150,7 +153,7 @@ def needed(w: Array, com_E: Array, reach: Array, off: float) -> tuple[Array, Arr
 
 
 def _forces(w: Array, com_E: Array, reach: Array) -> Array:
-    """(T, 8, 3) m/s^2 that a load's centre of mass needs in E, in the corners of a box."""
+    """Specific force (T, 8, 3) at the corners of a box for the centre of mass, in E, m/s^2."""
     corner = com_E + np.array(list(product((-1.0, 1.0), repeat=3))) * reach
     omega = w[:, [6, 7, 9, 7, 8, 10, 9, 10, 11]].reshape(-1, 3, 3)  # omega omega^T
     spin = omega - np.trace(omega, axis1=1, axis2=2)[:, None, None] * np.eye(3)
@@ -158,10 +161,10 @@ def _forces(w: Array, com_E: Array, reach: Array) -> Array:
 
 
 def ways(t: Array, w: Array, scenario: Scenario, lean: float) -> Callable[[float], tuple[float, float]]:
-    """By how many m a load of a friction slides on a tray that tilts in one direction: at least, and at most, for any
-    centre of mass and place within the ranges.
+    """A function of friction that gives the least and the largest slip, m, on a tray that tilts in one direction, for
+    any centre of mass and position within the ranges.
 
-    t (T,), w (T, 12) of the tray frame E. lean: rad by which the tray may tilt otherwise.
+    t (T,), w (T, 12) of the tray frame E. lean: rad, error of the tilt.
     """
     body = scenario.payload.first
     box = body.p_EB, _reach(scenario, body)
@@ -194,15 +197,20 @@ def friction(
     level: float | None = None,
     options: FrictionOptions = USUAL,
 ) -> Friction:
-    """Friction of the load from a run of a plan.
+    """The range of the load's friction from a run of a plan.
 
-    samples: what the joints did, from rest to rest; None: what was planned, within `options.unseen`. held: s after the
-    motion began until which the load surely did not slide; unless given, to the end when `slid` is not given either.
-    slid: by when it surely had begun to. moved: m by which it was seen to have moved on a short tilt (0 unless given),
-    to `options.unnoticed`. level: deg by which the robot's base may lean; unless given `options.levelled` on a short
-    tilt, `options.level` on others.
+    Args:
+        samples: log of the joints, from rest to rest; None: as planned, to `options.unseen`.
+        held: s from the start of the motion, until when the load certainly did not slide; default: the whole motion,
+            unless `slid` is given.
+        slid: s, when it certainly had begun to slide.
+        moved: m, measured displacement on a short tilt, to `options.unnoticed`; default 0.
+        level: deg, largest tilt error of the robot's base; default: `options.levelled` on a short tilt, else
+            `options.level`.
 
-    Raises ScenarioError for what this cannot be asked of, FileFormatError for a log that is not of the plan.
+    Raises:
+        ScenarioError: the plan or the observations do not allow it.
+        FileFormatError: the log is not of the plan.
     """
     scenario = plan.scenario
     body = lone_load(scenario)
@@ -240,7 +248,7 @@ def friction(
 
 
 def _can_be_seen(plan: Plan, held: float | None, slid: float | None, moved: float | None) -> None:
-    """Raise ScenarioError for what nobody can have seen in a run of the plan, or what would show nothing."""
+    """Raise ScenarioError for impossible observations, or for those that prove nothing."""
     if slid is not None and plan.method != METHOD:
         raise ScenarioError(
             f"slid = {slid:g} s: a slip shows friction only where nothing twists the load; make the test with salver "
@@ -263,7 +271,7 @@ def _can_be_seen(plan: Plan, held: float | None, slid: float | None, moved: floa
 def proves(
     t: Array, w: Array, scenario: Scenario, lean: float, moved: float = 0.0, unnoticed: float = USUAL.unnoticed
 ) -> float:
-    """The friction that a short tilt shows: with less, a load slides farther than `moved` (m)."""
+    """The friction that a short tilt proves: with less, a load slides farther than `moved`, m."""
     slides, low, high = ways(t, w, scenario, lean), 0.0, 2.0
     for _ in range(24):
         middle = 0.5 * (low + high)
@@ -272,12 +280,12 @@ def proves(
 
 
 def leaning(scenario: Scenario, level: float) -> float:
-    """rad by which a tray may lean when the robot's base does by `level` deg, and as the scenario's ranges say."""
+    """Largest tilt error of the tray, rad, by a tilt error of the robot's base, deg, and the scenario's ranges."""
     return float(np.deg2rad(level) + np.linalg.norm([_half(scenario, p) for p in TILT]))
 
 
 def lone_load(scenario: Scenario) -> Body:
-    """The one load, which stands on the tray."""
+    """The only object of the scenario. Raises ScenarioError without an arm, or for other loads."""
     if scenario.arm is None:
         raise ScenarioError(f"{scenario.name} has no arm; friction is shown by an arm that carries the load.")
     if len(scenario.objects) > 1 or scenario.payload.dynamic:
@@ -290,7 +298,7 @@ def lone_load(scenario: Scenario) -> Body:
 
 
 def _area(body: Body) -> float:
-    """m^2 of the base."""
+    """Area of the base, m^2."""
     x, y = body.base_polygon_B[:, :2].T
     return float(0.5 * abs(x @ np.roll(y, 1) - y @ np.roll(x, 1)))
 
@@ -300,7 +308,7 @@ def _half(scenario: Scenario, parameter: Parameter) -> float:
 
 
 def _reach(scenario: Scenario, body: Body) -> Array:
-    """(3,) m: how far the centre of mass may be from the nominal one, in E, along each axis."""
+    """Largest distance (3,) of the centre of mass from the nominal one along each axis of E, m."""
     half = {p.quantity: h for p, h in scenario.payload.uncertain.ranges.items()}
     own = np.abs(body.R_EB) @ np.array([half.get(f"com_{axis}", 0.0) for axis in "xyz"])
     place = np.array([half.get("position_x", 0.0), half.get("position_y", 0.0), 0.0])

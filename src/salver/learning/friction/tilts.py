@@ -1,10 +1,10 @@
-"""Motions that ask for friction and for little else: the tray tilts where the scenario's motion starts, and comes back.
+"""Motions that measure friction: the tray tilts at the start pose of the scenario, and back.
 
-A *slow* tilt (`tilt_test`) stays a second at the angle that proves what was asked. A load with less friction slides off
-the tray unless somebody catches it. A *short* one (`short_tilt`) only touches its steepest angle, with the angular
-acceleration a: where friction is less than what is asked by e, the load moves by some 4.5 g e^2 / a, and stays. So from
-a friction that is known to be there follows a tilt that moves no load by more than is allowed, whatever its friction
-really is. What it proves is known then, and the next may ask for more.
+A *slow* tilt (`tilt_test`) rests for a second at the angle that proves the requested friction. A load with less
+friction slides off the tray unless somebody catches it. A *short* tilt (`short_tilt`) only touches its steepest angle,
+with the angular acceleration a: if the friction is less than needed by e, the load moves by about 4.5 g e^2 / a, and
+stays. So a known lower bound of friction allows a tilt that moves the load by no more than a limit, whatever its true
+friction. The tilt then proves a larger bound, and the next one may be steeper.
 """
 
 from __future__ import annotations
@@ -24,19 +24,20 @@ from salver.scenario import Scenario
 from salver.trajectory import MotionSamples, SampledReference, smooth_step
 
 STEP = 0.02  # s
-STEEPER = 1e-3  # rad than need be
-MOST = 1.5  # friction that can be asked for: a tilt of some 60 deg
-NEAREST = 1e-3  # m that a short tilt must be able to move a load
+STEEPER = 1e-3  # rad, added to the angle that is needed
+MOST = 1.5  # largest friction that can be tested: a tilt of about 60 deg
+NEAREST = 1e-3  # m, least displacement that a short tilt must allow
 
-Profile = Callable[[float], tuple[Array, Array, Array, Array]]  # of rad: t, angle, rate, acceleration, (T,) each
+Profile = Callable[[float], tuple[Array, Array, Array, Array]]  # angle, rad, to t, angle, rate, acceleration, (T,) each
 _Tilt = tuple[float, float, Profile]  # heading and angle, rad
 
 
 def tilt_test(scenario: Scenario, shown: float, level: float | None = None, options: FrictionOptions = USUAL) -> Plan:
-    """A slow tilt of the tray where the motion starts, and back: that the load does not slide proves `shown`.
+    """Plan a slow tilt of the tray at the start pose, and back: a load that does not slide has at least friction
+    `shown`.
 
-    It is safe from tipping for the whole set; of friction it asks for `shown` and what may be wrong about the angle.
-    The plan's scenario is one of that friction. Raises ScenarioError when it would tip, or the arm cannot.
+    No load in the uncertain set tips. The tilt needs the friction `shown`, plus the error of the angle; the plan's
+    scenario has that friction. Raises ScenarioError when a load could tip, or the arm cannot make the tilt.
     """
     body = lone_load(scenario)
     if not 0 < shown <= MOST:
@@ -63,10 +64,11 @@ def tilt_test(scenario: Scenario, shown: float, level: float | None = None, opti
 
 
 def short_tilt(scenario: Scenario, level: float | None = None, options: FrictionOptions = USUAL) -> Plan:
-    """A short tilt, as steep as a load of the least friction in the ranges moves by at most `options.farthest`.
+    """Plan the steepest short tilt on which a load with the least friction in the ranges moves by at most
+    `options.farthest`.
 
-    It is safe from tipping for the whole set, and the whole base stays on the tray. Raises ScenarioError when it would
-    tip or has no room, or the arm cannot.
+    No load in the uncertain set tips, and the whole base stays on the tray. Raises ScenarioError when a load could tip
+    or has no room, or the arm cannot make the tilt.
     """
     body, payload = lone_load(scenario), scenario.payload
     farthest = options.farthest
@@ -100,7 +102,7 @@ def short_tilt(scenario: Scenario, level: float | None = None, options: Friction
 
 
 def room(scenario: Scenario) -> float:
-    """m that a load may move in any direction with its whole base on the tray, wherever it stands within the ranges."""
+    """Distance, m, that the load can move in any direction with its whole base on the tray, for all its positions."""
     body, place = scenario.payload.first, np.zeros(2)
     for p, half in scenario.payload.uncertain.ranges.items():
         if p.quantity in ("position_x", "position_y"):
@@ -129,7 +131,7 @@ def _first_that_can(
 
 
 def _tested(scenario: Scenario, coefficient: float) -> Scenario:
-    """The scenario with so much friction, in every direction of its linearised cone, and no way to go."""
+    """The scenario with that friction in every direction of its linearised cone, and with start and goal equal."""
     start = scenario.motion.start.model_dump()
     return scenario.with_changes(
         contact__condition="exact",
@@ -146,8 +148,7 @@ def _tested(scenario: Scenario, coefficient: float) -> Scenario:
 
 
 def _headings(scenario: Scenario, profile: Profile, options: FrictionOptions) -> list[tuple[float, float]]:
-    """Headings (rad) in which a tray can fall, and by which angle (rad) at most, so that no load of the set tips; the
-    steepest first."""
+    """Headings of a tilt, rad, with the largest angle, rad, at which no load of the set tips; the steepest first."""
     rows = [
         each.only(np.flatnonzero(~each.label.astype(bool)))
         for each in contact_rows(_tested(scenario, 2 * MOST).payload)
@@ -166,16 +167,16 @@ def _headings(scenario: Scenario, profile: Profile, options: FrictionOptions) ->
 
 
 def _felt(scenario: Scenario, heading: float, t: Array, angle: Array, rate: Array, bend: Array) -> Array:
-    """w (T, 12) of the tray frame."""
+    """Motion regressor w (T, 12) of the tray frame on a tilt."""
     return tray_motion(scenario, _motion(scenario, heading, t, angle, rate, bend))
 
 
 def _motion(scenario: Scenario, heading: float, t: Array, angle: Array, rate: Array, bend: Array) -> MotionSamples:
-    """B turns about a level axis, so that the tray falls towards a heading, and stays where it is."""
+    """Motion of B on a tilt about a horizontal axis towards a heading; the position of B is constant."""
     start, still = scenario.motion.start, np.zeros((len(t), 3))
     axis_S = np.array([-np.sin(heading), np.cos(heading), 0.0])
     R_SB = exp(np.multiply.outer(angle, axis_S)) @ start.rotation
-    axis_B = start.rotation.T @ axis_S  # the turn leaves its axis where it is
+    axis_B = start.rotation.T @ axis_S  # constant, because the rotation is about this axis
     turns = (np.outer(x, axis_B) for x in (rate, bend))
     return MotionSamples(t, still + np.array(start.position), still, still, R_SB, *turns)
 
@@ -190,7 +191,7 @@ def _slowly(angle: float, options: FrictionOptions) -> tuple[Array, Array, Array
 
 
 def _shortly(bend: float) -> Profile:
-    """angle (1 - u^2)^3, u from -1 to 1: at rest at both ends, with an acceleration of `bend` where it is steepest."""
+    """The profile angle (1 - u^2)^3, u from -1 to 1: at rest at both ends, with acceleration `bend` at its steepest."""
 
     def profile(angle: float) -> tuple[Array, Array, Array, Array]:
         one_way = max(STEP, np.sqrt(6 * angle / bend))

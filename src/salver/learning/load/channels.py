@@ -1,4 +1,4 @@
-"""Sensor channels of a load: the loaded run less the empty one."""
+"""Sensor channels of a load: readings of the loaded run minus those of the empty one."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from salver.learning.logs import Log
 
 @dataclass(frozen=True, eq=False)
 class SensedMotion:
-    """A log at N instants: torques and wrench beyond those of the model of arm and empty tray, and the contribution
-    of a load per unit of phi. links (k, N, n): what joint torques need for each link."""
+    """A log at N instants: torques and wrench minus those of the model of arm and empty tray, and their derivatives by
+    phi of a load. links (k, N, n): torques that each link needs."""
 
     t: Array
     samples: int
@@ -37,10 +37,10 @@ class SensedMotion:
 
 @dataclass(frozen=True, eq=False)
 class ChannelReading:
-    """A sensor of m channels at N instants: values (N, m) that the load makes, rows (N, m, 10) per unit of phi.
+    """A sensor with m channels at N instants: values (N, m) caused by the load, rows (N, m, 10) per unit of phi.
 
-    names, told (m): of each channel, and its noise as far as known beforehand. nuisance (m): (N, .) other effects, per
-    standard deviation. links: as in `SensedMotion`, of joint torques.
+    names, told: of each channel its name, and its noise as assumed beforehand. nuisance: of each channel (N, .), other
+    effects per standard deviation. links: as in `SensedMotion`, for joint torques.
     """
 
     names: tuple[str, ...]
@@ -53,16 +53,16 @@ class ChannelReading:
 
 
 def differences(motion: SensedMotion, without: SensedMotion, log: Log, empty: Log) -> list[ChannelReading]:
-    """Readings of every sensor less those of the empty run."""
+    """Readings of every sensor minus those of the empty run."""
     found, sensors = list[ChannelReading](), SensorNoise()
 
     def more(values: Array, before: Array) -> Array:
-        """(N, m) than the empty run at the loaded run's instants."""
+        """Values (N, m) minus those of the empty run at the loaded run's instants."""
         return np.asarray(values - interpolated(without.t, before, motion.t))
 
     def unlike(own: Array) -> Array:
-        """(N, 3) by how much what arm and tray themselves need otherwise than in the empty run (N,) may be wrong: in
-        size and in time, as deviations from the plan are smoothed."""
+        """Possible errors (N, 3) of the arm's and tray's own contribution to a channel beyond the empty run's (N,), in
+        size and in time, because deviations from the plan are smoothed."""
         (share, time), rate = sensors.unlike, np.gradient(own, motion.t)
         return np.column_stack([share * own, time * rate, time**2 * np.gradient(rate, motion.t)])
 

@@ -1,9 +1,9 @@
-"""The load and the systematic errors of its sensors, from all runs at once, by generalised least squares.
+"""The load and the systematic errors of its sensors, from all runs together, by generalised least squares.
 
 Unknowns are phi, with the scenario's ranges as its prior, and every systematic error e in units of its bound, with a
-standard deviation of 1 as its prior. With C = (H + P)^-1 the estimate of phi errs by -C_phi,e e besides its noise: so
-much is added to its ranges for |e| <= 1. The covariance of its noise is C_phi,phi - C_phi,e C_e,phi. Of an error that
-the runs show, C_phi,e is small.
+standard deviation of 1 as its prior. With C = (H + P)^-1 the estimate of phi has the error -C_phi,e e besides its
+noise, which is added to its ranges for |e| <= 1. The covariance of its noise is C_phi,phi - C_phi,e C_e,phi. C_phi,e is
+small for an error that the runs show.
 """
 
 from __future__ import annotations
@@ -22,14 +22,18 @@ from salver.learning.load.ranges import WIDTH, Estimate
 from salver.learning.load.systematic import Felt, SensorBounds, SystematicError, torque_errors, wrist_errors
 from salver.models.rigid_body import inertia_entries, parallel_axis
 
-SEEN = 4.0  # standard deviations beyond its bound at which a systematic error is taken to be there
+SEEN = 4.0  # standard deviations beyond its bound from which on a systematic error is refused
 Key = tuple[str, int]  # an error's name, and the number of its run or -1
 
 
 @dataclass(frozen=True, eq=False)
 class LoadSolution:
-    """noisiest, residual: the channel that is most noisier than was told, by how many times. denied: which systematic
-    error is surely beyond its bound. shares: kg of the mass's half-range by noise and by each kind of error."""
+    """The estimate of a load.
+
+    noisiest, residual: the channel with the largest ratio of noise to assumed noise, and that ratio. denied: sentence
+    about a systematic error that exceeds its bound, or None. shares: contributions of noise and of each kind of error
+    to the mass's half-range, kg.
+    """
 
     estimate: Estimate
     noisiest: str
@@ -42,16 +46,16 @@ class LoadSolution:
 def solve(
     runs: Sequence[Sequence[ChannelReading]], weights: Sequence[float], prior: tuple[Array, Array], bounds: SensorBounds
 ) -> LoadSolution:
-    """From what sensors felt in each run, which weighs so much."""
+    """Estimate the load from the readings of all runs, each with a weight."""
     phi, spread = prior
     delays = dict[str, float]()
-    for _ in range(3):  # linearised about the prior, then about what was found
+    for _ in range(3):  # linearised about the prior, then about the estimate
         errors, channels, information, pull = _normal(runs, weights, prior, phi, delays, bounds)
         known = np.diag(np.concatenate([1 / spread**2, np.ones(len(errors))]))
         covariance = np.asarray(np.linalg.inv(information + known), dtype=float)
         found = covariance @ pull
         phi, seen = prior[0] + found[:10], found[10:]
-        if phi[0] <= 0:  # nothing to linearise about
+        if phi[0] <= 0:  # no valid load to linearise about
             break
         late = [(e.of, float(np.clip(x, -5, 5))) for e, x in zip(errors, seen, strict=True) if e.kind == "delay"]
         delays = {sensor: x * bounds.delay for sensor, x in late}
@@ -85,8 +89,8 @@ def _normal(
     delays: dict[str, float],
     bounds: SensorBounds,
 ) -> tuple[list[SystematicError], list[tuple[float, str]], Array, Array]:
-    """Systematic errors; by how much each channel is noisier than told, and its name; the normal equations of phi and
-    of these, linearised about a load and delays of sensors (s)."""
+    """Systematic errors; ratios of noise to assumed noise with the names of channels; the normal equations of phi and
+    the errors, linearised about a load and delays of sensors, s."""
     index, errors, parts, noisier = dict[Key, int](), list[SystematicError](), [], list[tuple[float, str]]()
     slid = _slid(phi)
     for number, (readings, weight) in enumerate(zip(runs, weights, strict=True)):
@@ -96,7 +100,7 @@ def _normal(
             reading = replace(reading, rows=interpolated(motion.t, reading.rows, motion.t - delay))
             felt = Felt(motion.t, motion.q, reading.rows @ phi, np.stack([reading.rows @ x for x in slid]))
             own = list(wrist_errors(bounds, felt) if links is None else torque_errors(bounds, felt, links))
-            late = next(error.effect for error in own if error.kind == "delay")  # which the rows have already
+            late = next(error.effect for error in own if error.kind == "delay")  # the rows include it already
             reading = replace(reading, values=reading.values + late * delay / bounds.delay)
             keys = [(error.name, number if error.run else -1) for error in own]
             for key, error in zip(keys, own, strict=True):
@@ -119,12 +123,12 @@ def _normal(
 def _whitened(
     reading: ChannelReading, j: int, effects: Array, prior: tuple[Array, Array]
 ) -> tuple[Array, Array, float]:
-    """Rows (N, 10 + K) per unit of phi and of systematic errors per bound, and values (N,), over the noise of a channel
-    that was found, or more where more is left than it explains; by how much it is noisier than told."""
+    """Rows (N, 10 + K) for phi and for systematic errors in their bounds, and values (N,), whitened by the estimated
+    noise of a channel, or by more if the residual is larger; and the ratio of noise to assumed noise."""
     noise, rows, nuisance, told = reading.motion.noise, reading.rows[:, j], reading.nuisance[j], reading.told[j]
     left = reading.values[:, j] - rows @ prior[0]
     here = effects[:, np.any(effects, axis=0)]
-    # Errors up to ten times their bounds are not taken for noise.
+    # Systematic errors up to ten times their bounds do not count as noise.
     level = noise.found(told, left, np.hstack([3 * prior[1] * rows, nuisance, 10 * here]), RUNS)
     root = np.linalg.cholesky(RUNS * noise.covariance(level) + nuisance @ nuisance.T)
     both = solve_triangular(root, np.column_stack([left, rows, effects]), lower=True, check_finite=False)
@@ -136,11 +140,11 @@ def _whitened(
 
 
 def _denied(errors: Sequence[SystematicError], seen: Array, variance: Array) -> str | None:
-    """The systematic error that surely exceeds its bound most, in a sentence: by the runs alone, without its prior,
+    """A sentence about the systematic error that exceeds its bound most, or None: by the runs alone, without its prior,
     it is m / (1 - v) +- (v / (1 - v))^.5 bounds."""
     left = np.maximum(1 - variance, 1e-12)
     beyond = (np.abs(seen) / left - 1) / np.sqrt(variance / left)
-    beyond[[error.kind == "filter_time" for error in errors]] = -np.inf  # deviations that are smoothed look like it
+    beyond[[error.kind == "filter_time" for error in errors]] = -np.inf  # smoothing of deviations has a similar effect
     worst = int(np.argmax(beyond))
     if beyond[worst] <= SEEN:
         return None
@@ -152,7 +156,7 @@ def _denied(errors: Sequence[SystematicError], seen: Array, variance: Array) -> 
 
 
 def _slid(phi: Array) -> Array:
-    """(2, 10) by how much phi changes per m along x and y."""
+    """Change (2, 10) of phi per m of slip along x and y."""
     if phi[0] <= 0:
         return np.zeros((2, 10))
     m, c = phi[0], phi[1:4] / phi[0]

@@ -1,9 +1,9 @@
-"""Excitation trajectories: safe motions that show most of mass and centre of mass to a sensor in the wrist.
+"""Excitation trajectories: safe motions with the most information about the load for a wrist sensor.
 
-A motion from a posture back to it, in a given time, under all constraints of a fastest plan for the *present* ranges;
-made large is the information of `salver.learning.load.identify` about mass and centre of mass (D-optimal: Fedorov 1972;
-exciting motions: Swevers et al. 1997), what inertia is and a bias of each channel not being known. An objective of the
-planner like any other (`salver.planning.trajopt.objectives`).
+A motion from a posture back to it, in a given time, under all constraints of a fastest plan for the *present* ranges.
+It maximises the information of `salver.learning.load.identify` about mass and centre of mass (D-optimal: Fedorov 1972;
+exciting motions: Swevers et al. 1997), with unknown inertia and an unknown bias of each channel. The information is an
+objective of the planner (`salver.planning.trajopt.objectives`).
 """
 
 from __future__ import annotations
@@ -44,15 +44,15 @@ from salver.sensitivity.arm.terms import MotionTerms, motion_terms
 
 METHOD = "excite"
 SHORTEST, LONGEST = 0.3, 30.0  # s
-SOUGHT = 4  # of phi: mass, and the centre of mass times it
+SOUGHT = 4  # entries of phi of interest: mass and first moment
 
 
 @dataclass(frozen=True, eq=False)
 class Information(Objective):
-    """Less half the logarithm of the determinant of the information about mass and centre of mass.
+    """Minus half the logarithm of the determinant of the information about mass and centre of mass.
 
-    rows: (6, 10, 12) what each channel of a wrist sensor reads per unit of phi and of w of E. density: (6,) of white
-    noise, unit^2 s; bias: (6,) standard deviation. known: (10, 10) information that there is. problem: whose arm moves.
+    rows: (6, 10, 12) reading of each channel of a wrist sensor per unit of phi and of w of E. density: (6,) of white
+    noise, unit^2 s. bias: (6,) standard deviation. known: (10, 10) prior information. problem: the transport problem.
     """
 
     problem: TransportProblem
@@ -64,7 +64,7 @@ class Information(Objective):
 
     @classmethod
     def of(cls, problem: TransportProblem) -> Information:
-        """From a scenario's load with its ranges."""
+        """The objective for a scenario's load with its ranges."""
         body, arm = problem.payload.first, problem.arm
         maps = np.array([at_flange(arm, needed_at_tray(body, unit)) for unit in np.eye(10)])
         sensors = SensorNoise()
@@ -95,7 +95,7 @@ class Information(Objective):
         return 1.0  # of a logarithm
 
     def _seen(self, curve: Curve, at: Point) -> tuple[Array, Array, MotionTerms]:
-        """Information (10, 10), what is read over the noise, without a bias (P, 6, 10), and the terms."""
+        """Information (10, 10), readings per unit of phi over the noise, without bias (P, 6, 10), and the terms."""
         z = curve.motion(at.coefficients, at.duration)
         terms = motion_terms(self.problem.model, self.problem.arm.tray_id, z[0], z[1], z[2])
         time = curve.grid.weights * at.duration
@@ -107,9 +107,9 @@ class Information(Objective):
 
 
 def plan_excite(scenario: Scenario, duration: float, *, options: FastestOptions | None = None) -> Plan:
-    """An excitation trajectory of so many s, from where the scenario's motion begins and back.
+    """Plan an excitation trajectory of a duration, s, from the scenario's start pose and back.
 
-    Raises ScenarioError for what this cannot be asked of, UnreachableError when no such motion is found.
+    Raises ScenarioError for an unsuitable scenario, UnreachableError when no motion is found.
     """
     if scenario.arm is None or len(scenario.objects) > 1 or scenario.payload.dynamic:
         raise ScenarioError(f"{scenario.name}: an excitation trajectory needs an arm with one rigid load on its tray.")
@@ -135,7 +135,7 @@ def plan_excite(scenario: Scenario, duration: float, *, options: FastestOptions 
     for seed in range(3):  # initial guesses, until one leads to a safe motion
         found = nearby(_wiggle(problem, spline, duration, options.seed + seed), objective, duration, options)
         plan = _planned(there, found)
-        if plan.status.ok and not plan.verification.ok:  # as `plan_problem` does: quick turns leave what rows allow for
+        if plan.status.ok and not plan.verification.ok:  # as in `plan_problem`: after fast rotations
             exactly = tuple(ContactConstraint(rows, there.contact.margin, exactly=True) for rows in problem.contacts)
             harder = replace(found, problem=replace(problem, extra=(*problem.extra, *exactly)))
             plan = _planned(there, nearby(harder, objective, duration, options))
@@ -146,8 +146,8 @@ def plan_excite(scenario: Scenario, duration: float, *, options: FastestOptions 
 
 
 def _planned(scenario: Scenario, found: FastestMotion) -> Plan:
-    """The plan, which says what ranges `salver.learning.load.identify` finds from a log of it with the nominal load,
-    as a usual wrist sensor would make it."""
+    """The plan, with the ranges that `salver.learning.load.identify` would find from a log of a usual wrist sensor,
+    with the nominal load."""
     record = solver_record(found, True)
     plan = joint_plan(scenario, found.problem, found.joint_motion(), found.status, record, method=METHOD)
     if not plan.status.ok:
@@ -163,7 +163,7 @@ def _planned(scenario: Scenario, found: FastestMotion) -> Plan:
 
 
 def _wiggle(problem: TransportProblem, spline: RestSpline, duration: float, seed: int) -> FastestMotion:
-    """A random motion of some 0.1 rad and six half waves to begin from: at rest the gradient of information is zero."""
+    """A random initial guess of about 0.1 rad with six half waves; at rest the gradient of the information is zero."""
     rng, s = np.random.default_rng(seed), np.linspace(0.0, 1.0, 201)
     assert problem.start_posture is not None
     waves = np.sin(np.pi * s[:, None] * np.arange(1, 7)) @ rng.standard_normal((6, problem.n))

@@ -1,18 +1,18 @@
-"""Mass, centre of mass and inertia of the load from logs of its being carried, as ranges that cover the truth.
+"""Identification of mass, centre of mass and inertia of the load from logs, as ranges that contain the true values.
 
-The load's wrench is linear in its inertial parameters phi (`salver.models.rigid_body`), so what sensors read with the
-load, less what they read along the same motion with the empty tray, is
+The load's wrench is linear in its inertial parameters phi (`salver.models.rigid_body`). So readings with the load,
+minus those along the same motion with the empty tray, are
 
     torques:  J_E^T Y phi + Z n + E e + noise        wrist:  Y phi + E e + noise,
 
-with E e what is wrong in all logs alike (`salver.learning.load.systematic`), Z n what joint friction is in one run and
-not in the other: it changes in between, and acts at each run's own velocity. The arm's own model errs the same in both
-runs, and cancels; of each run its inverse dynamics at its own state is taken off first. Noise is coloured
-(`salver.learning.load.noise`), as large as the log shows it: generalised least squares. The middle of the scenario's
-ranges is the prior, with their half-ranges as standard deviations; of inertia it is whatever the shape allows, unless
-the scenario has ranges of it. Ranges are `WIDTH` standard deviations and the extremes of e
-(`salver.learning.load.estimate`, `salver.learning.load.ranges`), and the scenario's own where those are narrower.
-Those of `LIKELY` are told beside them. The estimate is the nearest that a mass inside the shape can have.
+with E e the systematic errors (`salver.learning.load.systematic`), and Z n the difference of joint friction between the
+runs, which changes in between and acts at each run's own velocity. Errors of the arm's model are equal in both runs and
+cancel; the inverse dynamics of each run at its own state are subtracted first. Noise is coloured, with the size that
+the log shows (`salver.learning.load.noise`): generalised least squares. The prior is the middle of the scenario's
+ranges, with the half-ranges as standard deviations; for the inertia it is everything that the shape allows, unless the
+scenario has ranges. Ranges are `WIDTH` standard deviations plus the extremes of e (`salver.learning.load.estimate`,
+`salver.learning.load.ranges`), or the scenario's own if those are narrower; ranges of `LIKELY` are reported too. The
+estimate is the nearest that a mass inside the shape can have.
 """
 
 from __future__ import annotations
@@ -50,17 +50,18 @@ class IdentifyOptions:
     """Options of the identification of one rigid load.
 
     Attributes:
-        bandwidth: Hz, of what is believed of a measured deviation from the plan; doubled, noise shakes the arm's model.
-        ends: s left out at each end of a log, where smoothing has only one side.
-        rest: s before and after the motion of which a log is used too; doubled, drift counts for more.
-        block, blocks: s over which samples are averaged, and how many blocks at most; doubled, eight times the time.
-        fine: s over which what a load adds may be taken at the mean of positions, velocities and accelerations.
-        same: rad by which the empty run may differ from the loaded one.
-        astray: rad that a joint may be off the plan.
-        units: times what the heaviest load needs, beyond which a wrist is read in another unit.
-        foreign: share of a joint's largest torque by which the arm's model may err, with a tenth of its limit.
-        strange: times the noise that was told, in the residual, beyond which it is not one rigid load.
-        impossible: standard deviations from anything that a mass inside the shape can have.
+        bandwidth: Hz, cut-off of the smoothing of measured deviations from the plan; doubled, noise enters the arm's
+            model.
+        ends: s at each end of a log that are not used, because smoothing is one-sided there.
+        rest: s of rest before and after the motion that are used; doubled, drift has more effect.
+        block, blocks: s over which samples are averaged, and largest number of blocks; doubled, eight times the time.
+        fine: s over which the load's contribution is computed from mean positions, velocities and accelerations.
+        same: rad, largest difference between the empty and the loaded run.
+        astray: rad, largest deviation of a joint from the plan.
+        units: ratio to the wrench of the heaviest load above which the wrist's unit must be another.
+        foreign: error of the arm's model, as a share of a joint's largest torque, besides a tenth of its limit.
+        strange: ratio of the residual to the assumed noise above which the load is not one rigid body.
+        impossible: standard deviations from the nearest load that a mass inside the shape can have.
     """
 
     bandwidth: float = 10.0
@@ -82,11 +83,12 @@ OPTIONS = IdentifyOptions()
 
 @dataclass(frozen=True)
 class Identified:
-    """ranges: of mass (kg), centre of mass (m from the nominal one, in B) and inertia about it (kg m^2, axes of B). phi
-    (10,), covariance (10, 10): in B; phi is of a mass inside the shape, the covariance of noise alone.
+    """An identified load.
 
-    residual: by how much the worst channel is noisier than was told. sensors: what was used. shares: kg of the mass's
-    half-range for which noise and each kind of systematic error account.
+    ranges: of mass (kg), centre of mass (m from the nominal one, in B) and inertia about it (kg m^2, axes of B). phi
+    (10,), covariance (10, 10): in B; phi is realisable inside the shape, the covariance is that of the noise alone.
+    residual: largest ratio of a channel's noise to the assumed noise. sensors: names of the sensors. shares:
+    contributions of noise and of each kind of systematic error to the mass's half-range, kg.
     """
 
     scenario: Scenario
@@ -99,8 +101,8 @@ class Identified:
     told: list[str] = field(default_factory=list)
 
     def learnt_scenario(self) -> Scenario:
-        """The scenario with the new ranges, as a box. B moves with the nominal centre of mass, and so do start and
-        goal."""
+        """The scenario with the new ranges, as a box. B moves with the nominal centre of mass; start and goal are
+        adapted."""
         item, motion = self.scenario.objects[0], self.scenario.motion
         middle = {name: r.middle for name, r in self.ranges.items()}
         half = {name: r.half for name, r in self.ranges.items()}
@@ -132,7 +134,7 @@ class Identified:
 
 @dataclass(frozen=True)
 class LoggedRun:
-    """A plan carried out with the load, and with nothing on the tray."""
+    """A plan, with the logs of a run with the load and of a run with the empty tray."""
 
     plan: Plan
     loaded: Log
@@ -142,10 +144,15 @@ class LoggedRun:
 def identify(plan: Plan, loaded: Sequence[Log], empty: Log, bounds: SensorBounds | None = None) -> Identified:
     """Identify the load from logs of a plan's motion.
 
-    empty: the same motion with nothing on the tray. bounds: of the sensors' systematic errors.
+    Args:
+        loaded: logs with the load.
+        empty: log of the same motion with the empty tray.
+        bounds: of the sensors' systematic errors.
 
-    Raises ScenarioError for a scenario that this cannot be asked of, FileFormatError for logs that do not belong to it
-    or show a systematic error beyond its bound, SalverError when the logs contradict the scenario's ranges.
+    Raises:
+        ScenarioError: the load is not one rigid object on an arm.
+        FileFormatError: a log does not belong to the plan, or shows a systematic error beyond its bound.
+        SalverError: the logs contradict the scenario's ranges.
     """
     return identify_runs(plan.scenario, [LoggedRun(plan, log, empty) for log in loaded], bounds=bounds)
 
@@ -153,16 +160,16 @@ def identify(plan: Plan, loaded: Sequence[Log], empty: Log, bounds: SensorBounds
 def identify_runs(
     scenario: Scenario, runs: Sequence[LoggedRun], within: Scenario | None = None, bounds: SensorBounds | None = None
 ) -> Identified:
-    """Identify a scenario's load from runs of any plans, in which it stood at the same place.
+    """Identify a scenario's load from runs of any plans, in which it stood at the same position on the tray.
 
-    within: a scenario of the same load whose ranges are known to hold it too (the scenario's own unless given): what is
-    told lies within these. Raises as `identify` does.
+    within: a scenario of the same load whose ranges contain it too, to which the result is restricted; default: the
+    scenario. Raises as `identify` does.
     """
     _one_rigid_load(scenario, runs)
     _each_its_own(runs)
     sources, bounds = ", ".join(run.loaded.source for run in runs), bounds or SensorBounds()
     readings = _felt(scenario, runs, prior(scenario))
-    # n runs of one motion less the same empty run know n / (1 + n) of what one run without noise in that would.
+    # n runs minus one empty run have n / (1 + n) of the information of n runs minus a noise-free empty run.
     with_this = Counter(id(run.empty) for run in runs)
     weights = [2 / (1 + with_this[id(run.empty)]) for run in runs]
     found = solve(readings, weights, prior(scenario), bounds)
@@ -177,9 +184,9 @@ def identify_runs(
     estimate, body = found.estimate, scenario.payload.first
     inside = bool(
         realisable(body, inertial_vector(body.inertial))[0]
-    )  # a scenario may say more than its shape can have
+    )  # a scenario's nominal inertia may be impossible for its shape
     possible, off = nearest(body, estimate.phi, estimate.together, within_shape=inside)
-    if off > OPTIONS.impossible and estimate.phi[0] > 0:  # a mass below 0 is told as such
+    if off > OPTIONS.impossible and estimate.phi[0] > 0:  # a negative mass has its own message
         raise SalverError(
             f"{sources}: what was felt is {off:.1f} standard deviations from any distribution of mass inside "
             f"{body.name}; at most {OPTIONS.impossible:g} is accepted: its shape or its place, the "
@@ -200,7 +207,7 @@ def identify_runs(
 
 
 def _one_rigid_load(scenario: Scenario, runs: Sequence[LoggedRun]) -> None:
-    """Raise ScenarioError where no arm carries the load, or what it carries is not one rigid load."""
+    """Raise ScenarioError unless an arm carries the load, and the load is one rigid object."""
     if scenario.arm is None or any(run.plan.joint is None for run in runs):
         raise ScenarioError(
             f"{scenario.name} has no joint motion; a load is identified from the torques of the arm that carries it."
@@ -220,7 +227,7 @@ def _one_rigid_load(scenario: Scenario, runs: Sequence[LoggedRun]) -> None:
 def _felt(scenario: Scenario, runs: Sequence[LoggedRun], known: tuple[Array, Array]) -> list[list[ChannelReading]]:
     """Sensor channels of each run.
 
-    known: what the scenario says of phi, and its spread. Raises FileFormatError for logs that belong to no such run.
+    known: prior of phi, and its standard deviations. Raises FileFormatError for logs that do not belong to the runs.
     """
     from salver.models.arm.arm import load_arm
 
@@ -243,7 +250,7 @@ def _felt(scenario: Scenario, runs: Sequence[LoggedRun], known: tuple[Array, Arr
 
 
 def _each_its_own(runs: Sequence[LoggedRun]) -> None:
-    """Raise FileFormatError when two runs are one: what was felt once would count twice."""
+    """Raise FileFormatError when two logs are equal, because a run would count twice."""
     for a, b in combinations([run.loaded for run in runs], 2):
         felt = (a.q, b.q), (a.tau, b.tau), (a.wrench_F, b.wrench_F)
         if all(x is y or (x is not None and y is not None and np.array_equal(x, y)) for x, y in felt):
@@ -253,7 +260,7 @@ def _each_its_own(runs: Sequence[LoggedRun]) -> None:
 
 
 def _timed(plan: Plan, log: Log) -> Log:
-    """The log on the plan's clock: by what all its joints together are late, its times are less."""
+    """The log on the plan's clock, without the common delay of all joints."""
     assert plan.joint is not None
     check_times(log.t, log.q, log.source, plan.joint.q)
     if np.abs(log.q - plan.joint.sample(log.t)[0]).max() <= OPTIONS.same:
@@ -315,7 +322,7 @@ def _state(plan: Plan, arm: ArmModel, log: Log) -> SensedMotion:
 
 
 def _each_link(arm: ArmModel, q: Array, dq: Array, ddq: Array, torque: Array) -> Iterator[Array]:
-    """(T, n) N m that joints need for each link but the last, which carries the tray."""
+    """Joint torques (T, n), N m, of each link except the last, which carries the tray."""
     from salver.sensitivity.arm.terms import motion_terms
 
     for k in range(1, arm.pin_model.njoints - 1):
@@ -327,7 +334,7 @@ def _each_link(arm: ArmModel, q: Array, dq: Array, ddq: Array, torque: Array) ->
 
 
 def _in_units(log: Log, state: SensedMotion, heaviest: float, phi_0: Array) -> None:
-    """Raise FileFormatError when a wrist feels far more than the heaviest load and tray, kg, can make it feel."""
+    """Raise FileFormatError when wrist readings far exceed those of the tray and the heaviest load, kg."""
     if state.wrench is None:
         return
     most = np.linalg.norm((state.to_wrench @ (phi_0 * heaviest / phi_0[0])).reshape(-1, 2, 3), axis=2)
@@ -343,7 +350,7 @@ def _in_units(log: Log, state: SensedMotion, heaviest: float, phi_0: Array) -> N
 
 
 def _of_this_arm(arm: ArmModel, without: SensedMotion, empty: Log) -> None:
-    """Raise FileFormatError when torques of the empty run are not what this arm needs, roughly, to move its tray."""
+    """Raise FileFormatError when torques of the empty run differ too much from those of this arm with its tray."""
     if without.tau is None:
         return
     off = np.median(np.abs(without.tau), axis=0)

@@ -1,4 +1,4 @@
-"""The ranges of a scenario, narrowed by what logs tell of its load: never widened, nor beyond what its shape allows."""
+"""Narrowing of a scenario's ranges by an estimate of its load; they are never widened, and respect the shape."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from salver.models.uncertain.parameters import INERTIAL, inertial_vector, phi_of
 if TYPE_CHECKING:
     from salver.scenario import Scenario
 
-Ends = tuple[Array, Array]  # (10,) least and largest values of `INERTIAL`
-DENIED = 4.5  # standard deviations from an inertia of which the scenario knows no range
+Ends = tuple[Array, Array]  # least and largest values (10,) of `INERTIAL`
+DENIED = 4.5  # standard deviations above which the logs contradict an inertia without a range
 
 
 def prior(scenario: Scenario) -> tuple[Array, Array]:
-    """phi (10,) in the middle of the scenario's ranges, and standard deviations as wide as they are; of the inertia, of
-    any mass inside the shape where the scenario has no range."""
+    """Prior of phi (10,): the middle of the scenario's ranges, with the half-ranges as standard deviations; for
+    inertias without a range, everything that a mass inside the shape can have."""
     payload, body = scenario.payload, scenario.payload.first
     half = half_ranges(scenario)
     nominal = inertial_vector(body.inertial)
@@ -34,14 +34,14 @@ def prior(scenario: Scenario) -> tuple[Array, Array]:
 
 
 def half_ranges(scenario: Scenario) -> Array:
-    """(10,) half-ranges of `INERTIAL`; 0 without one."""
+    """Half-ranges (10,) of `INERTIAL`; 0 without a range."""
     ranges = {p.quantity: h for p, h in scenario.payload.uncertain.ranges.items()}
     return np.array([ranges.get(name, 0.0) for name in INERTIAL])
 
 
 def narrowed(scenario: Scenario, estimate: Estimate, within: Scenario, inside: bool) -> dict[str, Range]:
-    """Ranges of mass, centre of mass and inertia in the scenario's B, within those of a scenario of the same load.
-    inside: whether a mass inside the shape can have the inertia that the scenario says."""
+    """Ranges of mass, centre of mass and inertia in the scenario's B, within those of `within`, a scenario of the same
+    load. inside: whether a mass inside the shape can have the scenario's inertia."""
     body, half = within.payload.first, half_ranges(within)
     nominal = inertial_vector(body.inertial)
     nominal[1:4] += body.com_G - scenario.payload.first.com_G
@@ -72,7 +72,7 @@ def narrowed(scenario: Scenario, estimate: Estimate, within: Scenario, inside: b
 
 
 def _within(k: int, sure: Ends, before: Ends, likely: Ends) -> Range:
-    """A range of one of `INERTIAL` within the one before. Raises SalverError when there is none."""
+    """The range of entry k of `INERTIAL`, within the range before. Raises SalverError when it is empty."""
     (a, b), known, probable = ((float(low[k]), float(high[k])) for low, high in (sure, before, likely))
     low, high = max(a, known[0]), min(b, known[1])
     if low > high:
@@ -87,7 +87,7 @@ def _within(k: int, sure: Ends, before: Ends, likely: Ends) -> Range:
 
 
 def _not_denied(mass: Range, nominal: Array, ranged: Mask, denied: Ends) -> None:
-    """Raise SalverError when the logs deny the inertia of a scenario that knows no range of it."""
+    """Raise SalverError when the logs contradict an inertia for which the scenario has no range."""
     times = np.array([mass.low, mass.high]) / nominal[0]
     for k, (low, high) in enumerate(zip(*denied, strict=True)):
         taken = np.sort(nominal[k] * times)
@@ -99,7 +99,7 @@ def _not_denied(mass: Range, nominal: Array, ranged: Mask, denied: Ends) -> None
 
 
 def not_shown(ranges: dict[str, Range], sensors: set[str]) -> list[str]:
-    """Parameters that this motion does not show, and a motion that would."""
+    """Sentences about parameters that this motion does not identify, and about a motion that would."""
     told, open_ = [], [name for name, r in ranges.items() if r.before[1] > r.before[0] and not r.learnt]
     lacking = [name for name in open_ if name in NAMES]
     if lacking:

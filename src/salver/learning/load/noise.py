@@ -4,10 +4,11 @@ Errors of a channel at times d apart have the covariance
 
     K(d) = white^2 [d = 0] + coloured^2 exp(-|d| / colour) + drift^2 exp(-|d| / slow).
 
-What is read are means over a block of samples, and a long motion's blocks are longer than coloured noise remembers: its
-covariance is the mean over both blocks. Ordinary least squares takes all errors for white; its ranges then cover the
-truth in a few runs of a hundred. How large white and coloured noise are, a log tells itself, by the marginal likelihood
-(Patterson and Thompson 1971); of a drift one run says nothing. A bias is no noise (`salver.learning.load.systematic`).
+Readings are means over a block of samples; blocks of a long motion are longer than the correlation time of coloured
+noise, so that its covariance is the mean over both blocks. Ordinary least squares assumes white errors, and its ranges
+would contain the true values in few of a hundred runs. The sizes of white and coloured noise are estimated from the log
+by the marginal likelihood (Patterson and Thompson 1971); one run does not show the drift. A bias is not noise
+(`salver.learning.load.systematic`).
 """
 
 from __future__ import annotations
@@ -18,13 +19,13 @@ import numpy as np
 
 from salver.geometry import Array
 
-RUNS = 2  # of which a difference is: the loaded one less the empty one
+RUNS = 2  # number of runs in a difference: the loaded and the empty one
 
 
 @dataclass(frozen=True)
 class ChannelNoise:
-    """Standard deviations of one channel in one run, in its unit. white: of a single sample. drift: by which it wanders
-    in a second."""
+    """Standard deviations of the noise of one channel in one run, in its unit. white: of a single sample. drift: of the
+    change in a second."""
 
     white: float
     coloured: float
@@ -38,20 +39,20 @@ class ChannelNoise:
 
 @dataclass(frozen=True)
 class SensorNoise:
-    """Prior knowledge of sensors' noise.
+    """Assumed noise of sensors.
 
-    White and coloured noise are looked for between a tenth and 16 times as much; drift and times are taken as they
-    are.
+    White and coloured noise are estimated between a tenth and 16 times these values; drift and times are fixed.
 
     Attributes:
-        torque, force, moment: of joint torques (N m: some 0.1 on a Panda, franka_ros issue 404) and of a wrist sensor.
-        colour: s after which coloured noise is forgotten; 0.05 instead of 0.035 widens ranges by 7 to 10 %.
-        slow: s after which a drift is.
-        friction: N m and N m s, by how much Coulomb and viscous friction of a joint change between two runs; doubled,
-            ranges by joint torques widen.
-        all_friction: N m and N m s, what they are; it cancels, but where two runs have not the same velocity.
-        standstill: rad/s around which Coulomb friction changes its sign, which no log tells.
-        unlike: share and s, by which the arm's own torques are wrong where its motion deviates from the empty run's.
+        torque, force, moment: of joint torques (N m: about 0.1 on a Panda, franka_ros issue 404) and of a wrist sensor.
+        colour: s, correlation time of coloured noise; 0.05 instead of 0.035 widens ranges by 7 to 10 %.
+        slow: s, correlation time of a drift.
+        friction: N m and N m s, change of Coulomb and viscous friction of a joint between two runs; doubled, ranges
+        from
+            joint torques widen.
+        all_friction: N m and N m s, friction itself, which cancels except where two runs have different velocities.
+        standstill: rad/s, velocities over which Coulomb friction changes its sign, which no log shows.
+        unlike: relative error, and delay in s, of the arm's own torques where its motion deviates from the empty run's.
     """
 
     torque: ChannelNoise = ChannelNoise(0.057, 0.057, 0.03)
@@ -67,8 +68,8 @@ class SensorNoise:
 
 @dataclass(frozen=True, eq=False)
 class BlockNoise:
-    """Noise of N blocks of one log, means over `samples` that end where the next begin: covariances (N, N) of
-    coloured noise and drift per unit; sizes and vectors of the former, the square root (N, r) of the latter."""
+    """Noise of N consecutive blocks of one log, means over `samples`: unit covariances (N, N) of coloured noise and
+    drift; eigenvalues and eigenvectors of the former, a square root (N, r) of the latter."""
 
     samples: int
     coloured: Array
@@ -90,16 +91,16 @@ class BlockNoise:
         return cls(samples, coloured, (values, vectors), slow, shapes[:, kept] * np.sqrt(size[kept]))
 
     def covariance(self, noise: ChannelNoise) -> Array:
-        """(N, N) of its errors."""
+        """Covariance (N, N) of a channel's noise."""
         out = noise.coloured**2 * self.coloured + noise.drift**2 * self.slow
         out[np.diag_indices(len(out))] += noise.white**2 / self.samples
         return np.asarray(out)
 
     def found(self, told: ChannelNoise, values: Array, effects: Array, runs: int) -> ChannelNoise:
-        """The noise of a channel with values (N,), the sum of so many runs': its variances, as the mean over all that
-        are likely. The drift as told.
+        """The estimated noise of a channel with values (N,), the sum of the noise of `runs` runs: posterior means of
+        the variances; the drift is as assumed.
 
-        effects (N, m): per standard deviation of everything else that may be in the values.
+        effects (N, m): other possible contributions to the values, per standard deviation.
         """
         size, vectors = self.eigen
         shares = np.geomspace(0.1, 16.0, 13)
@@ -108,11 +109,11 @@ class BlockNoise:
         m = L.shape[1] - 1
         row, column = np.tril_indices(m + 1)
         weight = 1 / (runs * (white[:, None] / self.samples + slower[:, None] * np.maximum(size, 0.0)))
-        inner = np.zeros((len(weight), m + 1, m + 1))  # of which the lower half is read
+        inner = np.zeros((len(weight), m + 1, m + 1))  # only the lower half is read
         inner[:, row, column] = weight @ (L[:, row] * L[:, column])
         inner[:, range(m), range(m)] += 1.0
         root = np.diagonal(np.linalg.cholesky(inner), axis1=1, axis2=2)
-        # The last of them squared is what the effects leave of the values.
+        # The square of the last one is the residual of the values after the effects.
         cost = 2 * np.log(root[:, :m]).sum(axis=1) - np.log(weight).sum(axis=1) + root[:, m] ** 2
         likely = np.exp(0.5 * (cost.min() - cost))
         sizes = np.sqrt(likely @ np.column_stack([white, slower]) / likely.sum())

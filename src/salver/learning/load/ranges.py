@@ -1,14 +1,14 @@
-"""From an estimate of a load's inertial parameters to ranges of what scenarios speak of.
+"""Ranges of a scenario's parameters from an estimate of the inertial parameters phi.
 
-Mass, centre of mass c = h / m and inertia about it, I - m (|c|^2 1 - c c^T), are no linear functions of phi. What an
-estimate with a covariance says of each within so many standard deviations is computed without linearising: of the
-centre of mass by Fieller (1954), of the inertia with u = h - m c_0, c_0 that of the estimate, of which
+Mass, centre of mass c = h / m and inertia about it, I - m (|c|^2 1 - c c^T), are nonlinear functions of phi. Their
+ranges within a number of standard deviations are computed without linearising: that of the centre of mass by Fieller
+(1954), that of the inertia with u = h - m c_0, c_0 the estimate's centre of mass, from
 
     h h^T / m = m c_0 c_0^T + c_0 u^T + u c_0^T + u u^T / m
 
-is linear but for its last term, which is bounded. Principal second moments are no less than 0 and no more than a mass
-within the shape can have (the pseudo-inertia is positive semidefinite: Wensing, Kim and Slotine 2018), so that the
-inertias bound each other.
+which is linear except for its last term; that is bounded. Principal second moments are at least 0 and at most those
+that a mass within the shape can have (the pseudo-inertia is positive semidefinite: Wensing, Kim and Slotine 2018), so
+that the inertias bound each other.
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ from salver.models.rigid_body import inertia_entries, parallel_axis
 from salver.models.uncertain.contents import PAIRS
 from salver.models.uncertain.parameters import INERTIAL
 
-WIDTH = 3.0  # standard deviations, of ranges that are taken for certain
-LIKELY = 2.0  # and of those that hold the truth in 95 % of runs or more
-LEARNT = 0.9  # of the range before: a parameter whose range is not narrower than this was not identified
+WIDTH = 3.0  # standard deviations of the ranges for planning
+LIKELY = 2.0  # standard deviations of ranges that contain the true value in 95 % of runs or more
+LEARNT = 0.9  # a parameter counts as identified if its range is narrower than this share of the range before
 NAMES = INERTIAL[:4]
 _SQUARES = [k for k, (i, j) in enumerate(PAIRS) if i == j]
 
 
 @dataclass(frozen=True)
 class Range:
-    """low, high: of a parameter of the scenario, SI units, to plan for. before: (low, high) that it had. likely: what
-    holds it in 95 % of runs."""
+    """The range of a parameter, SI units. low, high: for planning. before: its (low, high) in the scenario. likely: the
+    range that contains it in 95 % of runs."""
 
     low: float
     high: float
@@ -54,8 +54,11 @@ class Range:
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """phi (10,) of a load, in B. covariance (10, 10): of noise. systematic (10, K): by how much each systematic error,
-    as large as its bound, would move it. shift (3,): m by which the centre of mass may have moved during a run."""
+    """An estimate phi (10,) of a load, in B.
+
+    covariance (10, 10): by noise. systematic (10, K): change of phi by each systematic error at its bound. shift (3,):
+    m, largest displacement of the centre of mass during a run.
+    """
 
     phi: Array
     covariance: Array
@@ -64,12 +67,12 @@ class Estimate:
 
     @property
     def together(self) -> Array:
-        """(10, 10) covariance of noise plus that of systematic errors as large as their bounds."""
+        """Covariance (10, 10) by noise, plus that of systematic errors at their bounds."""
         return np.asarray(self.covariance + self.systematic @ self.systematic.T)
 
 
 def fieller(m: float, h: float, covariance: Array, width: float = WIDTH) -> tuple[float, float]:
-    """Range of h / m at so many standard deviations, covariance (2, 2) of (m, h): where a quadratic is 0."""
+    """Range of h / m within `width` standard deviations, with the covariance (2, 2) of (m, h)."""
     a = m**2 - width**2 * covariance[0, 0]
     b = m * h - width**2 * covariance[0, 1]
     c = h**2 - width**2 * covariance[1, 1]
@@ -80,14 +83,14 @@ def fieller(m: float, h: float, covariance: Array, width: float = WIDTH) -> tupl
 
 
 def mass_interval(estimate: Estimate, width: float = WIDTH) -> tuple[float, float]:
-    """The mass within so many standard deviations, and any systematic errors."""
+    """Range of the mass within `width` standard deviations, for all systematic errors within their bounds."""
     radius = width * np.sqrt(estimate.covariance[0, 0]) + np.abs(estimate.systematic[0]).sum()
     return float(estimate.phi[0] - radius), float(estimate.phi[0] + radius)
 
 
 def intervals(estimate: Estimate, width: float = WIDTH) -> tuple[Array, Array]:
-    """(10,) least and largest values of `INERTIAL`, each within so many standard deviations, and any systematic
-    errors: extremes of these are added."""
+    """Least and largest values (10,) of `INERTIAL`, each within `width` standard deviations, plus the extremes of the
+    systematic errors."""
     phi, covariance, systematic = estimate.phi, estimate.covariance, estimate.systematic
     lightest, heaviest = mass_interval(estimate, width)
     if lightest <= 0:
@@ -103,7 +106,7 @@ def intervals(estimate: Estimate, width: float = WIDTH) -> tuple[Array, Array]:
 
 
 def slid(estimate: Estimate) -> Array:
-    """(10,) by how much values of `INERTIAL` may be off in an estimate of a load that slid by up to its shift."""
+    """Largest error (10,) of `INERTIAL` because the load may have slid by up to `shift`."""
     com, heaviest, shift = np.abs(estimate.phi[1:4] / estimate.phi[0]), mass_interval(estimate)[1], estimate.shift
     each = np.outer(com, shift) + np.outer(shift, com) + np.outer(shift, shift)
     entries = [np.trace(each) - each[i, i] if i == j else each[i, j] for i, j in PAIRS]
@@ -111,8 +114,11 @@ def slid(estimate: Estimate) -> Array:
 
 
 def consistent(low: Array, high: Array, most: Array) -> tuple[Array, Array]:
-    """Entries (6,) of an inertia within low and high of which every one fits to others: second moments s_x, s_y, s_z
-    about the centre of mass, I_xx = s_y + s_z, lie between 0 and most (3,), and s_xy^2 <= s_x s_y."""
+    """Ranges (6,) of the entries of an inertia, tightened so that they are consistent.
+
+    The second moments s_x, s_y, s_z about the centre of mass, with I_xx = s_y + s_z, are between 0 and most (3,), and
+    s_xy^2 <= s_x s_y.
+    """
     least, largest = (x[_SQUARES] for x in (low, high))
     lower = np.maximum(0.5 * (np.sum(least) - least - largest), 0.0)  # s_x = (I_yy + I_zz - I_xx) / 2
     upper = np.minimum(0.5 * (np.sum(largest) - largest - least), most)
@@ -129,7 +135,8 @@ def consistent(low: Array, high: Array, most: Array) -> tuple[Array, Array]:
 
 
 def _about_com(phi: Array) -> tuple[Array, Array, Array]:
-    """(6,) inertia about the centre of mass of phi; (6, 10) the derivative of its linear part; (3, 10) u per phi."""
+    """Inertia (6,) about the centre of mass of phi, the derivative (6, 10) of its linear part, and that (3, 10) of
+    u."""
     m, com = phi[0], phi[1:4] / phi[0]
     about = inertia_entries(parallel_axis(1.0, com))
     # Twice what is linear in c and in e, for each unit vector e.
@@ -139,7 +146,7 @@ def _about_com(phi: Array) -> tuple[Array, Array, Array]:
 
 
 def _curved(u: Array, lightest: float) -> tuple[Array, Array]:
-    """(6,) by how much at most u u^T / m, |u_i| <= u (3,), m >= lightest, makes an inertia less, and more."""
+    """Bounds (6,) of the decrease and the increase of an inertia by u u^T / m, for |u_i| <= u (3,), m >= lightest."""
     products = np.outer(u, u) / lightest
     less = np.array([np.trace(products) - products[i, i] if i == j else products[i, j] for i, j in PAIRS])
     more = np.array([0.0 if i == j else products[i, j] for i, j in PAIRS])

@@ -1,8 +1,7 @@
-"""Logs as an arm's sensors would write them, of a plan carried with any load or none, or of what an engine's arm did.
+"""Simulated logs of an arm's sensors, for a plan or an executed motion with any load or with the empty tray.
 
-Errors are made as sensors make them, not as `salver.learning.load.noise` has them: noise through a second-order
-filter, a bias, a drift that wanders, links that are heavier than the model says, joint friction that differs from run
-to run.
+Their errors differ from the model of `salver.learning.load.noise`: noise through a second-order filter, a bias, a
+random-walk drift, links that are heavier than in the model, joint friction that changes from run to run.
 """
 
 from __future__ import annotations
@@ -26,20 +25,21 @@ if TYPE_CHECKING:
     from salver.models.arm.arm import ArmModel
     from salver.scenario import Tray
 
-RESTS = 0.2  # s that a log begins before the motion, and ends after it
-COLOURED = 10.0  # Hz, of the second-order filter through which slow noise went: it forgets in 34 ms
-LEVER = 0.05  # m: a moment of a wrist sensor's range over a force of it
+RESTS = 0.2  # s of rest in a log before and after the motion
+COLOURED = 10.0  # Hz, cut-off of the second-order filter of coloured noise; its correlation time is 34 ms
+LEVER = 0.05  # m, ratio of the ranges of moments and forces of a wrist sensor
 Done = tuple[Array, Array, Array, Array]  # t (K,), q, dq, ddq (K, n)
 
 
 @dataclass(frozen=True)
 class Sensors:
-    """Sizes (standard deviations unless said), in N, N m, rad.
+    """Sizes of random errors, in N, N m, rad; standard deviations unless stated otherwise.
 
-    torque, force, moment: of noise, of which a share of the variance (`coloured`, `wrist_coloured`) is not white;
-    _bias: of a channel in a run, at most; torque_drift: in a second; that of a wrist sensor is as large as its bias.
-    links: share by which each link's mass is wrong, in all runs. friction: (low, high) N m of joints, of which a share
-    `friction_change` is new in each run. rate: samples a second. times: of all noises.
+    torque, force, moment: of noise, of which a share of the variance (`coloured`, `wrist_coloured`) is coloured.
+    torque_bias, force_bias, moment_bias: largest bias of a channel in a run. torque_drift: in a second; the drift of a
+    wrist sensor equals its bias. links: relative error of each link's mass, in all runs. friction: (low, high) N m of
+    joints, of which a share `friction_change` changes in each run. rate: samples per second. times: factor of all
+    noise.
     """
 
     torque: float = 0.08
@@ -61,8 +61,8 @@ class Sensors:
     def errors(
         self, count: int, noise: Array, bias: Array, drift: Array, share: float, rng: np.random.Generator
     ) -> Array:
-        """(count, m) of m channels: white noise, slower noise (`share` of the variance), a bias, a random walk that
-        leads `drift` away in a second."""
+        """Errors (count, m) of m channels: white noise, coloured noise (`share` of the variance), a bias, and a random
+        walk with the standard deviation `drift` after a second."""
         from scipy.signal import lfilter
 
         m = len(noise)
@@ -80,7 +80,7 @@ class Sensors:
         return np.asarray(self.times * out)
 
     def torque_errors(self, count: int, joints: int, rng: np.random.Generator) -> Array:
-        """(count, joints) N m."""
+        """Errors (count, joints) of joint torques, N m."""
         noise, bias, drift = (np.full(joints, x) for x in (self.torque, self.torque_bias, self.torque_drift))
         return self.errors(count, noise, bias, drift, self.coloured, rng)
 
@@ -91,8 +91,8 @@ class Defects:
 
     In all runs: scale: share. cross_talk: share of every other channel, through `LEVER` between forces and torques.
     position (m), tilt (rad): of a wrist sensor from the flange, about each axis. delay: s. bandwidth: Hz of a
-    first-order filter. With the load only: force_bias, moment_bias, torque_bias: N, N m, N m. cable: N, by which a hose
-    pulls otherwise, as it bends. links: share by which the links of the arm are heavier or lighter. seed: of the signs.
+    first-order filter. With the load only: force_bias, moment_bias, torque_bias: N, N m, N m. cable: N, change of the
+    pull of a hose with the posture. links: relative change of the links' masses. seed: seed of the signs.
     """
 
     force_bias: float = 0.0
@@ -110,7 +110,7 @@ class Defects:
 
     @classmethod
     def usual(cls, bounds: SensorBounds, seed: int) -> Defects:
-        """Half as large as the bounds."""
+        """Errors of half the bounds."""
         alike = {f.name: 0.5 * getattr(bounds, f.name) for f in fields(cls) if hasattr(bounds, f.name)}
         return cls(**alike, seed=seed)
 
@@ -127,7 +127,7 @@ class Defects:
 
 
 class SensedArm:
-    """One arm with its own errors, which carries loads. wrist, joints: whether it has these sensors."""
+    """A simulated arm with errors of its own, which carries loads. wrist, joints: whether it has these sensors."""
 
     def __init__(
         self,
@@ -152,15 +152,15 @@ class SensedArm:
         low, high = self.sensors.friction
         self.friction = self.rng.uniform(low, high, self.arm.n)
         self.model = self.arm.pin_model.copy()
-        links = range(1, self.model.njoints - 1)  # the last carries the tray, which was weighed
+        links = range(1, self.model.njoints - 1)  # the last carries the tray, whose mass is known
         _heavier(self.model, {k: 1 + self.sensors.links * self.rng.standard_normal() for k in links})
-        self.other = self.model.copy()  # of the arm with a load, if it is not the same
+        self.other = self.model.copy()  # model of the arm in runs with a load
         _heavier(self.other, {k: 1 + self.defects.links * self.signs[11, k] for k in links})
 
     def log(self, inertial: Array | None, source: str = "log", done: Done | None = None) -> Log:
-        """A run with a load of values (10,) of `parameters.INERTIAL` in B, or with the empty tray.
+        """Log of a run with a load with values (10,) of `parameters.INERTIAL` in B, or with the empty tray (None).
 
-        done: what the arm did; unless given, the plan itself and `RESTS` around it, `Sensors.rate` times a second.
+        done: the executed motion; default: the plan, with `RESTS` before and after, at `Sensors.rate`.
         """
         s, rng, n = self.sensors, self.rng, self.arm.n
         if done is None:
@@ -185,7 +185,7 @@ class SensedArm:
         return Log(source, t, seen, tau if self.joints else None, wrench if self.wrist else None)
 
     def _as_sensed(self, t: Array, q: Array, tau: Array, wrench: Array, loaded: bool) -> tuple[Array, Array]:
-        """Joint torques (K, n) and wrenches (K, 6) at the flange as sensors with these defects say them."""
+        """Joint torques (K, n) and wrenches (K, 6) at the flange with these systematic errors."""
         from scipy.spatial.transform import Rotation
 
         d, signs = self.defects, self.signs
@@ -213,16 +213,16 @@ def _heavier(model: Any, shares: dict[int, float]) -> None:
 
 
 def at_flange(arm: ArmModel, at_E: Array) -> Array:
-    """Wrenches (..., 6, k) at the tray's E, seen at the flange."""
+    """Wrenches (..., 6, k) at the tray frame E, converted to the flange."""
     return np.asarray(to_tray(arm.p_FE, arm.R_FE) @ at_E)
 
 
 def tray_wrench(tray: Tray, arm: ArmModel, w: Array) -> Array:
-    """(T, 6) what the tray itself needs at the flange, at w (T, 12)."""
+    """Wrench (T, 6) of the tray itself at the flange, at w (T, 12)."""
     inertial = np.concatenate([[tray.mass], arm.tray_com_E, inertia_entries(np.diag(tray.inertia))])
     return at_flange(arm, wrench_map(phi_of(inertial)) @ w[:, :, None])[:, :, 0]
 
 
 def nominal_load(plan: Plan) -> Array:
-    """(10,) of the plan's own load."""
+    """Values (10,) of `INERTIAL` for the plan's nominal load."""
     return inertial_vector(plan.scenario.payload.first.inertial)

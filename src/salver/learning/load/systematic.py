@@ -1,8 +1,8 @@
-"""Errors of a sensor that no mean over samples or logs removes: so they are bounded.
+"""Systematic errors of sensors, which averaging does not remove, with their bounds.
 
-Each is a `SystematicError`: a name, a bound, and what a sensor reads more when the error is as large as its bound. All
-are unknowns of the least-squares problem beside the load (`salver.learning.load.identify`), so one that the logs show
-is estimated, and refused when it is beyond its bound; of one that they do not show, the extreme is added to the ranges.
+A `SystematicError` has a name, a bound, and the change of the readings when the error is at its bound. All are unknowns
+of the least-squares problem, together with the load (`salver.learning.load.identify`): an error that the logs show is
+estimated, and logs with an error beyond its bound are refused; for others the extreme is added to the ranges.
 """
 
 from __future__ import annotations
@@ -24,25 +24,24 @@ AXES = ("x", "y", "z")
 class SensorBounds:
     """Bounds of sensors' systematic errors. All are largest absolute values, not standard deviations.
 
-    Each log and the empty run are compared, so a bias counts by what it is other than in the empty run. The defaults
-    are wide enough for usual sensors; sources are in docs/howto/identify.md.
+    Logs are compared with the empty run, so that only the change of a bias since then matters. The defaults are wide
+    enough for usual sensors; docs/howto/identify.md has the sources.
 
     Attributes:
         force_bias: N, of each wrist force after taring.
         moment_bias: N m, of each wrist moment after taring.
-        cable: N, by which a cable or hose pulls otherwise than in the empty run as the arm moves.
-        scale: share by which each wrist channel reads too much or too little.
-        cross_talk: share of each other wrist channel that is read by mistake.
-        lever: m, the range of a sensor's moments over that of its forces; turns forces into moments for cable and
-            cross_talk.
+        cable: N, change of the pull of a cable or hose since the empty run.
+        scale: relative error of each wrist channel.
+        cross_talk: share of every other wrist channel in a reading.
+        lever: m, ratio of the ranges of moments and forces; converts forces to moments for cable and cross_talk.
         position: m along each axis, of the sensor's origin from the flange.
         tilt: rad about each axis, of the sensor from the flange.
-        delay: s by which sensors are later, or earlier, than joint positions.
-        filter_time: s, the time constant of a low-pass filter in the sensor beyond its delay.
-        slip: m along x and y that the load slides during a log.
+        delay: s, delay or lead of the sensors relative to joint positions.
+        filter_time: s, time constant of a low-pass filter in the sensor besides its delay.
+        slip: m along x and y, slip of the load during a log.
         torque_bias: N m, of each joint torque.
-        torque_scale: share by which each joint torque reads too much or too little.
-        links: share by which each link of the arm is heavier or lighter than in the empty run.
+        torque_scale: relative error of each joint torque.
+        links: relative change of the mass of each link since the empty run.
     """
 
     force_bias: float = 0.1
@@ -69,8 +68,8 @@ class SensorBounds:
 
 @dataclass(frozen=True, eq=False)
 class SystematicError:
-    """effect (N, m): what m channels read more at N instants when the error is as large as its bound. kind: the field
-    of `SensorBounds`. run: whether it is another in every run; one that is not is the sensor's own."""
+    """A systematic error. kind: field of `SensorBounds`. effect (N, m): change of m channels at N instants when the
+    error is at its bound. run: whether it changes from run to run; otherwise it belongs to the sensor."""
 
     kind: str
     of: str
@@ -87,7 +86,7 @@ class SystematicError:
 class Felt:
     """Readings (N, m) of m channels at N instants t under a load.
 
-    slid (2, N, m): what they would read more per m by which it slides along x and y. q (N, n): the arm's posture.
+    slid (2, N, m): change of the readings per m of slip of the load along x and y. q (N, n): the arm's posture.
     """
 
     t: Array
@@ -126,7 +125,7 @@ def wrist_errors(bounds: SensorBounds, felt: Felt) -> Iterator[SystematicError]:
 
 
 def torque_errors(bounds: SensorBounds, felt: Felt, links: Array) -> Iterator[SystematicError]:
-    """Systematic errors of the torques of n joints. links (k, N, n): what those need for each link."""
+    """Systematic errors of the torques of n joints. links (k, N, n): torques that each link needs."""
     n, size = felt.values.shape[1], bounds.torque_scale
     for j in range(n):
         bias = _only(j, n, bounds.torque_bias, felt.values)
@@ -152,7 +151,7 @@ def _only(i: int, m: int, size: float, like: Array) -> Array:
 
 
 def _postures(q: Array) -> Array:
-    """(N, 2) the two directions in which a posture (N, n) changes most, at most 1."""
+    """The two principal components (N, 2) of postures (N, n), scaled to at most 1."""
     away = q - q[0]
     left, size, _ = np.linalg.svd(away - away.mean(axis=0), full_matrices=False)
     shapes = left[:, :2] * size[:2]

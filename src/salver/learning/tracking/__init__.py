@@ -1,1 +1,1 @@
-"""What a robot did with a plan: the executed motion, its deviation, the corrected command."""
+"""Tracking of a plan by a robot: the executed motion, its deviation, the corrected command."""

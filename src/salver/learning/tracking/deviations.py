@@ -1,13 +1,13 @@
-"""Causes of joint deviations from a plan, fitted to a deviation, each with its first and second derivatives.
+"""Models of joint deviations from a plan, fitted to a measured deviation, with first and second derivatives.
 
-A robot under its own position control answers as a second-order lag z'' + kd z' + rate^2 (z - asked) = 0 with a delay
-and friction, each joint its own (nonlinear least squares). Under salver's computed torque with gains kp, kd all joints
-together answer what they are asked for and do not get, m(t), by e'' + kd e' + kp e = m(t)
-(`salver.sensitivity.arm.tracking`), of which each reason has one size (linear least squares):
+A joint of a robot under position control follows its command as a second-order lag
+z'' + kd z' + rate^2 (z - commanded) = 0 with a delay and friction, fitted by nonlinear least squares. Under salver's
+computed torque with gains kp, kd all joints have the error e'' + kd e' + kp e = m(t) with the missing acceleration m(t)
+(`salver.sensitivity.arm.tracking`), a sum of causes with one size each (linear least squares):
 
-- a payload that is set wrongly: M^-1 J^T dF of the load, which is there at rest too; and since the same error of the
-  mass matrix acts on what the controller asks for against e, the answer to that is as large as the error squared;
-- delay: M^-1 dtau/dt of what is commanded late, and kd dq* + kp q* of what is measured late;
+- a wrong payload setting: M^-1 J^T dF of the load, also at rest; and, because the error of the mass matrix also acts on
+  the controller's response to e, a second-order part with the square of that size;
+- delay: M^-1 dtau/dt for late commands, and kd dq* + kp q* for late measurements;
 - friction that is not compensated: M^-1 of each joint's direction.
 """
 
@@ -32,8 +32,8 @@ from salver.trajectory import JointMotion
 
 @dataclass(frozen=True, eq=False)
 class DeviationFit:
-    """base (3, K, n): a deviation with two derivatives. tangent (3, n, K, m): what it changes by with each of the m
-    numbers that were fitted for each joint."""
+    """A fitted deviation. base (3, K, n): the deviation with two derivatives. tangent (3, n, K, m): its derivatives by
+    the m fitted parameters of each joint."""
 
     base: Array
     tangent: Array
@@ -43,7 +43,7 @@ class DeviationFit:
         return np.linalg.pinv(self.tangent[0], rcond=1e-6)
 
     def to(self, off: Array) -> Array:
-        """(3, K, n) fitted, linearised, to another deviation (K, n)."""
+        """The linearised fit (3, K, n) to another deviation (K, n)."""
         by = np.einsum("jmk,kj->jm", self._solve, off - self.base[0])
         return np.asarray(self.base + np.einsum("djkm,jm->dkj", self.tangent, by))
 
@@ -53,13 +53,14 @@ class DeviationFit:
 
 
 Fitted = Callable[[Array, JointMotion, Array], list[DeviationFit]]
-"""Fits, of times t (K,), a plan and a deviation (K, n)."""
-STANDSTILL = 0.02  # rad/s over which Coulomb friction changes its sign
-_SAGGED = 2.0  # s that a wrong payload has acted before the log begins
+"""A function of times t (K,), a plan and a deviation (K, n), with several fits."""
+STANDSTILL = 0.02  # rad/s, velocity over which Coulomb friction changes its sign
+_SAGGED = 2.0  # s before the log during which a wrong payload setting has acted
 
 
 def lag(t: Array, plan: JointMotion, rate: float, damping: float, delay: float, friction: float, joint: int) -> Array:
-    """(3, K) the deviation of one joint that lags; late by its delay only, since all joints' lateness is taken off."""
+    """Deviation (3, K) of one joint with a second-order lag, delay and friction; the common delay of all joints is
+    removed."""
     filter_ = LinearFilter.on_nodes(t, rate**2, 2 * damping * rate, 3)
     here = np.stack(plan.sample(t))[:, :, joint]
     asked = np.stack(plan.sample(t + 2 * damping / rate - delay))[:, :, joint]
@@ -89,8 +90,10 @@ def of_lags(t: Array, plan: JointMotion, off: Array) -> list[DeviationFit]:
 
 
 def under_torque(scenario: Scenario, model: Any, tray: int) -> Fitted:
-    """Payload, delay, both, and both with friction. model, tray: of the arm with its load, and the frame that carries
-    it."""
+    """Fits of payload, delay, both, and both with friction, under salver's computed torque.
+
+    model: of the arm with its load. tray: frame of the tray in it.
+    """
     kp, kd = scenario.control.kp[0], scenario.control.kd[0]
     body = scenario.payload.first
 
@@ -118,7 +121,7 @@ def under_torque(scenario: Scenario, model: Any, tray: int) -> Fitted:
 
 
 def _sum(shapes: Array, off: Array) -> Array:
-    """(3, K, n) the sum of shapes (m, 3, K, n), each of one size, that is nearest to a deviation."""
+    """The linear combination (3, K, n) of shapes (m, 3, K, n) nearest to a deviation."""
     columns = shapes[:, 0].reshape(len(shapes), -1).T
     unit = np.linalg.norm(columns, axis=0)
     size = np.linalg.lstsq(columns / unit, off.ravel(), rcond=1e-6)[0] / unit

@@ -1,11 +1,11 @@
 """The executed joint motion on the plan's clock: a log without its time shift and its noise.
 
-Two differentiations of a joint angle turn 20 micro-radians of noise at 1 kHz into tens of rad/s^2. So not the angle is
-smoothed, but the *deviation* from the plan, and of that only what no known reason explains
-(`salver.learning.tracking.deviations`), whose derivatives are exact. What is left is smoothed in the cosine transform
-by 1 / (1 + (f / f_c)^6) (Garcia 2010, "Robust smoothing of gridded data"). Each joint's deviation itself selects
-the reason and f_c: those under which a deviation with this spectrum plus white noise is most likely (Patterson and
-Thompson 1971; Schwarz 1978). The residual is the noise.
+Two differentiations of a joint angle turn 20 micro-radians of noise at 1 kHz into tens of rad/s^2. Therefore the
+*deviation* from the plan is smoothed, and only the part that no model explains
+(`salver.learning.tracking.deviations`); models have exact derivatives. The rest is smoothed in the cosine transform by
+1 / (1 + (f / f_c)^6) (Garcia 2010, "Robust smoothing of gridded data"). Model and f_c of each joint are those under
+which a deviation with this spectrum plus white noise is most likely (Patterson and Thompson 1971; Schwarz 1978). The
+residual is the noise.
 """
 
 from __future__ import annotations
@@ -32,15 +32,16 @@ class TrackingOptions:
     """Options of reading a log of a plan.
 
     Attributes:
-        astray: share of its way (of 0.3 rad at least) that a joint may be off the plan; doubled, logs of other motions
-            pass.
-        pace: share by which a run may be slower than planned; doubled, a speed override of 5 % passes.
-        rest: rad/s at which the arm counts as at rest at the end of the log; doubled, its last motion is cut off.
-        sparsest: samples a second that a log must have; halved, what shakes a load at 20 Hz is missed.
+        astray: largest deviation of a joint from the plan, as a share of its travel (of at least 0.3 rad); doubled,
+        logs
+            of other motions pass.
+        pace: relative slowdown of a run that is accepted; doubled, a speed override of 5 % passes.
+        rest: rad/s, below which the arm is at rest at the end of the log; doubled, the end of the motion is cut off.
+        sparsest: least samples per second of a log; halved, vibration of the load at 20 Hz is missed.
         before, after: s around the motion that are checked.
-        rate: samples a second that are enough; of more, means are taken. Doubled, twice the time.
-        slowest, fastest: Hz, between which the cut-off of the smoother is looked for. What is faster than 80 Hz moves a
-            joint, and the load, by next to nothing; doubled, noise takes part of it.
+        rate: samples per second that suffice; of more samples, means are used. Doubled, twice the time.
+        slowest, fastest: Hz, limits of the smoother's cut-off. Motion above 80 Hz hardly moves a joint or the load;
+            doubled, more noise remains.
     """
 
     astray: float = 0.3
@@ -56,11 +57,11 @@ class TrackingOptions:
 
 @dataclass(frozen=True, eq=False)
 class Executed:
-    """K instants t (K,), s on the plan's clock. q, dq, ddq (K, n): smoothed. off (K, n): smoothed deviation from the
-    plan, rad. noise (n,): standard deviation of a sample of noisy, rad.
+    """The executed motion at K instants t (K,), s on the plan's clock.
 
-    shift: s by which the log is later than the plan. noisy (K, n): the deviation as it was logged, means of `each`
-    samples where there were more than are needed. fastest: Hz, above which nothing was looked for.
+    q, dq, ddq (K, n): smoothed. off (K, n): smoothed deviation from the plan, rad. noise (n,): standard deviation of a
+    sample of noisy, rad. shift: s, delay of the log relative to the plan. noisy (K, n): the logged deviation, means of
+    `each` samples. fastest: Hz, largest cut-off.
     """
 
     t: Array
@@ -82,14 +83,14 @@ class Executed:
         return float(self.t[1] - self.t[0])
 
     def again(self, noisy: Array) -> Executed:
-        """The executed motion for another logged deviation (K, n), smoothed anew."""
+        """The executed motion for another logged deviation (K, n), smoothed likewise."""
         off, noise = _most_likely(noisy, self.fits, self.step, (self.slowest, self.fastest))
         q, dq, ddq = self.plan.sample(self.t) + off
         return replace(self, q=q, dq=dq, ddq=ddq, off=off[0], noise=noise, noisy=noisy)
 
 
 def read_joints(path: str | Path, arm: ArmModel, topic: str | None = None) -> JointSamples:
-    """A log of an arm's joints from any motion file. Raises FileFormatError."""
+    """Read a log of an arm's joints from any motion file. Raises FileFormatError."""
     samples = read(path, lambda: arm.joint_names, topic, as_path=True)  # a table may have the tray too
     if not isinstance(samples, JointSamples):
         raise FileFormatError(
@@ -103,8 +104,7 @@ def read_joints(path: str | Path, arm: ArmModel, topic: str | None = None) -> Jo
 def executed(
     plan: JointMotion, samples: JointSamples, fitted: Fitted = of_lags, options: TrackingOptions | None = None
 ) -> Executed:
-    """The executed motion of a plan from its log (in the arm's order of joints). Raises FileFormatError, one
-    sentence."""
+    """The executed motion of a plan from its log, with joints in the arm's order. Raises FileFormatError."""
     options = options or TrackingOptions()
     t, q, source = samples.t, samples.q, samples.source
     check_times(t, q, source, plan.q)
@@ -143,7 +143,7 @@ def executed(
 
 
 def _is_of(plan: JointMotion, t: Array, off: Array, source: str, options: TrackingOptions) -> None:
-    """Raise FileFormatError where a deviation (K, n) is not that of a robot which did the plan, as planned."""
+    """Raise FileFormatError when a deviation (K, n) is too large, too small or too slow for a run of the plan."""
     each = np.abs(off).max(axis=0) / np.maximum(np.ptp(plan.q, axis=0), 0.3)
     if each.max() > options.astray:
         raise FileFormatError(
@@ -156,7 +156,7 @@ def _is_of(plan: JointMotion, t: Array, off: Array, source: str, options: Tracki
             f"{source} is the plan itself to {np.abs(off).max():.1g} rad: these are joints as commanded; they must be "
             "as measured."
         )
-    dq = plan.sample(t)[1]  # a slower run is later the longer it lasts
+    dq = plan.sample(t)[1]  # the delay of a slower run grows over time
     rows = np.stack([dq.ravel(), ((t - t.mean())[:, None] * dq).ravel()], axis=1)
     slower = -float(np.linalg.lstsq(rows, off.ravel(), rcond=None)[0][1])
     if abs(slower) > options.pace:
@@ -167,7 +167,7 @@ def _is_of(plan: JointMotion, t: Array, off: Array, source: str, options: Tracki
 
 
 def lateness(t: Array, q: Array, plan: JointMotion) -> float:
-    """By how much the log is later, least squares of all joints; the arm is held still beyond both ends."""
+    """Delay of the log relative to the plan, s, by least squares over all joints; the plan rests beyond both ends."""
     at = np.linspace(0.0, plan.duration, 60)
     wanted = plan.sample(at)[0]
 
@@ -179,13 +179,13 @@ def lateness(t: Array, q: Array, plan: JointMotion) -> float:
 
 
 def low_passed(values: Array, step: float, cut: float) -> Array:
-    """(3, K, n) values (K, n), not shifted, without what is faster than `cut` (Hz), and two derivatives."""
+    """Values (K, n), low-passed at `cut`, Hz, without phase shift, with two derivatives (3, K, n)."""
     f = np.arange(len(values)) / (2 * len(values) * step)
     return _rates(dct(values, axis=0, norm="ortho") / (1 + (f / cut) ** 6)[:, None], step)
 
 
 def _rates(coefficients: Array, step: float) -> Array:
-    """(3, K, n) of a cosine transform (K, n): the values and two derivatives."""
+    """Values and two derivatives (3, K, n) of a cosine transform (K, n)."""
     omega = np.pi * np.arange(len(coefficients))[:, None] / (len(coefficients) * step)
     rate = np.append(-(omega * coefficients)[1:], np.zeros_like(coefficients[:1]), axis=0)
     return np.stack(
@@ -198,8 +198,8 @@ def _rates(coefficients: Array, step: float) -> Array:
 
 
 def _most_likely(noisy: Array, fits: list[DeviationFit], step: float, band: tuple[float, float]) -> tuple[Array, Array]:
-    """(3, K, n) a deviation (K, n) without its noise, the mean over all fits and cut-offs as likely as they are; (n,)
-    its noise."""
+    """A deviation (K, n) without its noise, with two derivatives (3, K, n), as the mean over all fits and cut-offs
+    weighted by likelihood; and its noise (n,)."""
     count = len(noisy)
     cuts = np.geomspace(*band, 40)
     known, taken = (
@@ -209,7 +209,7 @@ def _most_likely(noisy: Array, fits: list[DeviationFit], step: float, band: tupl
     coefficients = dct(noisy - known[:, 0], axis=1, norm="ortho")
     f = np.arange(count) / (2 * count * step)
     slow = (f[1:] / cuts[:, None]) ** 6
-    lost = slow / (1 + slow)  # of the filter; the constant is free
+    lost = slow / (1 + slow)  # share that the filter removes; the constant is not penalised
     left = np.maximum(lost @ coefficients[:, 1:] ** 2, np.finfo(float).tiny)  # (fits, cuts, n)
     free = count - 1 - taken
     unlikely = free * np.log(left / free) - np.log(lost).sum(axis=1)[:, None] + taken * np.log(count)

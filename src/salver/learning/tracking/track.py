@@ -1,9 +1,9 @@
-"""Was it the plan that was executed? What the tray really felt, judged as the plan is: for every load in the ranges.
+"""Comparison of an executed motion with its plan, judged for every load in the ranges.
 
-A robust row of a plan is at most 0 at any load of the set (`salver.models.uncertain.worst_case`). Along what was
-executed it may be more: that is the *excess*, as a share of the weight. A delay that all joints share costs nothing,
-however large; joints that lag by different times, friction or a wrong payload do. A margin as large as the excess,
-bought when planning (`contact.margin`), pays for it.
+Worst-case contact constraints of a plan are at most 0 (`salver.models.uncertain.worst_case`). Along the executed motion
+they may be larger: that violation is the *excess*, as a share of the weight. A common delay of all joints costs
+nothing; unequal delays, friction or a wrong payload setting do. A plan with an additional margin of the excess
+(`contact.margin`) compensates for it.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class Judge:
 
     @classmethod
     def of(cls, scenario: Scenario) -> Judge:
-        """Raises ScenarioError for a scenario without an arm, or with inner dynamics."""
+        """The judge of a scenario. Raises ScenarioError without an arm, or with a liquid or pendulum."""
         if scenario.arm is None:
             raise ScenarioError(f"{scenario.name} has no arm; what is compared are its joints.")
         payload = scenario.payload
@@ -55,7 +55,7 @@ class Judge:
         loop, robot = None, scenario.physics.robot
         if payload.uncertain.size and not arm.weightless:
             loop = joint_loop(scenario, payload.with_only([p for p in payload.uncertain.parameters if p.loads]))
-            if robot.control == "position":  # a wrong load moves the slowest joint of such a robot the most
+            if robot.control == "position":  # of such a robot, the slowest joint deviates most under a parameter error
                 rate = 2 * np.pi * float(np.min(robot.bandwidth))
                 loop = replace(loop, kp=rate**2, kd=2 * float(np.min(robot.damping)) * rate)
         return cls(scenario, arm, with_load(arm, payload.bodies).pin_model, contact_rows(payload), loop)
@@ -71,7 +71,7 @@ class Judge:
         return self.loop.along(t, terms, rates).felt(held=False)[1]
 
     def rows(self, w: Array, drift: Drift | None) -> tuple[Array, Array]:
-        """(K,) largest row of all networks at w (K, 12), and which interface it is of (K,), numbered through."""
+        """Largest constraint (K,) of all networks at w (K, 12), and the index (K,) of its interface."""
         best, of, before = np.full(len(w), -np.inf), np.zeros(len(w), dtype=int), 0
         for rows in self.contacts:
             values = WorstCase.of(rows, w, drift).values
@@ -84,9 +84,11 @@ class Judge:
 
 @dataclass(frozen=True)
 class JointError:
-    """One joint. peak: largest deviation. lag: s by which it is later than all together. friction: part of the
-    deviation that changes its sign with the velocity. noise: standard deviation of a sample of the log. row: largest
-    row if this joint alone had strayed. unit: of peak, friction and noise, rad or m.
+    """Deviation of one joint.
+
+    peak: largest deviation. lag: s, delay beyond the common one. friction: part of the deviation that changes its sign
+    with the velocity. noise: standard deviation of a sample of the log. row: largest constraint if this joint alone had
+    deviated. unit: of peak, friction and noise, rad or m.
     """
 
     name: str
@@ -100,10 +102,10 @@ class JointError:
 
 @dataclass(frozen=True, eq=False)
 class Tracking:
-    """row: largest robust row along what was executed, and of the plan itself (`planned`), of the weight; at `time`.
+    """Result of the comparison.
 
-    noise: standard deviation of the row by the noise of the log.
-    joints: what each does; the first causes most.
+    row: largest worst-case constraint along the executed motion, as a share of the weight, at `time`. planned: that of
+    the plan. noise: standard deviation of row by the noise of the log. joints: the one that causes most first.
     """
 
     plan: Plan
@@ -117,9 +119,9 @@ class Tracking:
 
     @property
     def excess(self) -> float:
-        """The excess: margin missing on the executed motion, as a share of the weight; 0 if none is.
+        """The excess: missing margin of the executed motion, as a share of the weight; 0 if none is missing.
 
-        Rather too much than too little: two standard deviations of what noise may hide are among it.
+        It includes two standard deviations of the effect of noise, to be conservative.
         """
         return max(0.0, self.row + 2 * self.noise)
 
@@ -130,19 +132,19 @@ class Tracking:
 
     @property
     def ok(self) -> bool:
-        """Whether the rows keep to their side by more than what is not known."""
+        """Whether the constraints are satisfied by more than their uncertainty."""
         return self.row + self.uncertainty <= 0
 
     @property
     def margin(self) -> float:
-        """`contact.margin` that pays for what is missing: 1.1 times the row, and what is not known of it; no less than
-        the excess, which has a share of that in it already."""
+        """The additional `contact.margin` that compensates for the excess: 1.1 times the constraint plus its
+        uncertainty, and at least the excess."""
         lacking = max(self.excess, 1.1 * max(0.0, self.row) + self.uncertainty)
         return self.plan.scenario.contact.margin + lacking
 
     @cached_property
     def cause(self) -> str:
-        """The joint that causes most of the excess, and how, in words."""
+        """The joint that causes most of the excess, with its kind of deviation, in words."""
         joint = self.joints[0]
         kind = "lags by" if joint.lag > 0 else "leads by"
         what = f"{kind} {abs(1e3 * joint.lag):.2f} ms against all together"
@@ -152,9 +154,9 @@ class Tracking:
 
 
 def track(plan: Plan, samples: JointSamples, judge: Judge | None = None, seed: int = 0) -> Tracking:
-    """Compare what was executed with a plan of an arm. samples: in the arm's order of joints (`read_joints`).
+    """Compare the executed motion with a plan of an arm. samples: log with joints in the arm's order (`read_joints`).
 
-    Raises ScenarioError for a plan that has no arm's motion, FileFormatError for a log that is not of it.
+    Raises ScenarioError for a plan without a joint motion, FileFormatError for a log that is not of it.
     """
     if plan.joint is None:
         raise ScenarioError(f"{plan.scenario.name}: this plan has no arm that moves; what is compared are its joints.")
@@ -177,8 +179,10 @@ def track(plan: Plan, samples: JointSamples, judge: Judge | None = None, seed: i
 def _without_noise(
     judge: Judge, done: Executed, drift: Drift | None, rng: np.random.Generator, draws: int = 8
 ) -> tuple[float, float]:
-    """Largest row along what was done without what the noise made of it, and its deviation, of noise that is drawn
-    anew: what noise and smoothing add to a row now, they have added to it before."""
+    """Largest constraint along the executed motion without the bias by noise, and its standard deviation.
+
+    Both come from adding simulated noise: its effect on the smoothed result equals that of the noise in the log.
+    """
 
     def largest(seen: Executed) -> float:
         return float(judge.rows(judge.terms(seen.q, seen.dq, seen.ddq).w, drift)[0].max())

@@ -1,10 +1,10 @@
-"""A robot that does not do what it is told: its command corrected, then a margin bought for the rest, or a refusal.
+"""Tuning of a robot that does not follow its command: correction of the command, then more margin, or refusal.
 
-1. What the joints missed is added to what they are told (iterative learning; Arimoto, Kawamura and Miyazaki 1984, with
-   a low pass that does not shift, as Bristow, Tharayil and Alleyne 2006 advise), again and again while it helps.
-2. What repeats itself but cannot be commanded away is paid for: `contact.margin` is raised by 1.1 times the excess and
-   its uncertainty, and the motion planned again.
-3. Where that asks too much, the robot is refused, with the joint and the reason.
+1. The tracking error is added to the command (iterative learning control; Arimoto, Kawamura and Miyazaki 1984, with a
+   zero-phase low-pass filter, as Bristow, Tharayil and Alleyne 2006 advise), repeatedly as long as it helps.
+2. For the remaining error `contact.margin` is raised by 1.1 times the excess with its uncertainty, and the motion is
+   planned again.
+3. If that needs too much margin, the robot is refused, with the joint and the reason.
 """
 
 from __future__ import annotations
@@ -33,13 +33,13 @@ class TuningOptions:
     """Options of tuning a robot, and limits at which it is refused.
 
     Attributes:
-        gain: share of what was missed that is added to the command; at twice the default corrections overshoot.
-        fastest: Hz up to which is corrected; doubled, what differs from run to run is amplified.
+        gain: share of the tracking error that is added to the command; at twice the default corrections overshoot.
+        fastest: Hz, up to which errors are corrected; doubled, random errors are amplified.
         tail: s over which a correction ends after the motion.
-        corrections: of one plan at most; doubled, twice the runs.
-        helps: share of the excess that a correction leaves, at most, to be followed by another.
-        replans: plans with another margin, at most.
-        dearest: of the weight, the largest margin: it costs a fifth of the speed.
+        corrections: largest number for one plan; doubled, twice the runs.
+        helps: ratio of excess after and before a correction below which another correction follows.
+        replans: largest number of plans with another margin.
+        dearest: largest margin, as a share of the weight; it costs a fifth of the speed.
     """
 
     gain: float = 0.9
@@ -57,9 +57,10 @@ Next = Literal["done", "command", "margin", "refused"]
 
 @dataclass(frozen=True, eq=False)
 class TuningRun:
-    """One run. tracking: of what, and what came of it. next: what is done about it: nothing ("done"), another command,
-    another plan with a margin, or the robot is refused; sentence: in words. then: the plan to go on with; None when
-    refused.
+    """One run of tuning.
+
+    tracking: result of the run. next: "done", "command" (the command is corrected), "margin" (planned again with more
+    margin) or "refused". sentence: next in words. then: the next plan; None if the robot is refused.
     """
 
     number: int
@@ -75,7 +76,7 @@ class TuningRun:
 
 
 def engine_robot(plan: Plan, seed: int = 0) -> JointSamples:
-    """The robot of the scenario's [physics], in the engine, with the nominal load strapped to its tray: its log."""
+    """Log of the scenario's simulated robot ([physics]) with the nominal load fixed to its tray."""
     t, q = Experiment(plan).joint_log(seed=seed)
     assert plan.scenario.arm is not None
     names = tuple(load_arm(plan.scenario.arm, plan.scenario.tray).joint_names)
@@ -83,11 +84,11 @@ def engine_robot(plan: Plan, seed: int = 0) -> JointSamples:
 
 
 def tune(plan: Plan, carry: Carry, options: TuningOptions | None = None) -> Iterator[TuningRun]:
-    """Runs until what is executed keeps the load at every parameter of the set, or the robot is refused.
+    """Tune, run by run, until the executed motion keeps every load in the ranges, or the robot is refused.
 
-    carry: does a plan (`Plan.told`) with the load strapped to the tray, and gives the log of the joints. Raises
-    ScenarioError for a plan that has no arm's motion or whose loop is not closed on the joints, FileFormatError for a
-    log that is not of the plan.
+    carry: runs the command of a plan with the load fixed to the tray, and returns the log of the joints. Raises
+    ScenarioError for a plan without a joint motion or with a loop on the object's pose, FileFormatError for a log that
+    is not of the plan.
     """
     _tunable(plan)
     options = options or TuningOptions()
@@ -117,8 +118,8 @@ def tune(plan: Plan, carry: Carry, options: TuningOptions | None = None) -> Iter
 
 
 def step(plan: Plan, log: JointSamples) -> TuningRun:
-    """One run, from a log of a plan with its command. A plan that has been commanded and still misses what it may
-    not is given a margin."""
+    """One run of tuning, from a log of a plan; a plan with a corrected command that still has an excess is planned with
+    more margin."""
     _tunable(plan)
     seen = track(plan, log)
     if seen.ok:
@@ -176,7 +177,7 @@ def _tunable(plan: Plan) -> None:
 
 
 def with_margin(plan: Plan, margin: float) -> Plan | None:
-    """Planned again with `contact.margin`, of the weight; None for plans that know no such margin."""
+    """The plan made again with `contact.margin`, as a share of the weight; None for methods without that margin."""
     scenario = plan.scenario
     if plan.method != "fastest" and (plan.method != "robust" or scenario.contact.condition != "exact"):
         return None
@@ -184,7 +185,7 @@ def with_margin(plan: Plan, margin: float) -> Plan | None:
 
 
 def _refusal(seen: Tracking, margin: float, again: Plan | None, replans: int, options: TuningOptions) -> str:
-    """Why this robot cannot carry this plan."""
+    """The reason of a refusal, in a sentence."""
     why = f"this robot is refused: what it does exceeds the plan by {100 * seen.excess:.1f} % of the weight"
     if again is not None:
         why += f", and with a margin of {100 * margin:.1f} % no safe motion was found ({again.status.sentence})"
@@ -198,10 +199,10 @@ def _refusal(seen: Tracking, margin: float, again: Plan | None, replans: int, op
 
 
 def corrected(seen: Tracking, options: TuningOptions | None = None) -> Plan:
-    """The plan with the next command: what was missed is added to what was commanded.
+    """The plan with the next command: the last command plus the tracking error.
 
-    The command begins `COMMAND_LEAD` s before the plan does, so that a correction may begin before it is needed, and
-    goes on until the arm is where it should be.
+    The command begins `COMMAND_LEAD` s before the plan, so that corrections can begin earlier, and continues until the
+    arm has reached its goal.
     """
     options, plan, done = options or TuningOptions(), seen.plan, seen.done
     joint, before, tail = plan.joint, plan.command, options.tail
@@ -209,8 +210,8 @@ def corrected(seen: Tracking, options: TuningOptions | None = None) -> Plan:
     t = np.linspace(-COMMAND_LEAD, joint.duration + tail, 1 + round((COMMAND_LEAD + joint.duration + tail) / 0.004))
     slow = low_passed(done.off, done.step, options.fastest)[0]
     missed = make_interp_spline(done.t, slow, k=3)(np.clip(t, done.t[0], done.t[-1]))
-    # Where the arm rests before, it is not moved: what it misses there, as it sags, is put right on the way. Where it
-    # rests after, it stays.
+    # At rest before the motion the arm is not moved, so that its static deflection is corrected during the motion; at
+    # rest after the motion it stays.
     rest = done.off[done.t <= 0.0].mean(axis=0), done.off[done.t > done.t[-1] - 0.04].mean(axis=0)
     begun, over = smooth_step(1 + t / COMMAND_LEAD)[:, None], smooth_step((t[-1] - t) / tail)[:, None]
     missed = begun * (missed - rest[0]) + smooth_step(t / joint.duration)[:, None] * rest[0]

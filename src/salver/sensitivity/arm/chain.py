@@ -1,14 +1,14 @@
-"""First-order sensitivity of the real chain: arm, computed torque with a nominal load, objects held by friction.
+"""First-order sensitivity of the chain: arm, computed torque with the nominal load, objects held by friction.
 
-The paper closes its loop around a free object on which the controller's forces act directly: there a wrong mass
-first makes an error, then the input reacts. An object that stands on a tray gets what it needs at once, because it
-moves with the tray, and what is wrong is the arm's torque. With M the mass matrix of the arm and its nominal load,
+The paper closes its loop around a free object on which the controller's forces act directly: there a mass error causes
+a tracking error first, to which the input reacts. An object on a tray moves with the tray and gets the force that it
+needs at once; the error is in the arm's torque. With M the mass matrix of the arm and its nominal load,
 
     M (ddq_cmd - ddq) = J_E^T dF(t),        dF = (d load / dp) w(t)
 
-to first order, whatever the law for ddq_cmd; `salver.sensitivity.arm.tracking` solves it for the loop on the joints, of
-fastest plans, and `salver.sensitivity.arm.task` for the loop on the object's pose. From the deviation of the joints
-follow the tray's, what the objects feel, the torque and the contact rows.
+to first order, for any law of ddq_cmd. `salver.sensitivity.arm.tracking` solves it for the loop on the joints (fastest
+plans), `salver.sensitivity.arm.task` for the loop on the object's pose. The deviation of the joints determines those of
+the tray, its motion regressor, the torque and the contact constraints.
 """
 
 from __future__ import annotations
@@ -46,18 +46,18 @@ if TYPE_CHECKING:
     from salver.trajectory import JointMotion
 
 Space = Literal["object", "joint"]
-_GRID_STEP = 0.0125  # s at most between instants; what is missing is a cubic between them
-_FINE_STEP = 0.005  # s, the same of a motion whose jerk jumps
-_JOLT = 5e-4  # rad/s^2 by which a late command is more or less short where the jerk jumps: 5e-5 of the weight at 1 m
-_JUST = 1e-3  # of a step, before such a jump
+_GRID_STEP = 0.0125  # s, largest distance of instants; the missing acceleration is cubic between them
+_FINE_STEP = 0.005  # s, largest distance of instants for a motion with jerk jumps
+_JOLT = 5e-4  # rad/s^2, least change of the hold's missing acceleration at a jerk jump; 5e-5 of the weight at 1 m
+_JUST = 1e-3  # distance of the instant before a jerk jump, as a share of a step
 
 
 @dataclass(frozen=True, eq=False)
 class ChainModel:
-    """The constants of a scenario's chain: made once, used for many motions.
+    """The part of a scenario's chain that does not depend on the motion.
 
-    arm, loaded: without and with the nominal objects. worst_rows: contact rows over the uncertain set. loop: on the
-    joints.
+    arm, loaded: without and with the nominal objects. worst_rows: contact constraints over the uncertain set. loop: the
+    control loop on the joints.
     """
 
     scenario: Scenario
@@ -78,10 +78,10 @@ class ChainModel:
 
 
 def chain_model(scenario: Scenario, arm: ArmModel | None = None) -> ChainModel:
-    """The constants of a scenario's chain. arm: the scenario's, when it is loaded already.
+    """The chain model of a scenario. arm: the scenario's, if it is loaded already.
 
-    Raises ScenarioError when the scenario has no arm, its URDF no masses, or the controller sees objects that may stand
-    elsewhere.
+    Raises ScenarioError when the scenario has no arm, its URDF has no masses, or the controller measures the object and
+    its position or the tray's tilt is uncertain.
     """
     if scenario.arm is None:
         raise ScenarioError(f"The scenario {scenario.name} has no arm; give it a table [arm].")
@@ -113,18 +113,17 @@ def chain_model(scenario: Scenario, arm: ArmModel | None = None) -> ChainModel:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ArmChain(Outlined):
-    """The chain along a motion at T instants, and what n_c terms change (last axis), per unit of each.
+    """Sensitivity of the chain along a motion at T instants, per unit of each of n_c terms (last axis).
 
-    The first n_p terms are the uncertain parameters, so `[..., :n_p]` are the derivatives; the others are products of
-    two parameters (`salver.sensitivity.arm.load`), which `radius` adds. They hold what is of second order in the load,
-    and what the wrong load makes of the deviation that it causes.
+    The first n_p terms are the uncertain parameters, so that `[..., :n_p]` are the derivatives; the others are products
+    of two parameters (`salver.sensitivity.arm.load`), for second-order effects of the load and of the deviation that it
+    causes; `radius` adds them.
 
-    t: (T,) s. space: where the controller closes its loop. deviation: what the wrong load does to the arm. Of it,
-    nominal: poses, w, torque along the motion. joints: deviation of q, dq, ddq. tray: (T, 12, n_c) of the assumed frame
-    E, rows dp in S, dtheta in E, dv in S, domega in E. torque: (T, n, n_c) commanded, N m. w: (T, 12, n_c) of the
-    tray's motion regressor at E, through its motion alone. wrench: (T, 6, n_c) contact wrench of the first object at
-    its B, N and N m.
-    held: where the nominal motion itself is, off the plan.
+    t: (T,) s. space: "object" or "joint", where the loop is closed. deviation: of the arm. wrench: (T, 6, n_c) contact
+    wrench of the first object at its B, N and N m. Parts of the deviation: nominal: poses, w, torque along the motion.
+    joints: of q, dq, ddq. tray: (T, 12, n_c) of the assumed frame E, rows dp in S, dtheta in E, dv in S, domega in E.
+    torque: (T, n, n_c) commanded, N m. w: (T, 12, n_c) of the tray's motion regressor by its motion alone. held: the
+    effect of the zero-order hold on the nominal motion.
     """
 
     t: Array
@@ -168,17 +167,17 @@ class ArmChain(Outlined):
         return self.model.load.radius(sensitivity)
 
     def least_slack(self, tracking: bool = True, held: bool = True) -> Array:
-        """(T,) least contact slack over all rows and the whole uncertain set; safe above 0.
+        """Least contact slack (T,) over all constraints and the whole uncertain set; safe above 0.
 
-        tracking: with the arm's tracking error; otherwise for a tray that moves as planned, which is what a plan
-        checks with contact.condition = "exact". held: and with what commands that are held do to the nominal motion.
+        tracking: include the arm's tracking error; otherwise the tray moves as planned, as a plan with
+        contact.condition = "exact" assumes. held: include the zero-order hold.
         """
         w, drift = self.deviation.felt(held) if tracking else (self.nominal.w, None)
         return -np.max([part.worst(w, drift).max(axis=1) for part in self.model.worst_rows], axis=0)
 
     def summary(self) -> dict[str, Any]:
-        """Figures for a report: largest tube radii along the motion, least contact slack with and without tracking; no
-        slack with inner dynamics, of which the chain does not know."""
+        """Figures for a report: largest tube radii, least contact slack with and without tracking; without the slack
+        for liquids and pendulums, which the chain does not model."""
         tray, torque = self.radius(self.tray), self.radius(self.torque)
         limits = self.model.arm.limits.torque
         found = {
@@ -203,8 +202,8 @@ def arm_chain(model: ChainModel, joint: JointMotion, *, space: Space = "object",
     """The chain's sensitivity along a joint motion.
 
     space: "object" for plans of the object's motion, "joint" for fastest plans, as `salver.simulation` runs them.
-    t: (T,) evenly spaced instants from 0 to the duration; at most 12.5 ms apart unless given, and then on the joints
-    also where the jerk jumps, as it does wherever a motion was changed while it ran, and just before.
+    t: (T,) evenly spaced instants from 0 to the duration; default: at most 12.5 ms apart, and in joint space also at
+    and just before jerk jumps, which live motions have at every change.
     """
     jumps: Array = np.zeros(0)
     if t is None:
@@ -236,7 +235,7 @@ def _jumps(joint: JointMotion, delay: float) -> Array:
 
 
 def _instants(duration: float, jumps: Array) -> Array:
-    """(T,) s, of which `jumps` are some, from each to the next in even steps; and just before each."""
+    """Instants (T,), s, evenly spaced between jerk jumps, with an instant at and just before each jump."""
     ends = np.concatenate([[0.0], jumps, [duration]])
     step = min(_FINE_STEP if len(jumps) else _GRID_STEP, duration / 80)
     counts = np.ceil(np.diff(ends) / step - 1e-9).astype(int)

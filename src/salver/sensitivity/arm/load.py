@@ -1,11 +1,10 @@
 """Effect of the uncertain parameters of objects that stick to their tray.
 
-A tray that feels w (the twelve numbers of `salver.models.tray_motion`, at E) needs the wrench `load(p) w` for all
-that stands on it, and its first object needs the contact wrench `wrench(p) w`. Both maps are polynomials of the
-parameters: mass, centre of mass and inertia enter through phi, position and tilt through where the objects are.
-Products matter, because the moment of a weight is mass times distance: at a corner of +-40 % in mass, a fifth of what
-first derivatives see of the centre of mass would be missed. So each product of two parameters that occurs is a term of
-its own, beside the parameters themselves.
+At the motion regressor w of the tray (`salver.models.tray_motion`, at E) the load needs the wrench `load(p) w`, and its
+first object the contact wrench `wrench(p) w`. Both maps are polynomials of the parameters: mass, centre of mass and
+inertia enter through phi, position and tilt through the poses of the objects. Products matter, because the moment of a
+weight is mass times distance: at a corner of +-40 % in mass, first derivatives would miss a fifth. So each product of
+two parameters that occurs is a term, besides the parameters.
 """
 
 from __future__ import annotations
@@ -25,17 +24,17 @@ from salver.models.payload import Payload
 from salver.models.tray_motion import N_MOTION, frame_map, wrench_map
 from salver.models.uncertain.parameters import Parameter, UncertainSet, support, tilt_at
 
-_STEP = 1e-3  # of a parameter's half-range, for first derivatives; they are then exact to 1e-6, also for a tilt
+_STEP = 1e-3  # difference step, in half-ranges; first derivatives are then exact to 1e-6, even for a tilt
 
 
 @dataclass(frozen=True)
 class LoadChange:
-    """Maps of w (12,) at the tray's E, and what n_c terms add to them: n_p parameters, then products of two of them.
+    """Maps of w (12,) at the tray's E, and their derivatives by n_c terms: n_p parameters, then products of two of
+    them.
 
-    uncertain: the parameters and their set. pairs: (n_c - n_p, 2) which of them each product is of. half_range: (n_c,)
-    of the terms; that of a product is that of the two deviations multiplied.
-    load: (6, 12) to the wrench at E that all objects together need; load_p: (n_c, 6, 12) per unit of each term.
-    wrench, wrench_p: the same for the first object alone, at its B.
+    uncertain: the parameters and their set. pairs: (n_c - n_p, 2) indices of the parameters in each product.
+    half_range: (n_c,) of the terms. load: (6, 12) from w to the wrench at E that the whole load needs; load_p: (n_c, 6,
+    12) per unit of each term. wrench, wrench_p: likewise for the first object alone, at its B.
     """
 
     uncertain: UncertainSet
@@ -49,7 +48,7 @@ class LoadChange:
     def radius(self, sensitivity: Array) -> Array:
         """Half-width (...) of the tube of quantities with sensitivity (..., n_c) over the uncertain set.
 
-        Of the parameters by their set, and every product at its largest.
+        The parameters vary within their set, and every product is at its largest.
         """
         terms, n_p = sensitivity * self.half_range, self.uncertain.size
         return support(terms[..., :n_p], self.uncertain.spread) + support(terms[..., n_p:], None)
@@ -67,7 +66,7 @@ class LoadChange:
         return (*((parameter,) for parameter in p), *((p[i], p[j]) for i, j in self.pairs))
 
     def products(self, maps: Array, dw: Array) -> Array:
-        """(T, i, n_c - n_p) what the terms `maps` (n_c, i, 12) of the parameters make of their own dw (T, 12, n_c)."""
+        """Effects (T, i, n_c - n_p) of the terms `maps` (n_c, i, 12) of the parameters on their own dw (T, 12, n_c)."""
         first, second = self.pairs.T
         each = np.moveaxis(dw, 0, 2)  # (12, n_c, T)
         own = [maps[a] @ np.moveaxis(each[:, b], 1, 0) for a, b in ((first, second), (second, first))]
@@ -75,7 +74,7 @@ class LoadChange:
 
 
 def load_change(payload: Payload) -> LoadChange:
-    """The maps of a payload and its uncertain set."""
+    """The maps of a payload, with the terms of its uncertain set."""
     maps, uncertain = _Maps(payload.bodies), payload.uncertain
     nominal, half = maps.at({}), uncertain.ranges
     terms = [maps.slope({p: _STEP * h}) / (_STEP * h) for p, h in half.items()]
@@ -96,7 +95,7 @@ def load_change(payload: Payload) -> LoadChange:
 
 
 def _interact(first: Parameter, second: Parameter) -> bool:
-    """Whether the product of two parameters can act: both are of one object, and neither is an entry of its inertia."""
+    """Whether the product of two parameters has an effect: both of one object, and neither an entry of its inertia."""
     acting = first.loads and second.loads and "inertia" not in (first.kind, second.kind)
     return acting and (first.owner == second.owner or "tilt" in (first.kind, second.kind))
 
@@ -106,7 +105,7 @@ class _Maps:
     items: tuple[Body, ...]
 
     def at(self, deviation: Mapping[Parameter, float]) -> Array:
-        """(12, 12) load and wrench, one below the other, at parameters that deviate from nominal."""
+        """The maps load and wrench, stacked (12, 12), at a deviation of the parameters."""
         tilt, wrenches = tilt_at(deviation), []
         load = np.zeros((6, N_MOTION))
         for body in self.items:
@@ -116,11 +115,11 @@ class _Maps:
         return np.concatenate([load, wrenches[0]])
 
     def slope(self, step: Mapping[Parameter, float]) -> Array:
-        """Half the difference between a step and its opposite."""
+        """Central difference: half the difference between a step and its opposite."""
         return 0.5 * (self.at(step) - self.at({p: -h for p, h in step.items()}))
 
     def bend(self, first: Mapping[Parameter, float], second: Mapping[Parameter, float], nominal: Array) -> Array:
-        """Second-order effect of two steps together; for a step with itself, its even part."""
+        """Second-order effect of two steps together; for equal steps, the even part."""
         back = {p: -h for p, h in second.items()}
         if first.keys() == second.keys():
             return 0.5 * (self.at(first) + self.at(back)) - nominal

@@ -1,12 +1,12 @@
-"""The loop closed on the object's pose (paper, eqs 22 and 25): the tray's deviation first, then the joints'.
+"""Deviations under the loop on the object's pose (paper, eqs 22 and 25): first that of the tray, then of the joints.
 
-The acceleration that the controller asks for and does not get, m(t) = M^-1 J_E^T dF, splits into two parts. What of
-it moves the object drives the object's own linear error dynamics,
+The missing part of the commanded acceleration, m(t) = M^-1 J_E^T dF, has two parts. One drives the linear error
+dynamics of the object,
 
     e_p'' + kd e_p' + kp e_p = R (J_b m)_v,        e_R'' + kd e_R' + kp e_R = (J_b m)_omega,
 
-and what of it moves only the joints drives the posture's: with P the projector on the null space of J and x the
-deviation of q, P (x'' + kd x' + kp x) = -P m. The tray does not feel the second part.
+the other moves only the joints, in the null space of J, and drives the posture task: with P the projector on the null
+space and x the deviation of q, P (x'' + kd x' + kp x) = -P m. It does not move the tray.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ _FIRST, _SECOND = ([pair[k] for pair in PRODUCTS] for k in (0, 1))
 def tray_of_task(
     t: Array, terms: MotionTerms, missing: Array, first: Body, gains: Gains, settle: float, before: Array
 ) -> TrayDeviation:
-    """The tray's deviation under the loop on the pose of the first object, B. missing: m (T, n, n_c).
+    """Deviation of the tray under the loop on the pose of the first object. missing: m (T, n, n_c).
 
-    settle: s at rest before the start; before: (n_c,) 1 where it was missing already then, 0 where it was not.
+    settle: s at rest before the start. before: (n_c,) 1 for terms that act during that rest too, else 0.
     """
     p, turn = first.p_EB, first.R_EB
     R_SB = terms.R_SE @ turn
@@ -57,7 +57,7 @@ def tray_of_task(
 
 
 def _answer(t: Array, kp: float, kd: float, drive: Array, settle: float, before: Array) -> tuple[Array, Array, Array]:
-    """Error, rate and acceleration (T, 3, n_c) of the loop's error dynamics, cubic drive between the instants."""
+    """Error and its two derivatives (T, 3, n_c) of the loop's error dynamics; the drive is cubic between instants."""
     response = LinearFilter.on_nodes(t, kp, kd, 3)
     e, rate = response.respond(drive, settled(kp, kd, settle, drive[0] * before))
     return e, rate, response.acceleration(drive, e, rate)
@@ -77,7 +77,7 @@ def joints_of_task(
     settle: float,
     before: Array,
 ) -> JointDeviation:
-    """The joints' deviation that belongs to the tray's, with the posture's in the null space; t evenly spaced.
+    """Deviation of the joints from that of the tray and the posture task in the null space; t evenly spaced.
 
     posture: (kp, kd) of the task in the null space. settle, before: as in `tray_of_task`.
     """
@@ -110,7 +110,7 @@ def joints_of_task(
 
 
 def _in_tray_frame(terms: MotionTerms, tray: TrayDeviation) -> tuple[Array, Array, Array]:
-    """Displacement, and deviation of the body twist and the spatial acceleration, of E in E, each (T, 6, n_c)."""
+    """Displacement of E, and deviations of its body twist and spatial acceleration, in E, each (T, 6, n_c)."""
     inverse = np.swapaxes(terms.R_SE, 1, 2)
     v, omega = hat(terms.twist[:, :3]), hat(terms.twist[:, 3:])
     theta, d_omega = tray.state[:, 3:6], tray.state[:, 9:]
@@ -121,9 +121,10 @@ def _in_tray_frame(terms: MotionTerms, tray: TrayDeviation) -> tuple[Array, Arra
 
 
 def _integrate(t: Array, matrix: Array, forcing: Array, start: Array) -> Array:
-    """x (T, m, n_c) with x' = A x + b for A (T, m, m), b (T, m, n_c) on an even grid: Runge and Kutta's fourth order.
+    """Solve x' = A x + b, x (T, m, n_c), A (T, m, m), b (T, m, n_c), on an even grid by the Runge-Kutta method of order
+    4.
 
-    The steps are found for all intervals at once, as matrices on (x, 1); values between nodes by cubics.
+    The steps of all intervals are computed at once, as matrices on (x, 1); values between nodes are cubic.
     """
     h = t[1] - t[0]
     m = matrix.shape[1]
@@ -143,7 +144,7 @@ def _integrate(t: Array, matrix: Array, forcing: Array, start: Array) -> Array:
 
 
 def _between(values: Array) -> Array:
-    """Values (T, ...) half way between evenly spaced nodes, (T - 1, ...), by the cubic through four."""
+    """Values (T - 1, ...) half way between evenly spaced nodes with values (T, ...), by cubics through four nodes."""
     middle = np.empty_like(values[1:])
     middle[1:-1] = (9 * (values[1:-2] + values[2:-1]) - values[:-3] - values[3:]) / 16
     middle[0] = (5 * values[0] + 15 * values[1] - 5 * values[2] + values[3]) / 16
@@ -152,7 +153,7 @@ def _between(values: Array) -> Array:
 
 
 def task_law(t: Array, terms: MotionTerms, first: Body, gains: Gains, settle: float) -> Law:
-    """The loop closed on the pose of the first object, the posture's in the null space; t evenly spaced."""
+    """The law of the loop on the pose of the first object, with the posture task in the null space; t evenly spaced."""
 
     def law(missing: Array, before: Array, start: Array | None = None) -> tuple[JointDeviation, TrayDeviation]:
         assert start is None, "motions under this loop begin at rest"

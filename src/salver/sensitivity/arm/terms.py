@@ -22,8 +22,8 @@ _VALUES = ("p_SE", "R_SE", "twist", "spatial", "torque", "w")
 
 
 def _by_moved() -> tuple[Array, Array]:
-    """As matrices, row by row: (hat(up), hat(omega), -hat(v)) of (up, v, omega), (9, 27); of omega, what its products
-    change with it, (3, 18)."""
+    """Linear maps: from (up, v, omega) to hat(up), hat(omega), -hat(v) (9, 27), and from omega to the derivatives of
+    its products (3, 18)."""
     up, v, omega = (hat(x) for x in np.eye(9).reshape(9, 3, 3).swapaxes(0, 1))
     turning = np.zeros((3, len(PRODUCTS), 3))
     for k, (i, j) in enumerate(PRODUCTS):
@@ -37,7 +37,7 @@ _BY_MOVED, _BY_TURNING = _by_moved()
 
 @dataclass(frozen=True)
 class Derivatives:
-    """Derivatives of a motion's terms; what they are is said at the properties of `MotionTerms`."""
+    """Derivatives of a motion's terms; the properties of `MotionTerms` describe them."""
 
     twist_q: Array
     acceleration_q: Array
@@ -48,10 +48,9 @@ class Derivatives:
 
 @dataclass(frozen=True, eq=False)
 class MotionTerms:
-    """At T instants of an arm with n joints; E is the tray's frame, everything of it in E.
+    """Kinematic and dynamic terms of the tray frame E at T instants of an arm with n joints, in E.
 
-    Values are there from the beginning; derivatives, which cost seven times as much, from when the first is read unless
-    they are `known`.
+    Values are computed at once; derivatives, which cost seven times as much, when the first is read, unless `known`.
 
     p_SE (T, 3), R_SE (T, 3, 3). twist (T, 6); spatial (T, 6), its spatial acceleration. torque (T, n) N m with the
     load. w (T, 12) the tray's motion regressor (`salver.models.tray_motion`).
@@ -72,8 +71,8 @@ class MotionTerms:
 
     @classmethod
     def deriving(cls, model: Any, frame_id: int, states: Array, t: Array, some: npt.NDArray[np.intp]) -> MotionTerms:
-        """`motion_terms` at states (3, T, n) at t (T,), with derivatives at some of the instants, both ends among
-        them, linear in between."""
+        """`motion_terms` at states (3, T, n) at t (T,), with derivatives computed at some instants, including both
+        ends, and interpolated linearly at the others."""
         others = np.ones(states.shape[1], dtype=bool)
         others[some] = False
         (q, dq, ddq), (q_rest, dq_rest, ddq_rest) = states[:, some], states[:, others]
@@ -93,32 +92,32 @@ class MotionTerms:
 
     @cached_property
     def derivatives(self) -> Derivatives:
-        """By Pinocchio, at every instant, unless they are known."""
+        """The derivatives, by Pinocchio at every instant unless they are known."""
         return self.known or _all_of(self.model, self.frame_id, self.q, self.dq, self.ddq)[1]
 
     @property
     def twist_q(self) -> Array:
-        """(T, 6, n) derivative of the twist by q."""
+        """Derivative (T, 6, n) of the twist by q."""
         return self.derivatives.twist_q
 
     @property
     def jacobian(self) -> Array:
-        """(T, 6, n) derivative of the twist by dq, and of the spatial acceleration by ddq."""
+        """Body Jacobian (T, 6, n): derivative of the twist by dq, and of the spatial acceleration by ddq."""
         return self.derivatives.jacobian
 
     @property
     def acceleration_q(self) -> Array:
-        """(T, 6, n) derivative of the spatial acceleration by q."""
+        """Derivative (T, 6, n) of the spatial acceleration by q."""
         return self.derivatives.acceleration_q
 
     @property
     def acceleration_dq(self) -> Array:
-        """(T, 6, n) derivative of the spatial acceleration by dq."""
+        """Derivative (T, 6, n) of the spatial acceleration by dq."""
         return self.derivatives.acceleration_dq
 
     @property
     def torque_z(self) -> Array:
-        """(T, n, 3 n) derivative of the torque by (q, dq, ddq)."""
+        """Derivative (T, n, 3 n) of the torque by (q, dq, ddq)."""
         return self.derivatives.torque_z
 
     @property
@@ -133,24 +132,24 @@ class MotionTerms:
 
     @property
     def jacobian_rate(self) -> Array:
-        """dJ/dt (T, 6, n): J' dq is quadratic in dq, and J' what its derivative leaves beyond twist_q."""
+        """dJ/dt (T, 6, n), from the derivative of the quadratic J' dq by dq, minus twist_q."""
         return self.acceleration_dq - self.twist_q
 
     @property
     def up(self) -> Array:
-        """(T, 3) -g in E."""
+        """Upward vector -g (T, 3) in E, m/s^2."""
         return -(GRAVITY_S @ self.R_SE)
 
     def w_at(self, squared: float, rate: float) -> Array:
-        """(T, 12) the tray's motion regressor at a speed factor whose square is `squared` and which changes by `rate`,
-        1/s: of the weight alone in each posture, of what motion adds with the square, of the twist with the rate."""
+        """Motion regressor (T, 12) of the tray at the squared speed factor `squared`, with the factor changing at
+        `rate`, 1/s: static part, plus the dynamic part times the square, plus the twist times the rate."""
         w = squared * self.w
         w[:, :3] += (1 - squared) * self.up
         w[:, :6] += rate * self.twist
         return w
 
     def w_z_at(self, squared: float, rate: float) -> Array:
-        """(T, 12, 3 n) derivative of `w_at` by (q, dq, ddq)."""
+        """Derivative (T, 12, 3 n) of `w_at` by (q, dq, ddq)."""
         n = self.q.shape[1]
         slope = squared * self.w_z if squared else np.zeros((len(self.q), N_MOTION, 3 * n))
         slope[:, :3, :n] += (1 - squared) * (hat(self.up) @ self.jacobian[:, 3:])
@@ -166,12 +165,12 @@ class MotionTerms:
 
     @property
     def w_z(self) -> Array:
-        """(T, 12, 3 n) derivative of w by (q, dq, ddq)."""
+        """Derivative (T, 12, 3 n) of w by (q, dq, ddq)."""
         return self._changed_z[:, 12:]
 
     @cached_property
     def _changed_z(self) -> Array:
-        """(T, 24, 3 n) derivative of displacement, twist and w by (q, dq, ddq)."""
+        """Derivative (T, 24, 3 n) of displacement, twist and w by (q, dq, ddq)."""
         count, n = self.q.shape
         known = self.derivatives
         found = np.zeros((count, 12 + N_MOTION, 3 * n))
@@ -179,7 +178,7 @@ class MotionTerms:
         moved[:, :6, :n], moved[:, 6:, :n], moved[:, 6:, n : 2 * n] = known.jacobian, known.twist_q, known.jacobian
         felt[:, :6, :n], felt[:, :6, n : 2 * n] = known.acceleration_q, known.acceleration_dq  # of what is spatial
         felt[:, :6, 2 * n :] = known.jacobian
-        # E turns by the Jacobian's rotation; what moves with it is not seen from one place.
+        # E rotates with the Jacobian's angular part, so that derivatives in E have additional terms.
         by_moved = np.concatenate([self.up, self.twist], axis=1) @ _BY_MOVED
         felt[:, :3, : 2 * n] += by_moved.reshape(count, 3, 9) @ moved[:, 3:, : 2 * n]
         felt[:, 6:, : 2 * n] = (self.twist[:, 3:] @ _BY_TURNING).reshape(count, -1, 3) @ moved[:, 9:, : 2 * n]
@@ -189,7 +188,7 @@ class MotionTerms:
 def motion_terms(model: Any, frame_id: int, q: Array, dq: Array, ddq: Array, deriving: bool = False) -> MotionTerms:
     """Terms of a Pinocchio model, load included, whose frame `frame_id` is E, at states (T, n).
 
-    deriving: derivatives will be read; found with the values they cost less.
+    deriving: compute the derivatives too, which is cheaper together with the values.
     """
     if deriving:
         values, derivatives = _all_of(model, frame_id, q, dq, ddq)
@@ -198,7 +197,7 @@ def motion_terms(model: Any, frame_id: int, q: Array, dq: Array, ddq: Array, der
     p, rotation = np.empty((count, 3)), np.empty((count, 3, 3))  # of the last joint, as twist and acceleration first
     twist, spatial, torque = np.empty((count, 6)), np.empty((count, 6)), np.empty((count, n))
     placement, velocity, acceleration = (x[frame.parentJoint] for x in (data.oMi, data.v, data.a_gf))
-    p_now, rotation_now = placement.translation, placement.rotation  # what each call fills anew
+    p_now, rotation_now = placement.translation, placement.rotation  # Pinocchio overwrites these in each call
     for i, state in enumerate(zip(q, dq, ddq, strict=True)):
         torque[i] = pin.rnea(model, data, *state)
         pin.updateGlobalPlacements(model, data)
@@ -246,7 +245,7 @@ def _all_of(
     columns, torque_z = np.empty((count, 6, 3 * n)), np.empty((count, n, 3 * n))
     each = [slice(k * n, (k + 1) * n) for k in range(3)]
     J, dJ, dA, by_position, by_velocity, mass = (x[:, :, one] for x in (columns, torque_z) for one in each)
-    # What each call fills anew; the mass matrix with both its halves.
+    # Pinocchio overwrites these in each call; the mass matrix is made symmetric.
     p_now, rotation_now, torque_now = place.translation, place.rotation, data.tau
     J_now, dJ_now, dA_now = data.J, data.dJ, data.dAdq
     by_position_now, by_velocity_now, mass_now = data.dtau_dq, data.dtau_dv, data.M
@@ -258,7 +257,7 @@ def _all_of(
         by_position[i], by_velocity[i], mass[i] = by_position_now, by_velocity_now, mass_now
     p_SE, R_SE = p + rotation @ frame.placement.translation, rotation @ frame.placement.rotation
 
-    if len(moving) <= n:  # the universe and the joints that carry E: others move it not at all
+    if len(moving) <= n:  # the universe and the joints that move E; others have no effect on it
         last = list(moving)
         columns.reshape(count, 6, 3, n)[..., [j for j in range(n) if j + 1 not in last]] = 0.0
     to_frame = np.zeros((count, 6, 6))  # of twists of the world's origin to those of E

@@ -1,21 +1,22 @@
 """Tracking errors of a joint motion from parameter errors of the load and from the zero-order hold.
 
-With computed torque for the nominal load, M the mass matrix of the arm with it, J_E the tray's body Jacobian and dF the
-wrench that the unknown part of the load needs along the motion (`salver.sensitivity.arm.load`), the acceleration
+The controller is computed torque with the nominal load. Let M be the mass matrix of the arm with it, J_E the body
+Jacobian of the tray, and dF the additional wrench of the true load along the motion (`salver.sensitivity.arm.load`).
+Then the acceleration
 
     m(t) = M(q)^-1 J_E(q)^T dF(t),        dF = (d load / dp) w(t)
 
-is commanded and missing, whatever the law for the commanded acceleration. A law in the joints answers with
+is missing from the commanded one, for any law of the commanded acceleration. With a loop on the joints the error obeys
 
     e'' + kd e' + kp e = m(t),            e = q* - q,
 
-the same linear filter as the paper's object has (`salver.linear_filter`). The wrong load also feels the deviation
-that it makes: of second order, answered by the same filter, with the products of two parameters.
+the linear filter of the paper's object (`salver.linear_filter`). The additional load also acts on the deviation that it
+causes: a second-order effect through the same filter, with the products of two parameters.
 
-A command is held for a period, so it acts late: M^-1 dtau/dt times the delay is missing too, the same in every run.
-Before the motion the arm has already sagged for some time under its load.
+A command is held for a period, so that it acts late: M^-1 dtau/dt times the delay is missing too, in every run alike.
+Before the motion the arm has rested under its load for some time, with a static deflection.
 
-This is the tracking of fastest plans and of the chain alike.
+Fastest plans and the chain use this model.
 """
 
 from __future__ import annotations
@@ -40,8 +41,7 @@ from salver.sensitivity.arm.terms import MotionTerms
 class JointDeviation:
     """d/dp of the joints' motion at T instants, in rad, rad/s, rad/s^2 per unit of p.
 
-    state: (T, 3 n, n_c), q, dq and ddq one below the other. missing: (T, n, n_c) acceleration that the controller asks
-    for and does not get, ddq_cmd - ddq.
+    state: (T, 3 n, n_c), of q, dq and ddq, stacked. missing: (T, n, n_c) missing acceleration ddq_cmd - ddq.
     """
 
     state: Array
@@ -68,7 +68,7 @@ class JointDeviation:
 class TrayDeviation:
     """d/dp of the tray's motion at T instants, n_c parameters.
 
-    state: (T, 12, n_c) rows dp in S, dtheta in E, dv in S, domega in E. w: (T, 12, n_c) of what it feels, in E.
+    state: (T, 12, n_c) rows dp in S, dtheta in E, dv in S, domega in E. w: (T, 12, n_c) of its motion regressor, in E.
     """
 
     state: Array
@@ -81,14 +81,14 @@ class Law(Protocol):
     def __call__(
         self, missing: Array, before: Array, start: Array | None = None
     ) -> tuple[JointDeviation, TrayDeviation]:
-        """missing: (T, n, n_c). before: (n_c,) 1 where it was missing before the motion too. start: (2, n, n_c) e and
-        e' where the motion begins, which then say what was before."""
+        """Deviations by a missing acceleration (T, n, n_c). before: (n_c,) 1 for terms that act before the motion too,
+        else 0. start: (2, n, n_c) e and e' at the beginning, which replace `before`."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class Reaction:
-    """Compliance of an arm along `terms` to each of K wrenches that its controller does not know."""
+    """Compliance of an arm along `terms` to each of K wrenches that its controller does not include."""
 
     terms: MotionTerms
     joints: JointDeviation
@@ -96,16 +96,16 @@ class Reaction:
 
     @cached_property
     def w(self) -> Array:
-        """(K, T, 12) by which the tray's motion regressor changes."""
+        """Change (K, T, 12) of the tray's motion regressor."""
         return self.tray.w.transpose(2, 0, 1)
 
     @cached_property
     def torque(self) -> Array:
-        """(T, n, K) by which the commanded torque changes, N m."""
+        """Change (T, n, K) of the commanded torque, N m."""
         return commanded(self.terms, self.joints)
 
     def part(self, some: slice | Indices) -> Reaction:
-        """To some of the wrenches."""
+        """The compliance to some of the wrenches."""
         joints, tray = ({name: x[..., some] for name, x in vars(of).items()} for of in (self.joints, self.tray))
         return Reaction(self.terms, JointDeviation(**joints), TrayDeviation(**tray))
 
@@ -114,8 +114,8 @@ class Reaction:
 class HeldCommands:
     """Deviation of the nominal motion by the zero-order hold: q, dq, torque (T, n), tray, w (T, 12), see `Deviation`.
 
-    These are means over a period. swing: (T, 12) by which w is ahead of its mean when a command begins, and behind when
-    it ends. late: (T, n) rad/s^2, what a command that is late is short of.
+    These are means over a period. swing: (T, 12) change of w from the mean to the beginning of a command, with the
+    opposite sign at its end. late: (T, n) rad/s^2, missing acceleration of late commands.
     """
 
     q: Array
@@ -133,10 +133,11 @@ class HeldCommands:
 
 @dataclass(frozen=True, eq=False)
 class Deviation:
-    """Deviation of a motion at T instants per unit of each of n_c terms of the parameter error, and by the zero-order
+    """Deviation of a motion at T instants, per unit of each of n_c terms of the parameter error, and by the zero-order
     hold.
 
-    terms: the motion as planned. joints, tray: deviations. torque: (T, n, n_c) commanded, N m. law: of the loop.
+    terms: of the planned motion. joints, tray: their deviations. torque: (T, n, n_c) of the commanded torque, N m. law:
+    of the loop.
     """
 
     load: LoadChange
@@ -152,7 +153,7 @@ class Deviation:
         return replace(self, terms=terms)
 
     def reaction(self, wrench: Array, start: Array | None = None) -> Reaction:
-        """Response of the arm, to first order, to wrenches (K, T, 6) at E that the controller does not know of.
+        """Response of the arm, to first order, to wrenches (K, T, 6) at E that the controller does not include.
 
         start: (2, n, K) e and e' where the motion begins, 0 unless given.
         """
@@ -161,24 +162,24 @@ class Deviation:
         return Reaction(self.terms, *self.law(missing, np.zeros(len(wrench)), start))
 
     def felt(self, held: bool = True) -> tuple[Array, Drift]:
-        """w (T, 12) at nominal parameters, and how the others change it."""
+        """w (T, 12) at nominal parameters, and its change by parameter errors. held: include the zero-order hold."""
         drift = Drift(self.load.terms, self.tray.w * self.load.half_range, self.held.swing if held else None)
         return self.terms.w + self.held.w if held else self.terms.w, drift
 
     def state_at(self, t: Array, now: float) -> Array:
-        """(2, n, n_c + 1) e and e' at an instant, of each term and of late commands; t: (T,) of the nodes."""
+        """e and e' (2, n, n_c + 1) at the instant `now`, of each term and of late commands. t: (T,) of the nodes."""
         joints, held = self.joints, self.held
         both = (joints.q, held.q[:, :, None]), (joints.dq, held.dq[:, :, None])
         return -np.stack([np.concatenate([at_instant(t, x, now) for x in each], axis=1) for each in both])
 
     def joint_radius(self, order: int) -> Array:
-        """(T, n) most by which the joints' position (order 0), velocity (1), acceleration (2) can differ from the
-        plan's."""
+        """Largest deviation (T, n) of the joints' position (order 0), velocity (1) or acceleration (2) from the
+        plan."""
         name = ("q", "dq", "ddq")[order]
         return self._radius(getattr(self.joints, name), getattr(self.held, name))
 
     def torque_radius(self) -> Array:
-        """(T, n) most by which the commanded torque can differ from the plan's, N m."""
+        """Largest deviation (T, n) of the commanded torque from the plan, N m."""
         return self._radius(self.torque, self.held.torque)
 
     def tray_radius(self) -> tuple[Array, Array]:
@@ -187,17 +188,17 @@ class Deviation:
         return moved[:, :3], moved[:, 3:]
 
     def _radius(self, sensitivity: Array, held: Array) -> Array:
-        """Most (T, m) that a parameter error and the zero-order hold make of something together."""
+        """Largest change (T, m) of a quantity by parameter errors and the zero-order hold together."""
         return np.asarray(np.abs(held) + self.load.radius(sensitivity))
 
 
 @dataclass(frozen=True, eq=False)
 class JointLoop:
-    """Computed torque in the joints with the nominal load.
+    """Computed torque with a loop on the joints and the nominal load.
 
-    load: what is uncertain about the true one. kp, kd: gains, 1/s^2 and 1/s. settle: s at rest under the load before
-    the motion. delay: s by which a command acts late, half the period for which it is held. start: (2, n, n_c + 1) e
-    and e' of each term and of late commands where the motion begins, when it does not begin from that rest.
+    load: effect of the uncertain parameters. kp, kd: gains, 1/s^2 and 1/s. settle: s at rest under the load before the
+    motion. delay: s, delay of a command by the hold, half a period. start: (2, n, n_c + 1) e and e' of each term and of
+    late commands at the beginning, if the motion does not begin from that rest.
     """
 
     load: LoadChange
@@ -209,7 +210,7 @@ class JointLoop:
 
     @property
     def settling(self) -> float:
-        """s at rest after which a deviation has settled: eight time constants."""
+        """Time of rest after which a deviation has settled, s: eight time constants."""
         return float(8.0 / np.sqrt(self.kp))
 
     def begun(self, start: Array) -> JointLoop:
@@ -227,9 +228,9 @@ class JointLoop:
     ) -> Deviation:
         """The deviation along a motion at nodes t (T,) of any spacing; rates: (3, T, n) dq, ddq, dddq.
 
-        order: of the polynomial that stands for what is missing between the nodes, 1 or 3. shares: of the motion's
-        time, at which the nodes are, if they come again at those in other motions. before: (T, n) dddq just before each
-        node, where it jumps: what late commands are short of jumps with it, and a polynomial across would smear that.
+        order: of the polynomial for the missing acceleration between nodes, 1 or 3. shares: the nodes as shares of the
+        duration, if other motions have them too (for a cache). before: (T, n) dddq just before each node, if it jumps:
+        the missing acceleration of late commands then jumps too, which a polynomial cannot represent.
         """
         response = LinearFilter.on_nodes(t, self.kp, self.kd, order, shares)
 
@@ -244,7 +245,7 @@ class JointLoop:
         late_by = late(terms, rates, self.delay, not len(self.load.half_range))
         if before is None:
             return deviation(self.load, terms, late_by, law, self.start)
-        # Its jumps are steps, exactly; what is left without them is continuous.
+        # Jumps are treated exactly, as steps; the rest is continuous.
         steps = np.cumsum(self.delay * (rates[2] - before), axis=0)
         found = deviation(self.load, terms, late_by - steps, law, self.start)
         filter_ = replace(LinearFilter.on_nodes(t, self.kp, self.kd, 1, shares), samples=None)
@@ -255,15 +256,15 @@ class JointLoop:
         return replace(found, held=found.held + stepped)
 
     def sag(self, terms: MotionTerms) -> Drift:
-        """Change of the tray's specific force where the arm rests in each posture of a motion, sagged under
-        parameter errors: e = m / kp tilts the tray. Second order in the load included."""
+        """Change of the tray's specific force when the arm rests in each posture of a motion: the static deflection
+        e = m / kp by parameter errors tilts the tray. Includes second order in the load."""
         n_p = self.load.uncertain.size
         up, jacobian = terms.up, terms.jacobian
         w = np.zeros_like(terms.w)
         w[:, :3] = up
 
         def leaning(wrench: Array) -> Array:
-            """dw (T, 12, n_c) of wrenches (T, n_c, 6) at E that the controller does not know of."""
+            """dw (T, 12, n_c) by wrenches (T, n_c, 6) at E that the controller does not include."""
             missing = terms.mass_inverse @ np.swapaxes(wrench @ jacobian, 1, 2)
             dw = np.zeros((len(w), N_MOTION, wrench.shape[1]))
             dw[:, :3] = hat(up) @ (jacobian[:, 3:] @ missing) / -self.kp
@@ -285,7 +286,7 @@ def joint_loop(scenario: Scenario, payload: Payload) -> JointLoop:
 
 
 def missing_acceleration(load: LoadChange, terms: MotionTerms) -> Array:
-    """M^-1 J_E^T dF (T, n, n_c)."""
+    """Missing acceleration M^-1 J_E^T dF (T, n, n_c), rad/s^2."""
     if not len(load.half_range):
         return np.zeros((*terms.q.shape, 0))
     wrench = np.tensordot(terms.w, load.load_p, axes=(1, 2))  # (T, n_c, 6)
@@ -293,15 +294,14 @@ def missing_acceleration(load: LoadChange, terms: MotionTerms) -> Array:
 
 
 def commanded(terms: MotionTerms, joints: JointDeviation) -> Array:
-    """(T, n, n_c) by which the torque that is asked for changes, N m: what the joints' deviation takes, and what is
-    commanded and missing."""
+    """Change (T, n, n_c) of the commanded torque, N m: by the joints' deviation, and by the missing acceleration."""
     return np.asarray(terms.torque_z @ joints.state + terms.mass_matrix @ joints.missing)
 
 
 def late(terms: MotionTerms, rates: Array, delay: float, alone: bool = False) -> Array:
     """Missing acceleration (T, n) of the hold delay: M^-1 dtau/dt times the delay. rates: (3, T, n) dq, ddq, dddq.
 
-    alone: whether nothing else will ask for M^-1.
+    alone: whether M^-1 is not needed elsewhere, so that a solve is cheaper.
     """
     torque_rate = terms.torque_z @ rates.swapaxes(0, 1).reshape(len(terms.q), -1, 1)
     lost = np.linalg.solve(terms.mass_matrix, torque_rate) if alone else terms.mass_inverse @ torque_rate
@@ -309,11 +309,10 @@ def late(terms: MotionTerms, rates: Array, delay: float, alone: bool = False) ->
 
 
 def deviation(load: LoadChange, terms: MotionTerms, late: Array, law: Law, start: Array | None = None) -> Deviation:
-    """Deviation of a law by parameter errors, with second order, and by the hold delay. start: as of
-    `JointLoop`."""
+    """Deviation under a law by parameter errors, to second order, and by the hold delay. start: as in `JointLoop`."""
     n_p, n_c = load.uncertain.size, len(load.half_range)
     missing = missing_acceleration(load, terms)
-    # A wrong load is there before the motion, a late command not.
+    # A parameter error acts before the motion too, a late command does not.
     first = np.concatenate([missing[:, :, :n_p], late[:, :, None]], axis=2)
     begun = None if start is None else np.concatenate([start[:, :, :n_p], start[:, :, n_c:]], axis=2)
     joints, tray = law(first, np.append(np.ones(n_p), 0.0), begun)
@@ -330,7 +329,7 @@ def deviation(load: LoadChange, terms: MotionTerms, late: Array, law: Law, start
 
 
 def _held(terms: MotionTerms, joints: JointDeviation, tray: TrayDeviation, torque: Array) -> HeldCommands:
-    """Effect of the hold delay; the last part of the missing acceleration."""
+    """The effect of the hold delay, which is the last term of the deviations."""
     late, swing = joints.missing[:, :, -1], np.zeros_like(terms.w)
     swing[:, :6] = (terms.jacobian @ late[:, :, None])[:, :, 0]
     q, dq, torque, moved, w = (x[:, :, -1] for x in (joints.q, joints.dq, torque, tray.state, tray.w))
@@ -338,7 +337,7 @@ def _held(terms: MotionTerms, joints: JointDeviation, tray: TrayDeviation, torqu
 
 
 def tray_of_joints(terms: MotionTerms, joints: JointDeviation) -> TrayDeviation:
-    """The tray's deviation that the joints' deviation brings."""
+    """Deviation of the tray by a deviation of the joints."""
     shift, rate, felt = terms.changed(joints.state)
     R, theta = terms.R_SE, shift[:, 3:]
     slid = rate[:, :3] - hat(terms.twist[:, :3]) @ theta
