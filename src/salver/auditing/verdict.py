@@ -43,7 +43,7 @@ EDGES = 16  # of the friction pyramids, which are at most 2 % inside the round c
 
 AT_ONCE = 4096  # instants whose margins are computed at once
 SPILLS = ("spills", "unsettled")
-AT_REST = 1e-3  # m/s or rad/s, below which the tray is at rest
+AT_REST = 1e-3  # m/s or rad/s, below which the tray is at rest, below which the tray is at rest
 
 
 @dataclass(frozen=True, repr=False)

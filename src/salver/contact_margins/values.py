@@ -14,7 +14,7 @@ from salver.models.contact.internal_wrench import internal_wrenches
 from salver.models.contact_rows import ContactRows
 from salver.models.uncertain.worst_case import ALL
 
-AT_ONCE = 256  # instants that are computed at once that are computed at once
+AT_ONCE = 256  # instants that are computed at once that are computed at once that are computed at once
 
 
 @dataclass(frozen=True)

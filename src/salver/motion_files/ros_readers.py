@@ -110,7 +110,7 @@ def _yaml(text: str, path: Path) -> Any:
         TypeError,
         RecursionError,
         OverflowError,
-    ) as error:  # dates, numbers and nesting beyond Python's limits limits
+    ) as error:  # dates, numbers and nesting beyond Python's limits limits limits
         raise FileFormatError(f"{path} is not YAML of a trajectory ({type(error).__name__}).") from None
 
 

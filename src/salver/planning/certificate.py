@@ -1,8 +1,8 @@
 """Digests that tie a plan's files together: of the scenario, of every array and of every field of the record.
 
-A verdict is worth what it was given on. `certificate` is written with a plan and says what that was, piece by piece, so
-that `check` can name the piece that was edited since; results of a plan know it by the digest of this certificate
-(`salver.run_directory.plan_digest`). It guards against editing, mixing and damage; it is no signature.
+A verdict holds only for the data that was judged. `certificate` returns a digest of each piece of that data, which is
+stored with the plan; `check` names the pieces that were edited since. Results refer to a plan by the digest of its
+certificate (`salver.run_directory.plan_digest`). It detects edited, mixed and damaged files; it is no signature.
 """
 
 from __future__ import annotations
@@ -25,7 +25,8 @@ if TYPE_CHECKING:
 def certificate(scenario: Scenario, arrays: Mapping[str, np.ndarray], record: Mapping[str, Any]) -> dict[str, Any]:
     """Digests of each table of the resolved scenario, of the files it names, of each array and each field of a record.
 
-    record: as it is read back from JSON.
+    scenario: the resolved scenario. arrays: the arrays of the plan's .npz file, by name. record: the plan's .json file
+    as it is read back.
     """
     resolved = scenario.model_dump(mode="json")
     return {
@@ -39,7 +40,7 @@ def certificate(scenario: Scenario, arrays: Mapping[str, np.ndarray], record: Ma
 def check(
     directory: Path, stem: str, scenario: Scenario, arrays: Mapping[str, np.ndarray], record: Mapping[str, Any]
 ) -> None:
-    """Raise FileFormatError, one sentence with what differs, unless a plan's files are what its certificate says."""
+    """Raise FileFormatError, which names what differs, unless a plan's files agree with its certificate."""
     certified = record.get(CERTIFICATE)
     method = record.get("method")
     named = method in ("fastest", "safest", "least-sensitive", "robust") and method != scenario.plan.method

@@ -12,17 +12,18 @@ from salver.errors import Status
 from salver.geometry import Array, lean
 from salver.trajectory import MotionSamples
 
-_WORTH, _LEVEL = 5e-3, 0.05  # m, deg: less is not said
+_WORTH, _LEVEL = 5e-3, 0.05  # m, deg: smaller extremes are left out of the sentence
 
 
 @dataclass(frozen=True)
 class Extent:
     """The extremes along a motion.
 
-    lean: angle between the tray's normal and the vertical, rad. turn: of the heading of the tray (its x axis, seen from
-    above) away from that at the start, rad. rise, sink: of the first object's frame B above and below both ends, m.
-    speed: of B, m/s. nearest: of what stands around ("second") and what passes it ("first") the two that come nearest,
-    their "distance", m, and the "time", s, of it; None where nothing stands around or no arm was planned.
+    lean: largest angle between the tray's normal and the vertical, rad. turn: largest change of the tray's heading (its
+    x axis, seen from above) since the start, rad. rise, sink: how far the origin of the first object's frame B goes
+    above and below both of its ends, m. speed: largest speed of B, m/s. nearest: the moving part ("first") and the
+    obstacle ("second") that come closest, with their "distance" (m) and its "time" (s); None without obstacles or
+    without an arm.
     """
 
     lean: float
@@ -34,7 +35,7 @@ class Extent:
 
     @property
     def sentence(self) -> str:
-        """In one line."""
+        """The extremes in one sentence."""
         lean, turn = np.rad2deg([self.lean, self.turn])
         parts = [
             f"leans by up to {lean:.1f} deg" if lean > _LEVEL else "stays level",
@@ -51,7 +52,7 @@ class Extent:
         return f"{text}; {near.format(mm=1e3 * self.nearest['distance'], **self.nearest)}."
 
     def record(self) -> dict[str, Any]:
-        """The record of plan.json: SI units, and the sentence."""
+        """The extremes in SI units and the sentence, as plan.json stores them."""
         return {**asdict(self), "sentence": self.sentence}
 
 
@@ -59,12 +60,12 @@ def extent(samples: MotionSamples, R_EB: Array, arm: Status | None) -> Extent:
     """The extremes of a motion of B.
 
     Args:
-        samples: the motion of B in S, T instants.
+        samples: motion of the first object's frame B in S at T instants.
         R_EB: (3, 3) orientation of B on the tray.
-        arm: the verdict on the arm that follows (`salver.planning.follow.limits.verdict`), which knows distances.
+        arm: verdict on the arm's motion (`salver.planning.follow.limits.verdict`), whose details have the distances.
 
     Returns:
-        The most of each over the T instants.
+        The largest value of each quantity over the T instants.
     """
     R_SE = samples.R_SB @ R_EB.T
     heading = np.unwrap(np.arctan2(R_SE[:, 1, 0], R_SE[:, 0, 0]))

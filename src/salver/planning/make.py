@@ -1,4 +1,4 @@
-"""Making plans: the paper's optimisation, the straight line it is compared with, and the arm that follows them."""
+"""Plans by method: the paper's optimisation, the straight line it is compared with, and the arm that follows them."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ METHODS = ("robust", "baseline", "fastest", "safest", "least-sensitive")
 def plan_object(scenario: Scenario) -> Plan:
     """The robust plan of the carried object alone, eqs (13) to (17).
 
-    The condition (16) is kept at the scenario's nodes; where it then fails between them, at all instants of the plan's
-    own check.
+    Condition (16) is imposed at the scenario's nodes; if it then fails between them, at all instants of the plan's
+    check.
     """
     _need_duration(scenario)
     if scenario.payload.dynamic and scenario.motion.may_turn:
@@ -69,8 +69,11 @@ def plan_baseline(scenario: Scenario) -> Plan:
 
 
 def plan_nominal(scenario: Scenario, *, options: FastestOptions | None = None, watch: Watch | None = None) -> Plan:
-    """The fastest motion that is safe when every parameter is nominal; judged over the whole uncertain set, by the
-    scenario's own contact condition where it gives a duration, which is then of what the motion is compared with."""
+    """The fastest motion that is safe at nominal parameters, judged over the whole uncertain set.
+
+    With a duration in the scenario, which then is that of the plan it is compared with, the scenario's own contact
+    condition judges it.
+    """
     from salver.planning.fastest import plan_fastest
 
     plan = plan_fastest(scenario.with_changes(motion__duration=None), robust=False, options=options, watch=watch)
@@ -84,9 +87,9 @@ def plan_nominal(scenario: Scenario, *, options: FastestOptions | None = None, w
 
 
 def with_arm(plan: Plan, q_start: Array | None = None) -> Plan:
-    """The plan with the joint motion that follows it, its torques, and whether the arm can; needs an arm.
+    """The plan with the joint motion that follows it, its torques, and the verdict on the arm. Needs an arm.
 
-    q_start: posture to start from instead of the scenario's or the best one, so that two plans can share theirs.
+    q_start: start posture (n,), rad, instead of the scenario's or the best one, so that two plans can share it.
     """
     from salver.models.arm.arm import load_arm
     from salver.planning.follow.limits import torques
@@ -103,8 +106,8 @@ def with_arm(plan: Plan, q_start: Array | None = None) -> Plan:
 
 
 def method_of(scenario: Scenario, arm: bool = True) -> str:
-    """The method that a scenario asks for by `plan.method`, or by what it leaves open: "safest" in its duration,
-    "fastest" without one; "robust", which needs no arm, where there is none."""
+    """The planning method of a scenario: its `plan.method`, or else "safest" with a duration, "fastest" without one,
+    and "robust" without an arm."""
     if scenario.plan.method is not None:
         return scenario.plan.method
     if scenario.motion.duration is None:
@@ -123,10 +126,12 @@ def plan_pair(
 ) -> tuple[Plan, Plan]:
     """The requested plan and the plan that it is compared with.
 
-    beside: "baseline", the straight line of the same duration, from the same start posture; or "nominal", the fastest
-    motion for someone who believes the nominal parameters. options, watch: of the search for fastest and safest
-    motions.
-    Raises ScenarioError for an unknown comparison, and where one cannot be made.
+    scenario: the task. method: as of `make_plan`. arm: whether to plan the arm's motion. beside: "baseline", the
+    straight line with the same duration and start posture; or "nominal", the fastest motion at nominal parameters.
+    options, watch: of the search for the fastest, safest and least sensitive motion.
+
+    Raises:
+        ScenarioError: the comparison is unknown or cannot be made.
     """
     if beside not in STEMS[1:]:
         raise ScenarioError(f'A plan can be compared with {" or ".join(STEMS[1:])}, not with "{beside}".')
@@ -149,12 +154,14 @@ def make_plan(
     options: FastestOptions | None = None,
     watch: Watch | None = None,
 ) -> Plan:
-    """A plan by method: "robust", "baseline", "fastest", "safest" or "least-sensitive" (these two in the scenario's
-    duration), by default `method_of`; with the arm's motion when the scenario has an arm.
+    """The plan of a scenario, with the arm's motion when it has an arm.
 
-    options, watch: of the search for the last three.
+    scenario: the task. method: "robust", "baseline", "fastest", "safest" or "least-sensitive" (the last two in the
+    scenario's duration); None for `method_of`. arm: whether to plan the arm's motion. options, watch: of the search for
+    the last three.
 
-    Raises ScenarioError when the scenario does not say what the method needs.
+    Raises:
+        ScenarioError: the scenario lacks something that the method needs.
     """
     method = method or method_of(scenario, arm)
     scenario.check_one_leg(f"the {method} plan" if method in METHODS else "this")

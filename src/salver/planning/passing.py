@@ -1,4 +1,4 @@
-"""Poses that a motion passes, with time and distance, looked for in the motion itself, whoever planned it."""
+"""Via poses: when, and at what distance, a given motion passes them."""
 
 from __future__ import annotations
 
@@ -9,12 +9,13 @@ import numpy as np
 from salver.geometry import Array, log
 from salver.trajectory import Reference
 
-LEVER = 0.2  # m, at which the turn of a pose counts: 5 mrad as 1 mm
-LOOKS, CLOSER = 401, 4  # instants that are looked at, so many times over, each time nearer
+LEVER = 0.2  # m: lever arm that converts an orientation error to a distance; 5 mrad count as 1 mm
+LOOKS, CLOSER = 401, 4  # instants per search, and the number of searches, each in a narrower interval
 
 
 def passed(reference: Reference, poses: Sequence[tuple[Array, Array]], yaw_free: bool) -> list[tuple[float, float]]:
-    """For each pose (p_SB, R_SB): when the motion comes nearest to it, s, and how near, m (turns by `LEVER`)."""
+    """The instant, s, and the distance, m (orientation by `LEVER`), of the closest approach to each pose (p_SB,
+    R_SB)."""
     found = []
     for pose in poses:
         low, high = 0.0, reference.duration
@@ -29,7 +30,7 @@ def passed(reference: Reference, poses: Sequence[tuple[Array, Array]], yaw_free:
 
 
 def _distance(pose: tuple[Array, Array], p_SB: Array, R_SB: Array, yaw_free: bool) -> Array:
-    """(T,) to poses of a motion."""
+    """Distances (T,), m, of a pose from the poses of a motion."""
     wanted, R_wanted = pose
     turn = log(np.swapaxes(R_SB, 1, 2) @ R_wanted)
     if yaw_free:

@@ -1,4 +1,4 @@
-"""A plan: a reference trajectory with everything that follows from it, and its check of itself."""
+"""A plan: a reference trajectory, everything that is derived from it, and its check."""
 
 from __future__ import annotations
 
@@ -40,25 +40,24 @@ if TYPE_CHECKING:
     from salver.models.uncertain.parameters import UncertainSet
     from salver.sensitivity.arm import ArmChain
 
-FINER = 10  # the check's grid against the planner's
+FINER = 10  # ratio of the planner's time step to that of the check
 STEERED = (
     1e-2,
     2e-3,
-)  # s between instants, and between those of the check, of a motion whose jerk may jump at any time
-COMMAND_LEAD = 0.1  # s by which a corrected command begins before the motion that it is for
-NEAR_ENOUGH = 1e-3  # m: a pose is passed when a motion comes as near; turns count by `passing.LEVER`
+)  # s, time step of the arrays and of the check for a motion whose jerk may jump at any time
+COMMAND_LEAD = 0.1  # s by which a corrected command begins before its motion
+NEAR_ENOUGH = 1e-3  # m: largest distance at which a pose counts as passed; orientation by `passing.LEVER`
 BOUNDARY_TOLERANCE = 1e-9  # m, rad and their rates
 
 
 @dataclass(frozen=True)
 class Verification:
-    """The plan's check of itself on a grid `FINER` times finer than the planner's.
+    """Result of the plan's check, on a grid `FINER` times finer than the planner's.
 
-    boundary_error: largest miss of pose, twist and acceleration at both ends (SI units).
-    slack: least contact condition minus its tube, in `unit`; at time `time`, for object or interface `body`.
-    violation: how far that is below zero; 0 when the condition holds everywhere.
-    passes: the most by which a pose to pass is missed, m (`salver.planning.passing`); infinite when the order is not
-    theirs. exactly: whether nothing is uncertain. shake: of the tray, in words; "" for none that is counted.
+    instants: number of instants checked. boundary_error: largest error of pose, twist and acceleration at both ends (SI
+    units). slack: least contact condition minus its tube, in `unit`, at `time` (s), of the object or interface `body`.
+    passes: largest distance at which a via pose is passed, m (`salver.planning.passing`); infinite when they are passed
+    in another order. exactly: whether nothing is uncertain. shake: of the tray, in words; "" for none.
     """
 
     instants: int
@@ -100,17 +99,22 @@ class Verification:
 
 @dataclass(frozen=True, repr=False)
 class Plan(Shown, Tabular, Plotted):
-    """A motion of the carried object (and of the arm, when there is one) with its guarantees.
+    """A motion of the carried object, and of the arm if there is one, with its verdict. Arrays have the time axis
+    first.
 
-    method: "robust" (eqs 13-17), "baseline" (straight min-jerk line), "fastest", "safest" and "least-sensitive" (in
-    their duration), "live" (steered by hand, as it was commanded), "excite" or "tilt" (to learn what is carried).
-    reference: the motion of B. joint: the arm's motion, or None. status: how planning ended; arm_status: whether the
-    arm can follow, None without an arm. solver: method, cost, duality gap, iterations, times.
-    tau: (T, n) feed-forward torque at `t`, or None, as of an arm without masses. Arrays have the time axis first
-    (docs/conventions.md).
-    stops: ways to rest on the way that keep the load (`salver.planning.stops`), or None.
-    command: what the joints of one robot are told so that they do `joint` (`salver tune`), from `COMMAND_LEAD` s before
-    it on; None: `joint` itself.
+    Attributes:
+        scenario: the task.
+        method: "robust" (eqs 13-17), "baseline" (straight min-jerk line), "fastest", "safest", "least-sensitive",
+            "live" (steered by hand, as it was commanded), "excite" or "tilt" (motions that identify the load).
+        reference: motion of the first object's frame B in S.
+        status: how planning ended.
+        joint: the arm's motion, or None.
+        arm_status: whether the arm can follow; None without an arm.
+        tau: (T, n) feed-forward torques at `t`, N m; None without them, as for an arm without masses.
+        solver: method, cost, duality gap, iterations, times.
+        stops: stops that keep the load in place (`salver.planning.stops`), or None.
+        command: joint command of one robot with which its joints perform `joint` (`salver tune`), from `COMMAND_LEAD` s
+            before it on; None: `joint` itself.
     """
 
     scenario: Scenario
@@ -126,7 +130,7 @@ class Plan(Shown, Tabular, Plotted):
 
     @property
     def told(self) -> JointMotion | None:
-        """What the joints are told to do."""
+        """The command to the joints: `command`, or `joint` without a correction."""
         return self.joint if self.command is None else self.command
 
     @cached_property
@@ -135,7 +139,7 @@ class Plan(Shown, Tabular, Plotted):
 
     @cached_property
     def _checked(self) -> Evaluation:
-        """The same on the grid of the check, which is as fine or finer."""
+        """The evaluation on the grid of the check."""
         count = self._instants(STEERED[1])
         return self.evaluation if count == len(self.t) else evaluate(self.scenario, self.reference, count)
 
@@ -145,16 +149,18 @@ class Plan(Shown, Tabular, Plotted):
 
     @property
     def space(self) -> Literal["object", "joint"]:
-        """Where the controller closes its loop: what was planned in the joints knows its tracking errors there."""
+        """Space in which the controller closes its loop: "joint" for motions planned in joint space, whose tracking
+        errors were computed there."""
         return "joint" if self.method in ("fastest", "safest", "least-sensitive", "live", "excite") else "object"
 
     @cached_property
     def t(self) -> Array:
-        """(T,) instants of the arrays, s; those of the check, where that is no finer."""
+        """Instants (T,) of the arrays, s."""
         return np.linspace(0.0, self.duration, self._instants(STEERED[0]))
 
     def _instants(self, step: float) -> int:
-        """How many: as many as are finer than the planner's nodes; of what was steered so near at least."""
+        """Number of instants: at least the planner's nodes and, for steered motions, a time step of at most `step`,
+        s."""
         planned = FINER * (self.scenario.motion.nodes - 1) + 1
         return planned if self.method != "live" else max(planned, int(np.ceil(self.duration / step)) + 1)
 
@@ -180,17 +186,17 @@ class Plan(Shown, Tabular, Plotted):
 
     @cached_property
     def cost(self) -> float:
-        """Integral (13) with the scenario's weighting."""
+        """The integral (13) with the scenario's weighting."""
         return sensitivity_cost(self.scenario, self.t, self.evaluation.closed_loop.sensitivity)
 
     @property
     def ok(self) -> bool:
-        """Whether what was asked for was achieved: safe in its own model, and the arm can follow."""
+        """Whether the plan meets the request: safe in its own model, and the arm can follow."""
         return not self._failures
 
     @property
     def _failures(self) -> tuple[str, ...]:
-        """What was asked for and not achieved, a sentence each."""
+        """The requirements that the plan does not meet, a sentence each."""
         verdicts: tuple[Status | Verification | None, ...] = (self.status, self.verification, self.arm_status)
         failed = dict.fromkeys(found.sentence for found in verdicts if found is not None and not found.ok)
         if not failed and self.scenario.motion.speeds == "any" and not self.speeds.every:
@@ -199,8 +205,8 @@ class Plan(Shown, Tabular, Plotted):
 
     @property
     def verdict(self) -> str:
-        """What its files say of it, in one line: "UNSAFE: " and what fails; or the only speeds at which it holds; or
-        what was not checked, and what holds."""
+        """The verdict in one line: "UNSAFE: " and what fails; or the only speeds at which the plan is safe; or what was
+        not checked, and the result of the check."""
         if self._failures:
             return one_line(f"{UNSAFE}: {' '.join(self._failures)}")
         blind = f"Not checked: {'; '.join(self.unchecked)}. " if self.unchecked else ""
@@ -210,7 +216,7 @@ class Plan(Shown, Tabular, Plotted):
 
     @property
     def unchecked(self) -> tuple[str, ...]:
-        """What the verdict does not cover, in words; to be said before anything that is said to be safe."""
+        """What the verdict does not cover, in words; state it before any claim of safety."""
         load, shake = self.scenario.payload.unmodelled, self.unshaken
         if self.arm_status is not None:
             return (*load, *self.arm_status.details.get("unchecked", ()), *shake)
@@ -221,19 +227,19 @@ class Plan(Shown, Tabular, Plotted):
 
     @property
     def unshaken(self) -> tuple[str, ...]:
-        """The effects of a shaking tray that the plan does not count, in words."""
+        """Effects of a shaking tray that the plan ignores, in words."""
         if self.uncertain.shake is None:
             return (unshaken(),)
         return ("how loads swing inside on a tray that shakes",) if self.scenario.payload.dynamic else ()
 
     @cached_property
     def warnings(self) -> tuple[str, ...]:
-        """What of the scenario is probably not meant, or more than its arm is made for, a sentence each."""
+        """Warnings, a sentence each: probable mistakes in the scenario, and loads beyond what the arm is made for."""
         return warnings_of(self.scenario)
 
     @property
     def no_arm_motion(self) -> str:
-        """Why `joint` is None, in one sentence."""
+        """The reason why `joint` is None, in one sentence."""
         if self.arm_status is not None:
             return self.arm_status.sentence
         return "The plan was made without the arm." if self.status.ok else self.status.sentence
@@ -257,8 +263,8 @@ class Plan(Shown, Tabular, Plotted):
 
     @property
     def _worst(self) -> tuple[float, float, str]:
-        """Least slack of the check, its time, and whose it is; with inner dynamics, of contact at rest after it too,
-        for a period: on a tray that leans it pushes more when it has swung back."""
+        """Least slack of the check, its time (s) and its owner. With load dynamics the rest after the motion counts
+        too, for one period: on a tilted tray a load that has swung back pushes more."""
         found, period = self._checked.worst(), self.scenario.payload.slowest_period
         if period == 0.0 or found[0] < 0.0:
             return found
@@ -266,7 +272,7 @@ class Plan(Shown, Tabular, Plotted):
         return min(found, evaluate(self.scenario, self.reference, count, period).worst(since=self.duration))
 
     def _passes(self) -> float:
-        """The most by which a pose to pass is missed, m; infinite when they are passed in another order."""
+        """Largest distance at which a via pose is passed, m; infinite when they are passed in another order."""
         motion = self.scenario.motion
         if not motion.through:
             return 0.0
@@ -279,14 +285,14 @@ class Plan(Shown, Tabular, Plotted):
 
     @cached_property
     def margins(self) -> Margins:
-        """Exact margins of everything on the tray along the reference (`salver.contact_margins`)."""
+        """Exact margins of all objects on the tray along the reference (`salver.contact_margins`)."""
         from salver.contact_margins import margins
 
         return margins(self.scenario, self._checked.samples)
 
     @cached_property
     def speeds(self) -> SafeSpeeds:
-        """At which constant shares of full speed the load is kept, in the worst case."""
+        """The constant speed factors at which contact is kept in the worst case."""
         from salver.contact_margins import margin_model, safe_speeds
 
         first = self.scenario.payload.first
@@ -296,16 +302,16 @@ class Plan(Shown, Tabular, Plotted):
 
     @property
     def _unchecked_at_other_speeds(self) -> str:
-        """What neither this plan nor the planner that made it (`planning.fastest.speeds`) has looked at there."""
+        """What was not checked at other speed factors, by the plan or by its planner (`planning.fastest.speeds`)."""
         planned = self.method in ("fastest", "safest", "least-sensitive") and self.solver.get("robust", False)
         if self.scenario.payload.dynamic:
             return "how far the arm strays from the motion; how loads swing inside while the speed changes"
         return "" if planned and self.scenario.motion.speeds == "any" else "how far the arm strays from the motion"
 
     def at_speed(self, factor: float) -> Plan:
-        """The same motion run at a constant share of its speed, without torques, stops and a tuned command.
+        """The same motion at a constant speed factor, 0 < factor <= 1, without torques, stops and corrected command.
 
-        Raises ScenarioError for a factor that is not above 0 and at most 1.
+        Raises ScenarioError for another factor.
         """
         if not 0 < factor <= 1:
             raise ScenarioError(f"A speed of {factor:g} was asked for; it must be above 0 and at most 1 (full speed).")
@@ -318,7 +324,7 @@ class Plan(Shown, Tabular, Plotted):
 
     @cached_property
     def chain(self) -> ArmChain | None:
-        """What wrong parameters do to the arm that carries this plan; None without an arm or without uncertainty."""
+        """Response of the arm to parameter errors along this plan; None without an arm or without uncertainty."""
         if self.joint is None or self.uncertain.size == 0:
             return None
         from salver.sensitivity.arm import arm_chain, chain_model
@@ -331,19 +337,20 @@ class Plan(Shown, Tabular, Plotted):
 
     @property
     def extent(self) -> Extent:
-        """What the motion does: how far the tray leans, turns and rises, how fast it moves, how near things come."""
+        """Extremes of the motion: the tray's tilt, heading and height, its speed, and the least distance to
+        obstacles."""
         return extent(self._checked.samples, self.scenario.payload.first.R_EB, self.arm_status)
 
     @property
     def left(self) -> float:
-        """What contacts have left in the worst case, a share of the weight: what an exact plan was checked to keep over
-        its tubes; with the paper's condition, which counts in newtons, the exact margin along the reference."""
+        """Worst-case contact margin as a share of the weight: the checked slack of a plan with the exact condition;
+        with the paper's condition, which is in N, the exact margin along the reference."""
         if self.scenario.contact.condition == "paper":
             return float(self.margins.exact_worst.min())
         return float(self.evaluation.contacts.min())
 
     def facts(self) -> dict[str, str]:
-        """What a notebook shows of it."""
+        """The facts that a notebook shows."""
         arm = {} if self.arm_status is None else {"arm": self.arm_status.sentence}
         return {
             "scenario": self.scenario.name,
@@ -364,7 +371,7 @@ class Plan(Shown, Tabular, Plotted):
         return self.verification
 
     def summary(self) -> dict[str, Any]:
-        """What `plan.json` holds."""
+        """Content of `plan.json`."""
         check = self.verification
         lowest = self.cone_coefficients - self.cone_radius
         out: dict[str, Any] = {
@@ -406,7 +413,7 @@ class Plan(Shown, Tabular, Plotted):
         return out
 
     def arrays(self) -> dict[str, Array]:
-        """What `plan.npz` holds."""
+        """Content of `plan.npz`."""
         e, uncertain = self.evaluation, self.uncertain
         s = e.samples
 
@@ -435,7 +442,7 @@ class Plan(Shown, Tabular, Plotted):
             if self.reference.angular_velocity is not None:
                 out["angular_velocity_coefficients"] = self.reference.angular_velocity
         elif isinstance(self.reference, SampledReference):
-            # Its own samples, so that it comes back as it was.
+            # Its own samples, so that it is read back unchanged.
             out |= {f"reference_{name}": value for name, value in vars(self.reference.samples).items()}
         if self.joint is not None:
             out["q"], out["dq"], out["ddq"] = self.joint.sample(s.t)
@@ -450,7 +457,7 @@ class Plan(Shown, Tabular, Plotted):
         return out
 
     def table(self) -> Table:
-        """The motion, for pandas and xarray: that of the object, of the arm when there is one, and the contact."""
+        """The motion of the object, of the arm if there is one, and the contact quantities, for pandas and xarray."""
         about = {"scenario": self.scenario.name, "method": self.method, "ok": self.ok}
         labels = {} if self.joint is None else {"joint": self._joint_names}
         return Table(dimensioned(self.arrays(), {}), labels, about)
@@ -463,7 +470,7 @@ class Plan(Shown, Tabular, Plotted):
         return () if arm is None else load_arm(arm, self.scenario.tray).joint_names
 
     def curves(self) -> tuple[Array, Curves]:
-        """The motion of the first object, the joints' velocities, and the margin of all contacts."""
+        """Curves over time: motion of the first object, joint velocities, and the margins of all contacts."""
         samples = self._checked.samples
         way = (samples.p_SB - samples.p_SB[0]).T
         panels: dict[str, Mapping[str, Array]] = {"way, m": dict(zip("xyz", way, strict=True))}
@@ -475,21 +482,21 @@ class Plan(Shown, Tabular, Plotted):
     def save(self, directory: str | Path, stem: str = "plan") -> Path:
         """Write `<stem>.npz`, `<stem>.json` and `scenario.toml` into a run directory, each atomically.
 
-        The record carries the certificate of all three (`salver.planning.certificate`). Another plan that stands there
-        is kept with its results, in DIRECTORY/earlier/N. Raises ScenarioError when the directory belongs to another
-        scenario, SalverError when it has files of others under these names.
+        The record has the certificate of all three (`salver.planning.certificate`). An existing plan is moved with its
+        results to DIRECTORY/earlier/N. Raises ScenarioError when the directory belongs to another scenario, SalverError
+        when it has other files under these names.
         """
         return save_files(self.scenario, self.arrays(), self.summary(), Path(directory), stem)
 
 
 def load_plan(directory: str | Path, stem: str = "plan") -> Plan:
-    """Read a plan back, or one leg of a plan of several ("leg2"). Raises FileFormatError or ScenarioError with a
-    sentence; executes nothing."""
+    """Read a plan, or one leg of a plan of several ("leg2"). Raises FileFormatError or ScenarioError. No code from the
+    files is executed."""
     return plan_of(read_plan(directory, stem), Path(directory) / stem)
 
 
 def plan_of(files: PlanFiles, path: Path) -> Plan:
-    """The plan that the files of a run directory hold. Raises FileFormatError, naming `path`."""
+    """The plan in the files of a run directory. Raises FileFormatError, which names `path`."""
     arrays, record = files.arrays, files.record
     try:
         return Plan(
@@ -540,10 +547,10 @@ def _margin_record(m: InterfaceMargins) -> dict[str, float]:
 
 
 def status_record(status: Status) -> dict[str, Any]:
-    """Convert a status to its record in plan.json."""
+    """The record of a status in plan.json."""
     return {"code": status.code, "ok": status.ok, "sentence": status.sentence, "details": dict(status.details)}
 
 
 def status_from(record: Mapping[str, Any]) -> Status:
-    """Convert a record of plan.json to a status."""
+    """The status of a record in plan.json."""
     return Status(record["code"], record["sentence"], record["ok"], record["details"])

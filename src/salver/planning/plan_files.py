@@ -1,7 +1,5 @@
-"""The files of a plan: where they may be written, how they are certified, read back and checked.
-
-Scenario, arrays and record, as a run directory holds them; what a `Plan` makes of them is its own affair.
-"""
+"""The files of a plan (scenario, arrays and record): where they may be written; writing, certifying and reading
+them."""
 
 from __future__ import annotations
 
@@ -33,7 +31,7 @@ NEEDED = ("t", "p_SB", "v_S", "a_S", "quat_SB_wxyz", "omega_B", "alpha_B")
 def save_files(
     scenario: Scenario, arrays: Mapping[str, Array], summary: Mapping[str, Any], directory: Path, stem: str
 ) -> Path:
-    """Write a plan's files, certified, as `Plan.save` says; returns the directory."""
+    """Write a plan's files with their certificate, as `Plan.save`; returns the directory."""
     record = json.loads(to_json(summary))
     check_place(scenario, directory)
     write_scenario(scenario, directory)
@@ -47,10 +45,11 @@ def save_files(
 
 
 def check_place(scenario: Scenario, directory: Path, *, edited: bool = False, force: bool = False) -> bool:
-    """Raise ScenarioError when the directory belongs to another scenario, SalverError when it is not free.
+    """Whether plans in the directory must be moved away (`make_way`) before this scenario's are written.
 
-    edited: plans of a scenario of the same name may be replaced (`make_way`); force: those of any. True when they must.
-    Ask before planning, so that no plan is made in vain.
+    Call it before planning, which may take long. edited: plans of a scenario of the same name may be moved; force:
+    those of any scenario. Raises ScenarioError when the directory belongs to another scenario, SalverError when it has
+    other files.
     """
     from salver.scenario import load
 
@@ -77,16 +76,16 @@ def check_place(scenario: Scenario, directory: Path, *, edited: bool = False, fo
 
 
 def make_way(scenario: Scenario, directory: Path, *, force: bool = False) -> None:
-    """Move the plans of an earlier version of the scenario, with it and all results, to DIRECTORY/earlier/N.
+    """Move the plans of an earlier version of the scenario, with their scenario and results, to DIRECTORY/earlier/N.
 
-    force: those of any other scenario. Raises as `check_place`.
+    force: those of any other scenario too. Raises as `check_place`.
     """
     if check_place(scenario, directory, edited=True, force=force):
         make_room(directory, "plan", with_scenario=True)
 
 
 def write_scenario(scenario: Scenario, directory: Path) -> None:
-    """Write the resolved scenario, unless the directory has it already: somebody's own file is not rewritten."""
+    """Write the resolved scenario, unless the directory has the same one already: the user's file stays as it is."""
     import tomli_w
 
     path = directory / "scenario.toml"
@@ -96,7 +95,7 @@ def write_scenario(scenario: Scenario, directory: Path) -> None:
 
 @dataclass(frozen=True)
 class PlanFiles:
-    """Content of a plan's files, checked against their certificate. record: plan.json."""
+    """Content of a plan's files, checked against their certificate. record: that of plan.json."""
 
     scenario: Scenario
     arrays: dict[str, Array]
@@ -104,8 +103,10 @@ class PlanFiles:
 
 
 def read_plan(directory: str | Path, stem: str = "plan", required: tuple[str, ...] = NEEDED) -> PlanFiles:
-    """Read a plan's files; of a plan of several legs, those of the leg that `stem` names ("leg2"). Raises
-    FileFormatError or ScenarioError: none there, damaged, edited since."""
+    """Read a plan's files; of a plan of several legs, those of the leg that `stem` names ("leg2").
+
+    Raises FileFormatError or ScenarioError when they are missing, damaged, or edited since.
+    """
     found = read_files(directory, stem, required)
     legs = found.record.get("legs")
     if legs is None:
@@ -120,23 +121,23 @@ def read_plan(directory: str | Path, stem: str = "plan", required: tuple[str, ..
 
 
 def leg_files(whole: PlanFiles, number: int) -> PlanFiles:
-    """One leg, 1 for the first, of the files of a plan of several."""
+    """The files of one leg (1 for the first) of a plan of several."""
     prefix = f"leg{number}."
     arrays = {name.removeprefix(prefix): a for name, a in whole.arrays.items() if name.startswith(prefix)}
     scenario = whole.scenario.each_leg[number - 1]
-    if number > 1 and scenario.motion.goal_yaw == "free":  # it begins in the heading that was chosen
+    if number > 1 and scenario.motion.goal_yaw == "free":  # it begins with the heading in which the leg before it ended
         scenario = begun_at(scenario, arrays["p_SB"][0], arrays["quat_SB_wxyz"][0])
     return PlanFiles(scenario, arrays, whole.record["legs"][number - 1])
 
 
 def begun_at(scenario: Scenario, p_SB: Array, quat_SB_wxyz: Array) -> Scenario:
-    """The scenario of a leg that begins in another pose."""
+    """The scenario with another start pose of the first object."""
     start = Pose.model_validate({"position": p_SB.tolist(), "quat_wxyz": quat_SB_wxyz.tolist()})
     return scenario.model_copy(update={"motion": scenario.motion.model_copy(update={"start": start})})
 
 
 def read_files(directory: str | Path, stem: str = "plan", required: tuple[str, ...] = ()) -> PlanFiles:
-    """Read a plan's files as they are, also of several legs, all in one. Raises as `read_plan`."""
+    """Read a plan's files, of all legs together if it has several. Raises as `read_plan`."""
     from salver.scenario import load
 
     directory = Path(directory)

@@ -1,9 +1,8 @@
-"""Inverse kinematics of the arm: postures that put the tray, or what stands on it, where it must be.
+"""Inverse kinematics of the arm: postures in which the tray, or an object on it, has a given pose.
 
-Damped Gauss-Newton steps on the pose error of a frame that is fixed to the tray (Levenberg 1944; Siciliano et al.,
-"Robotics", 2009, section 3.7): `posture_at`. Options say what else counts: joint limits that clamp, a pull of the null
-space to the middle of the joint ranges, a heading that is left open. `postures_along` follows a path of poses by
-continuation, each from the one before.
+`posture_at` takes damped Gauss-Newton steps on the pose error of a frame fixed to the tray (Levenberg 1944; Siciliano
+et al., "Robotics", 2009, section 3.7), optionally with clamped joint limits, null-space motion towards the middle of
+the joint ranges, or free heading. `postures_along` follows a path of poses by continuation.
 """
 
 from __future__ import annotations
@@ -23,22 +22,22 @@ from salver.models.arm.arm import ArmModel, tray_to_object
 from salver.models.arm.arm_limits import POSITION, JointLimits
 
 REACHED = 1e-11  # m and rad: the pose error below which a posture counts as exact
-# How far a start posture that was given may miss the start of the motion before it is refused instead of being put
-# right: seven joints written to two decimals of a radian are off by as much.
+# Largest error of a given start posture that is corrected instead of refused: that of seven joints rounded to two
+# decimals of a radian.
 START_DISTANCE = 5e-3  # m
 START_ANGLE = np.deg2rad(0.5)  # rad
 SEEDS = 48
-INSIDE = 0.01  # rad; how far inside their limits clamped joints stay, so that a motion may begin and end there
+INSIDE = 0.01  # rad; distance of clamped joints from their limits, so that a motion can begin and end there
 _LARGEST_STEP = 0.4  # rad
-_LARGEST_JUMP = 1.0  # rad between neighbours of a path; more is another branch
-_MIDDLE_STEPS = 30  # in which the null space is pulled
+_LARGEST_JUMP = 1.0  # rad between neighbours of a path; more is another branch of the inverse kinematics
+_MIDDLE_STEPS = 30  # first steps, with null-space motion towards the middle of the joint ranges
 
 
 @dataclass(frozen=True, eq=False)
 class PoseTarget:
-    """A frame B that is fixed to the tray at (p_EB, R_EB) is to be at (p_SB, R_SB).
+    """Target pose (p_SB, R_SB) of a frame B fixed to the tray at (p_EB, R_EB), m.
 
-    yaw_free: any turn about its own vertical will do.
+    yaw_free: any heading, a rotation about B's own z axis, is allowed.
     """
 
     p_SB: Array
@@ -49,7 +48,7 @@ class PoseTarget:
 
     @cached_property
     def _to_frame(self) -> Array:
-        """(6, 6): twists of E to those of B."""
+        """Map (6, 6) from twists of E to twists of B."""
         return tray_to_object(self.p_EB, self.R_EB)
 
     @property
@@ -59,15 +58,15 @@ class PoseTarget:
         return self.p_SB - R_SE @ self.p_EB, R_SE
 
     def headings(self, count: int) -> list[PoseTarget]:
-        """Poses with so many evenly turned headings; the pose itself if its heading is given."""
+        """The target with `count` evenly spaced headings; only itself if its heading is given."""
         if not self.yaw_free:
             return [self]
         turns = exp(np.linspace(0.0, 2 * np.pi, count, endpoint=False)[:, None] * np.array([0.0, 0.0, 1.0]))
         return [replace(self, R_SB=self.R_SB @ turn, yaw_free=False) for turn in turns]
 
     def residual(self, arm: ArmModel, q: Array) -> tuple[Array, Array]:
-        """Pose error (6 or 5,) at q, position in S and turn in B, and the Jacobian that a step dq should satisfy
-        J dq = error."""
+        """Pose error (6,) at q, (5,) with free yaw: position in S, m, and rotation in B, rad; and its Jacobian J: a
+        step dq should satisfy J dq = error."""
         model, data = arm.pin_model, arm.data
         pin.computeJointJacobians(model, data, q)
         placement = pin.updateFramePlacement(model, data, arm.tray_id)
@@ -95,10 +94,11 @@ def posture_at(
     centring: float = 0.0,
     iterations: int = 60,
 ) -> tuple[Array, float]:
-    """Joint positions (n,) near a guess q that meet the target, and the pose error that is left (m, rad).
+    """The posture (n,) near a guess q (n,) that meets the target, and the remaining pose error (m, rad).
 
-    limits: that no joint may leave; the others then do its share. centring: share of the way to the middle of the
-    joint ranges that the null space moves in each of the first steps.
+    arm: the arm. target: the pose. q: the guess, rad. limits: joints are clamped to these limits; None for no limits.
+    centring: share of the way to the middle of the joint ranges by which the null-space motion of each of the first
+    steps goes. iterations: at most.
     """
     q = np.array(q, dtype=float)
     middle = arm.limits.range(POSITION)[0] if centring else q
@@ -111,10 +111,10 @@ def posture_at(
             return q, size
 
         def least(jacobian: Array, wanted: Array, damping: float = 1e-2 * min(1e-2, size)) -> Array:
-            """The least step that brings what is wanted of the pose."""
+            """The least-norm step with which the pose changes as wanted."""
             normal = jacobian @ jacobian.T
             normal.ravel()[diagonal] += damping
-            return np.asarray(jacobian.T @ dgesv(normal, wanted)[2])  # NumPy's takes as long as all the rest
+            return np.asarray(jacobian.T @ dgesv(normal, wanted)[2])  # NumPy's solver is slow
 
         step = least(jacobian, error)
         if limits is not None and ((at_low := q <= low) | (at_high := q >= high)).any():
@@ -133,7 +133,7 @@ def posture_at(
 
 
 def postures_along(arm: ArmModel, p_SE: Array, R_SE: Array, q: Array) -> tuple[Array, int]:
-    """Postures (N, n) of a path of tray poses by continuation from q, and how many of the poses were reached."""
+    """Postures (N, n) along a path of tray poses by continuation from q (n,), and the number of poses reached."""
     postures = np.tile(q, (len(p_SE), 1))
     for k in range(1, len(p_SE)):
         postures[k], size = posture_at(arm, PoseTarget(p_SE[k], R_SE[k]), postures[k - 1], iterations=12)
@@ -143,10 +143,8 @@ def postures_along(arm: ArmModel, p_SE: Array, R_SE: Array, q: Array) -> tuple[A
 
 
 def candidate_postures(arm: ArmModel, target: PoseTarget, seed: int = 0, seeds: int = SEEDS) -> list[Array]:
-    """Different postures within the joint limits that meet a target; from seeded random guesses.
-
-    The first guess is the middle of the joint ranges. Same seed, same list.
-    """
+    """Different postures within the joint limits that meet a target: from the middle of the joint ranges and from
+    random guesses, which the seed determines."""
     rng = np.random.default_rng(seed)
     low, high = np.maximum(arm.limits.q_min, -np.pi), np.minimum(arm.limits.q_max, np.pi)
     middle = arm.limits.range(POSITION)[0]
@@ -154,7 +152,7 @@ def candidate_postures(arm: ArmModel, target: PoseTarget, seed: int = 0, seeds: 
     found: list[Array] = []
     for guess in guesses:
         q, size = posture_at(arm, target, guess, centring=0.1)
-        # A joint that can turn more than once, as near to the middle of its range as possible.
+        # A joint with a range of several turns gets the angle closest to the middle of its range.
         turns = np.round((q - middle) / (2 * np.pi))
         q = np.where(arm.limits.q_max - arm.limits.q_min > 2 * np.pi, q - 2 * np.pi * turns, q)
         inside = np.all((q > arm.limits.q_min) & (q < arm.limits.q_max))
@@ -166,9 +164,9 @@ def candidate_postures(arm: ArmModel, target: PoseTarget, seed: int = 0, seeds: 
 def start_posture(
     arm: ArmModel, given: Sequence[float] | npt.NDArray[np.float64], target: PoseTarget, what: str = "the tray"
 ) -> Array:
-    """A start posture that the user gave, corrected to meet the target exactly; `what` it is that must meet it.
+    """A start posture given by the user, corrected such that `what` (in words) meets the target exactly.
 
-    Raises ScenarioError: wrong length, beyond a joint limit, further off than `START_DISTANCE` and `START_ANGLE`, or
+    Raises ScenarioError: wrong length, beyond a joint limit, an error above `START_DISTANCE` or `START_ANGLE`, or
     singular.
     """
     q = np.array(given, dtype=float)

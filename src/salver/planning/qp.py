@@ -1,11 +1,11 @@
-"""Convex quadratic programmes: the one place that calls a library for them.
+"""Convex quadratic programmes, by the libraries DAQP and PIQP:
 
     minimise 1/2 x'Hx + c'x   subject to   E x = e,   R x <= b,   low <= x <= high
 
-`solve` takes the method that is the faster one: a dual active-set method (DAQP: Arnstrom, Bemporad, Axehill, IEEE TAC
-67(8), 2022), whose work grows with the rows that bind, or, with many unknowns, an interior-point method (PIQP: Schwan,
-Jiang, Kuhn, Jones, CDC 2023) that makes use of the band that splines leave in the matrices, if they do. Where one fails
-the other is asked. Any other `Solver` can stand in for them: `SOLVERS` is what is asked, in turn.
+`solve` takes the faster method: a dual active-set method (DAQP: Arnstrom, Bemporad, Axehill, IEEE TAC 67(8), 2022),
+whose work grows with the number of active rows, or, for many unknowns with banded matrices, as splines have, an
+interior-point method (PIQP: Schwan, Jiang, Kuhn, Jones, CDC 2023). If one fails, the other is tried. `SOLVERS` can hold
+any other `Solver`.
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ from salver.geometry import Array
 if TYPE_CHECKING:
     from scipy.sparse import csc_matrix
 
-FEW = 64  # unknowns up to which the active-set method is the faster one, whatever the rows
-MOST_CHANGES = 2000  # of the active set; a programme of a few hundred rows takes some hundred
-MOST_ITERATIONS = 100  # of the interior-point method; it takes some twenty
-DENSE = 0.25  # share of the rows' entries beyond which a band is no help
-CLOSE = 1e-4  # what interior-point answers that ran out of iterations may still break rows by, relative to their size
+ACTIVE_SET_UNKNOWNS = 64  # up to so many the active-set method is always the faster one
+MOST_CHANGES = 2000  # of the active set; a programme of a few hundred rows takes about a hundred
+MOST_ITERATIONS = 100  # of the interior-point method, which takes about twenty
+DENSE = 0.25  # share of nonzero entries above which the band structure does not help
+CLOSE = 1e-4  # largest relative violation of a row that is accepted when the interior-point iterations run out
 
 
 @dataclass(frozen=True)
 class Quadratic:
-    """hessian H (n, n), positive definite; cost c (n,); rows R (m, n), bound b (m,); equal E (k, n), target e (k,);
-    low, high (n,), infinite where there is none. Cost and rows should be of order one.
+    """A quadratic programme: hessian H (n, n), positive definite; cost c (n,); rows R (m, n), bound b (m,); equal E
+    (k, n), target e (k,); low, high (n,), infinite for no bound. Cost and rows should be of order one.
     """
 
     hessian: Array
@@ -48,15 +48,15 @@ class Quadratic:
 
     @cached_property
     def share(self) -> float:
-        """Share of the rows' entries that are not zero."""
+        """Share of nonzero entries in the rows."""
         return np.count_nonzero(self.rows) / max(1, self.rows.size)
 
 
 @dataclass(frozen=True)
 class Optimum:
-    """x (n,), and the multipliers: of the rows (m,), of the equalities (k,), of the lower and upper bounds (n,).
+    """Minimiser x (n,) and multipliers: of the rows (m,), the equalities (k,), the lower and upper bounds (n,).
 
-    All but those of the equalities are at least 0: H x + c + R' rows + E' equal - low + high = 0.
+    H x + c + R' rows + E' equal - low + high = 0, where all multipliers but `equal` are at least 0.
     """
 
     x: Array
@@ -70,7 +70,7 @@ Solver = Callable[[Quadratic, float], Optimum | None]
 
 
 def solve(programme: Quadratic, tolerance: float) -> Optimum | None:
-    """The minimiser, with rows kept to the tolerance; None when none was found, as when the rows contradict."""
+    """The minimiser, with rows met to the tolerance; None when none was found, for example when rows contradict."""
     for solver in reversed(SOLVERS) if _banded(programme) else SOLVERS:
         found = solver(programme, tolerance)
         if found is not None and np.all(np.isfinite(found.x)):
@@ -79,12 +79,12 @@ def solve(programme: Quadratic, tolerance: float) -> Optimum | None:
 
 
 def _banded(programme: Quadratic) -> bool:
-    """Whether there are many unknowns, of which a row has few."""
-    return len(programme.cost) > FEW and programme.share < DENSE
+    """Whether there are many unknowns, of which each row involves only a few."""
+    return len(programme.cost) > ACTIVE_SET_UNKNOWNS and programme.share < DENSE
 
 
 def active_set(programme: Quadratic, tolerance: float) -> Optimum | None:
-    """By DAQP."""
+    """Solve by DAQP."""
     p, n, k = programme, len(programme.cost), len(programme.target)
     none = np.full(len(p.bound), -np.inf)
     upper, lower = np.concatenate([p.high, p.target, p.bound]), np.concatenate([p.low, p.target, none])
@@ -115,7 +115,7 @@ def active_set(programme: Quadratic, tolerance: float) -> Optimum | None:
 
 
 def interior_point(programme: Quadratic, tolerance: float) -> Optimum | None:
-    """By PIQP."""
+    """Solve by PIQP."""
     p = programme
     form: Callable[[Array], Any]
     if _banded(p):
@@ -127,7 +127,7 @@ def interior_point(programme: Quadratic, tolerance: float) -> Optimum | None:
     settings.eps_abs = settings.eps_rel = tolerance
     settings.eps_duality_gap_abs = settings.eps_duality_gap_rel = tolerance
     settings.max_iter = MOST_ITERATIONS
-    # The rows are scaled already; equilibration and the default step length only cost iterations.
+    # The rows are scaled already; equilibration and the default step length would only cost iterations.
     settings.preconditioner_iter = 0
     settings.tau = 0.95
     rows = (form(p.rows), np.full(len(p.bound), -1e30), p.bound) if len(p.bound) else (None, None, None)
@@ -147,8 +147,8 @@ def interior_point(programme: Quadratic, tolerance: float) -> Optimum | None:
 
 
 def _sparse(matrix: Array) -> csc_matrix:
-    """The nonzero entries of a matrix, column by column; in a seventh of the time that SciPy takes."""
-    from scipy.sparse import csc_matrix  # not loaded by whoever has no band
+    """The matrix in compressed sparse column format; seven times as fast as SciPy's own conversion."""
+    from scipy.sparse import csc_matrix  # imported only where it is needed
 
     columns = np.ascontiguousarray(matrix.T)
     where = np.flatnonzero(columns != 0)

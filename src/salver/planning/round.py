@@ -1,4 +1,4 @@
-"""A plan of several legs: one file of plans, one for each leg with the load of that leg."""
+"""Plans of several legs: a plan for each leg, with the load of that leg, in one set of files."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ from salver.planning.plan_files import leg_files, read_files, save_files
 from salver.scenario import Scenario
 from salver.scenario.warnings import warnings_of
 
-SAME_POSTURE = 1e-9  # rad, m: by which a leg may begin elsewhere than the one before it ended
+SAME_POSTURE = 1e-9  # rad, m: largest difference between a leg's start posture and the end posture of the one before
 
 
 @dataclass(frozen=True, repr=False)
 class MultiLegPlan(Shown):
-    """Legs (docs/howto/legs.md), in order: the arm rests between them, in the posture in which one ends and the next
-    begins, while objects are taken off the tray or put on it.
+    """A plan of several legs (docs/howto/legs.md). Between legs the arm rests while objects are taken off the tray or
+    put on it; a leg starts in the posture in which the one before it ended.
 
-    scenario: of the whole task. status: how planning ended. solver: what is kept of the search as a whole.
+    scenario: the whole task. legs: their plans, in order. status: how planning ended. solver: record of the search.
     """
 
     scenario: Scenario
@@ -48,12 +48,12 @@ class MultiLegPlan(Shown):
 
     @property
     def by_stem(self) -> dict[str, Plan]:
-        """The legs by the names under which commands know them: "leg1" and so on."""
+        """The legs by their names in commands: "leg1" and so on."""
         return {f"leg{k}": leg for k, leg in enumerate(self.legs, 1)}
 
     @property
     def apart(self) -> float:
-        """The most by which a leg begins in another posture than that in which the one before it ended; rad, m."""
+        """Largest difference between a leg's start posture and the end posture of the one before it; rad, m."""
         joints = [leg.joint for leg in self.legs]
         return max(
             (
@@ -134,7 +134,7 @@ class MultiLegPlan(Shown):
 
 
 def load_round(directory: str | Path) -> MultiLegPlan:
-    """Read a plan of several legs back. Raises FileFormatError or ScenarioError with a sentence; executes nothing."""
+    """Read a plan of several legs. Raises FileFormatError or ScenarioError. No code from the files is executed."""
     path = Path(directory) / "plan"
     files = read_files(directory)
     if not files.scenario.legs:
@@ -147,12 +147,12 @@ def load_round(directory: str | Path) -> MultiLegPlan:
 
 
 def load(directory: str | Path, stem: str = "plan") -> Plan | MultiLegPlan:
-    """A plan of a run directory, whether of one leg or of several. Raises FileFormatError or ScenarioError."""
+    """Read the plan in a run directory, of one leg or of several. Raises FileFormatError or ScenarioError."""
     return load_round(directory) if stem == "plan" and has_legs(directory) else load_plan(directory, stem)
 
 
 def has_legs(directory: str | Path) -> bool:
-    """Whether a run directory holds a task of several legs. Raises ScenarioError."""
+    """Whether the scenario in a run directory has several legs. Raises ScenarioError."""
     from salver.scenario import load
 
     path = Path(directory) / "scenario.toml"

@@ -1,4 +1,4 @@
-"""The load-safe stops that a plan carries: which one is taken when, and what is then moved."""
+"""The load-safe stops of a plan: which one is taken after a stop request, and the resulting motion."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from salver.errors import FileFormatError
 from salver.geometry import Array
 from salver.trajectory import JointMotion
 
-SAME = 1e-9  # s; instants nearer than this are one
+SAME = 1e-9  # s; instants closer than this count as equal
 _ARRAYS = ("t", "duration", "s", "q", "dq", "ddq", "stray")
 
 
 @dataclass(frozen=True)
 class StopCourse:
-    """The motion after a stop request: the plan until `leaves`, s, then stop number `stop` of the library; None: the
-    plan to its end. rests: s, when the arm is at rest."""
+    """The motion after a stop request: the plan until `leaves`, s, then stop number `stop` of the library; with stop
+    None, the plan to its end. rests: when the arm is at rest, s."""
 
     leaves: float
     stop: int | None
@@ -29,12 +29,12 @@ class StopCourse:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class StopLibrary(Shown):
-    """K stops. t: (K,) instants of the plan, s, increasing. duration: (K,) of each stop, s. s: (M,) from 0 to 1, its
-    samples' shares of that. q, dq, ddq: (K, M, n) rad, rad/s, rad/s^2.
-    stray: (K + 1, n) rad, the most by which each joint may be off its reference under the uncertain set, up to the end
-    of each stop, and of the whole plan.
+    """K load-safe stops of a plan.
 
-    end: s, when the plan itself is at rest.
+    t: (K,) increasing instants, s, at which they leave the plan. duration: (K,) of each stop, s. s: (M,) instants of
+    the samples, as shares of the duration, from 0 to 1. q, dq, ddq: (K, M, n) rad, rad/s, rad/s^2. stray: (K + 1, n)
+    largest deviation of each joint under the uncertain set, rad, up to the end of each stop and of the whole plan. end:
+    when the plan itself is at rest, s.
     """
 
     t: Array
@@ -47,7 +47,7 @@ class StopLibrary(Shown):
     end: float
 
     def course(self, now: float) -> StopCourse:
-        """The one that is at rest first of those that are left at `now`, s of the plan's time."""
+        """The course that is at rest first after a stop request at `now`, s of the plan's time."""
         if now <= 0:
             return StopCourse(now, None, now)  # at rest where the plan would begin
         ahead = np.flatnonzero(self.t >= now - SAME)
@@ -59,40 +59,38 @@ class StopLibrary(Shown):
 
     @cached_property
     def taken(self) -> tuple[int, ...]:
-        """The stops that are ever the soonest rest, in time: whoever is asked to stop takes the first that is left, or
-        finishes the plan where none is."""
+        """The stops that are at rest first for some request, by time: a request leads to the next of them, or to the
+        end of the plan after the last."""
         return tuple(k for k, now in enumerate(self.t) if self.course(float(now)).stop == k)
 
     @cached_property
     def _instants(self) -> Array:
-        """Those just after which another course becomes the best, s."""
+        """Instants, s, just after which another course becomes the first at rest."""
         changes = np.concatenate([[SAME], self.t + 2 * SAME])
         return changes[changes < self.end]
 
     @property
     def longest(self) -> float:
-        """The most that a stop takes, s, whenever it is asked for.
-
-        Just after an instant the next one must be waited for, so it is enough to look there.
-        """
+        """Longest time from a stop request to rest, s. It occurs just after one of the instants, when the next one must
+        be awaited."""
         return max(self.course(float(now)).rests - float(now) for now in self._instants)
 
     @property
     def finishing(self) -> float:
-        """From when on, s, finishing the plan is the soonest rest there is; `end` when that is never so."""
+        """When, s, the end of the plan becomes the earliest rest; `end` if never."""
         return next((float(now) for now in self._instants if self.course(float(now)).stop is None), self.end)
 
     def motion(self, k: int) -> JointMotion:
-        """Stop k, from its own time 0."""
+        """The motion of stop k, from its own time 0."""
         return JointMotion(self.s * self.duration[k], self.q[k], self.dq[k], self.ddq[k])
 
     def stopped(self, plan: JointMotion, now: float) -> JointMotion:
-        """The motion after a stop request at `now` > 0: the plan to the instant of the best stop, and that stop."""
+        """The motion after a stop request at `now` > 0, s: the plan up to the best stop, and that stop."""
         course = self.course(now)
         return plan if course.stop is None else self.after(plan, course.stop)
 
     def after(self, plan: JointMotion, k: int) -> JointMotion:
-        """The plan to the instant at which stop k leaves it, and that stop."""
+        """The plan up to the instant at which stop k leaves it, and that stop."""
         before, stop = plan.t[plan.t < self.t[k] - SAME], self.motion(k)
         t = np.concatenate([before, self.t[k] + stop.t])
         states = (np.vstack([a, b]) for a, b in zip(plan.sample(before), (stop.q, stop.dq, stop.ddq), strict=True))
@@ -122,7 +120,8 @@ class StopLibrary(Shown):
 
     @classmethod
     def of_arrays(cls, arrays: Mapping[str, Array], end: float) -> StopLibrary | None:
-        """From the arrays of a plan file; None when it has no stops. Raises FileFormatError when some are missing."""
+        """The stops in the arrays of a plan file; None if it has none. Raises FileFormatError when arrays are
+        missing."""
         if "stop_t" not in arrays:
             return None
         missing = [f"stop_{name}" for name in _ARRAYS if f"stop_{name}" not in arrays]

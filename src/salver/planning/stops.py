@@ -1,13 +1,13 @@
-"""Load-safe stops: from instants along a plan, the shortest motions to rest that keep the load in its place.
+"""Load-safe stops: the shortest motions from instants along a plan to rest that keep the load in place.
 
-A stop begins in the state of the plan at its instant, with the arm's deviation under a parameter error as it is there,
-and ends at rest anywhere. Everything that holds of a fastest motion holds of it: only stops that pass the verdict
-(`salver.planning.verdict.verify`) are kept.
+A stop begins in the plan's state at its instant, with the tracking error that the arm has then under a parameter error,
+and ends at rest in any posture. It satisfies all constraints of a fastest motion: only stops that pass the verdict
+(`salver.planning.verdict.verify`) are stored.
 
-From any instant the plan is followed to one of the stored instants ahead, and its stop taken, or to its end: whichever
-is at rest first. So there is always one, and it is never later than the plan itself.
+After a stop request the plan is followed up to one of the stored instants ahead, whose stop is then taken, or to its
+end, whichever is at rest first. So a stop always exists, and is never later than the end of the plan.
 
-A stop is followed in the joints, also that of a plan whose controller closes its loop on the object's pose.
+Stops are followed in joint space, also when the plan's controller closes its loop on the object's pose.
 """
 
 from __future__ import annotations
@@ -46,18 +46,18 @@ from salver.trajectory import JointMotion, SampledReference
 if TYPE_CHECKING:
     from salver.planning.plan import Plan
 
-SPLINE = RestSpline(degree=5, spans=6)  # of a stop,
-FINE = RestSpline(degree=5, spans=10)  # and of one that is sought from another beginning
-# Samples of a stop, with the breaks: what is stored is what was checked.
+SPLINE = RestSpline(degree=5, spans=6)  # of a stop
+FINE = RestSpline(degree=5, spans=10)  # of a stop that is searched for again from braking
+# Samples of a stop include the spline's breaks, so that the stored motion is the one that was checked.
 STORED = united(united(np.linspace(0.0, 1.0, 41), SPLINE.breaks()), FINE.breaks())
 WARM = 0.3  # damping of the first step from the stop of the next instant
-LEAST = 1e-4  # s by which a stop must be sooner at rest than what there is without it
+LEAST = 1e-4  # s by which a stop must be earlier at rest than the course without it
 Progress = Callable[[int, int], None]
 Space = Literal["object", "joint"]
 
 
 def with_stops(plan: Plan, progress: Progress | None = None) -> Plan:
-    """The plan with its stops. Raises ScenarioError when it is no safe plan of an arm."""
+    """The plan with its stops. Raises ScenarioError when it is not a safe plan of an arm."""
     if plan.joint is None or not plan.ok:
         raise ScenarioError("Stops are planned for safe plans of an arm; this plan is none.")
     problem = stop_problem(plan)
@@ -69,7 +69,7 @@ def with_stops(plan: Plan, progress: Progress | None = None) -> Plan:
 def stop_problem(plan: Plan) -> TransportProblem:
     """The transport problem of a plan's stops: every constraint of a fastest motion of the scenario.
 
-    Where the plan itself tilts further, or passes things more closely, a stop may too.
+    Where the plan itself tilts further, or passes obstacles more closely, its stops may too.
     """
     assert plan.joint is not None
     q = plan.joint.sample(np.linspace(0.0, plan.joint.duration, 401))[0]
@@ -77,7 +77,7 @@ def stop_problem(plan: Plan) -> TransportProblem:
     problem = transport_problem(free)
     tilt = max(float(lean(problem.arm.tray_pose(x)[1])) for x in q)
     if tilt > max(problem.max_tilt, LEVEL_TOLERANCE):
-        problem = replace(problem, max_tilt=1.01 * tilt)  # between the instants that were looked at it may be more
+        problem = replace(problem, max_tilt=1.01 * tilt)  # it may be larger between the instants checked
     if problem.keep_out is not None:
         problem = replace(problem, keep_out=KeepOut.of(problem.keep_out.parts, q))
     return problem
@@ -107,23 +107,31 @@ def plan_stops(
     progress: Progress | None = None,
     soon: float = 0.1,
 ) -> StopLibrary:
-    """Stops along a motion that the problem's constraints allow.
+    """Stops along a motion that satisfy the problem's constraints.
 
-    Found backwards in time: from an instant, going on to the next one and stopping as there is a stop already, and so
-    a place to begin. Instants whose own stop is no sooner at rest than that are left out, and those at which going on
-    is at rest `soon`. Where a stop is late for how slow the arm still is, as while the tray leans into the first
-    acceleration, it is sought from another beginning and with more pieces, and instants are half as far apart. What
-    will be no sooner at rest than going on is given up.
-    every: s from one instant to the next, twice that with inner dynamics; doubled, half the stops are found in half the
-    time, and the arm is at rest by up to as much later. soon: s; doubled, a slow plan has fewer stops. space: where the
-    controller closes its loop along the motion. on_path: stops that never leave the motion's own path, of which only
-    the timing is free; often there is none, as where a tray leans into the plan's acceleration. progress: called with
-    how many of how many ms are done, from the end on. Raises SalverError when the motion has no stop because it begins
-    or ends moving."""
+    They are found backwards in time: the initial guess of a stop is to go on to the next instant and to stop as there.
+    An instant is skipped if its own stop is not earlier at rest than that, or if going on is at rest within `soon`.
+    Where a stop is late although the arm is slow, as while the tray tilts into the first acceleration, it is searched
+    for again from braking, with more spline pieces, and the instants are half as far apart.
+
+    Args:
+        problem: with the constraints of a stop.
+        motion: from rest to rest.
+        every: time between instants, s; twice that with load dynamics. Larger values take less computing time and lead
+            to later rest.
+        space: in which the controller closes its loop along the motion.
+        on_path: whether stops stay on the motion's path, with only their timing free. Often none exists, for example
+            where the tray tilts into the plan's acceleration.
+        progress: called with the ms done and the total, counted from the end of the motion.
+        soon: s; larger values give a slow plan fewer stops.
+
+    Raises:
+        SalverError: the motion does not begin and end at rest.
+    """
     if np.abs(motion.dq[[0, -1]]).max() > 1e-6:
         raise SalverError("Stops are planned along motions from rest to rest; this one begins or ends moving.")
     end = motion.duration
-    every = every * (2.0 if problem.cases else 1.0)  # what swings takes several beginnings each
+    every = every * (2.0 if problem.cases else 1.0)  # with load dynamics each takes several searches
     instants = np.arange(every, end - 0.5 * every, every)
     t, felt, strayed = along(problem, motion, space)
     past = past_of(problem, t, felt, strayed)
@@ -131,7 +139,7 @@ def plan_stops(
     path = SplinePath.timed(motion) if on_path else None
     kept: list[tuple[float, FoundStop]] = []
     ahead = JointMotion(*(np.asarray(x)[-1:] for x in (motion.t, motion.q, motion.dq, motion.ddq)))
-    rest, begin = end, end  # when what is ahead is at rest, and where it leaves the plan
+    rest, begin = end, end  # when the stop ahead is at rest, and when it leaves the plan
 
     def state_at(now: float) -> AtPosture:
         return AtPosture(*(x[0] for x in motion.sample(now)))
@@ -164,7 +172,7 @@ def plan_stops(
     shape = (len(kept), len(STORED), problem.n)
     q, dq, ddq = (np.array([getattr(stop.motion, x) for _, stop in kept]).reshape(shape) for x in ("q", "dq", "ddq"))
     instants = np.array([now for now, _ in kept])
-    if len(kept):  # to the last digit: what is found on a path is, to what its spline leaves
+    if len(kept):  # exactly, because on a path they are only up to the error of its spline
         q[:, 0], dq[:, 0], ddq[:, 0] = motion.sample(instants)
     stray = [np.maximum(stop.stray, radius[t <= now].max(axis=0)) for now, stop in kept]
     return StopLibrary(
@@ -181,8 +189,8 @@ def plan_stops(
 
 @dataclass(frozen=True, eq=False)
 class FoundStop:
-    """motion: from its own time 0 to rest. stray: (n,) rad, the most by which each joint may be off it. law: of a stop
-    on a path, where on it the samples of the motion are, from 0 to 1."""
+    """A stop. motion: from its own time 0 to rest. stray: (n,) largest deviation of each joint, rad. law: for a stop on
+    a path, the path positions of the motion's samples, from 0 to 1."""
 
     motion: JointMotion
     stray: Array
@@ -196,21 +204,20 @@ def stop_from(
     guess: JointMotion | None = None,
     beat: float = np.inf,
 ) -> FoundStop | None:
-    """The shortest motion to rest anywhere from a state of the arm; None when none was found.
+    """The shortest motion from a state of the arm to rest in any posture; None when none was found.
 
-    problem: what must hold on the way, for which uncertain set; its ends are not asked for.
-    deviation: (2, n, n_c + 1) in which the arm is under a parameter error, of `Deviation.state_at`; at rest under it
-    unless given. guess: a motion from the state to rest, to begin with: braking of every joint unless given.
-    beat: s; given up where it will hardly be shorter than this.
+    The motion is checked between the nodes of the programme, on a grid six times finer (joint limits: thirty times
+    finer), and must pass the verdict.
 
-    What is found is checked between the nodes of the programme, on a grid six times finer (the joints' own limits on
-    one thirty times finer), and has to pass the verdict.
+    problem: with the constraints and the uncertain set; its ends are ignored. state: posture, velocity and
+    acceleration. deviation: (2, n, n_c + 1) of the arm under a parameter error, of `Deviation.state_at`; at rest unless
+    given. guess: initial motion from the state to rest; braking of every joint unless given. beat: s; the search ends
+    early when a shorter duration is unlikely.
     """
     problem = _begun(problem, state, deviation)
     if guess is None:
         return _shortest(problem, FreeCurve, _braking(SPLINE, state, braking_time(problem)), beat)
-    # Inner dynamics leave few ways to rest: with them a search begins at times of 1.3 and 1.15 the guess's duration
-    # too.
+    # With load dynamics few motions to rest exist: the search then also begins with 1.3 and 1.15 times the duration.
     begins = [(1.0, WARM), (1.3, 1.0), (1.15, WARM)]
     for longer, damping in begins if problem.cases else begins[:1]:
         duration = longer * guess.duration
@@ -221,14 +228,13 @@ def stop_from(
 
 
 def _late(problem: TransportProblem, state: AtPosture) -> float:
-    """s after which a stop from a state is late: in about 1.6 times the time in which joints alone fade it would be at
-    rest if nothing stood on the tray. Smaller, more stops are sought from another beginning, each a
-    search of its own."""
+    """Duration, s, above which a stop from a state counts as late and is searched for again: about 1.6 times that of
+    braking the joints with an empty tray."""
     return max(0.22, 0.9 * braking_time(replace(problem, start=state)))
 
 
 def _anew(problem: TransportProblem, state: AtPosture, deviation: Array | None, beat: float) -> FoundStop | None:
-    """A stop from a state that begins with braking, with more pieces, sooner than `beat`, s."""
+    """A stop from a state, searched for from braking and with more spline pieces, shorter than `beat`, s."""
     begin = _braking(FINE, state, _late(problem, state))
     return _shortest(_begun(problem, state, deviation), FreeCurve, begin, beat)
 
@@ -242,10 +248,11 @@ def brake_on(
     law: tuple[Array, Array],
     duration: float,
 ) -> FoundStop | None:
-    """The shortest stop that stays on a path, from where a motion of duration `end`, s, which gave it, is at `now`.
+    """The shortest stop on the path of a motion of duration `end`, s, from its state at `now`; None when none was
+    found.
 
-    deviation: as of `stop_from`. law: times from `now`, s, and where on the path, from 0 to 1, to begin with;
-    duration: s, likewise. None when none was found.
+    deviation: as of `stop_from`. law: initial guess, as times from `now`, s, and path positions from 0 to 1; duration:
+    its duration, s.
     """
     begin, rate = now / end, 1.0 / end
     z = path.derivatives(np.array([begin]), 2)[:, 0] * rate ** np.arange(3.0)[:, None]
@@ -261,7 +268,7 @@ def brake_on(
 
 
 def _begun(problem: TransportProblem, state: AtPosture, deviation: Array | None) -> TransportProblem:
-    """The problem of coming to rest from a state, and from a deviation."""
+    """The problem of stopping from a state and a deviation."""
     tracking = problem.tracking
     if tracking is not None and deviation is not None:
         tracking = tracking.begun(deviation)
@@ -278,7 +285,7 @@ def _shortest(
         return None
     curve = curve_of(problem, Grid.of(begin.spline, STORED))
     q, dq, ddq = curve.motion(found.coefficients, found.duration)[:3]
-    dq[-1] = ddq[-1] = 0.0  # but for the last digits, it is
+    dq[-1] = ddq[-1] = 0.0  # it is, up to rounding
     motion, start = JointMotion(STORED * found.duration, q, dq, ddq), problem.start
     assert isinstance(start, AtPosture)
     verdict = verify(problem, motion, (start.q, *start.rates), stopping(found.duration))
@@ -290,9 +297,8 @@ def _shortest(
 
 
 def along(problem: TransportProblem, motion: JointMotion, space: Space) -> tuple[Array, Array, Deviation | None]:
-    """Instants (T,), s, the tray's motion regressor there, (T, 12), and the deviation that a parameter error brings the
-    arm into along a motion from rest, under the loop on the joints or on the object's pose; None when nothing is
-    uncertain."""
+    """Instants (T,), s, the tray's motion regressor there (T, 12), and the arm's deviation under parameter errors along
+    a motion from rest, with the loop closed on the joints or on the object's pose; None when nothing is uncertain."""
     t = np.linspace(0.0, motion.duration, max(401, int(np.ceil(motion.duration / 4e-3)) + 1))
     tracking = problem.tracking
     q, dq, ddq = motion.sample(t)
@@ -308,15 +314,14 @@ def along(problem: TransportProblem, motion: JointMotion, space: Space) -> tuple
 
 
 def past_of(problem: TransportProblem, t: Array, felt: Array, strayed: Deviation | None) -> Past | None:
-    """Modal states of what moves inside loads along the motion; None where nothing does."""
+    """Modal states of the load dynamics along the motion; None without load dynamics."""
     if not problem.cases:
         return None
     return LoadResponses.of(problem.every_case, t, felt, strayed).past(t)
 
 
 def verdicts(plan: Plan) -> Iterator[tuple[float, Verdict]]:
-    """The instant, s, of each stop that a plan carries, and the verdict on it: from the state that the plan has brought
-    arm, load and liquids into then."""
+    """The instant, s, of each stop of a plan, and the verdict on it, from the state of arm, load and liquids then."""
     assert plan.joint is not None
     assert plan.stops is not None
     problem = stop_problem(plan)
@@ -332,14 +337,17 @@ def verdicts(plan: Plan) -> Iterator[tuple[float, Verdict]]:
 
 
 def stopping(duration: float) -> VerdictOptions:
-    """Options of the verdict on a stop of a duration, s: it inherits what its plan has left of each margin, and makes
-    up for it over the share `EASING` of its time; at its first instants the jerk is another one, so rows may lack a
-    tenth of a margin more (2.7e-5 of the normal force at most, of 59 stops)."""
+    """Options of the verdict on a stop of a duration, s.
+
+    A stop begins with the margins that its plan has then, and recovers them over the share `EASING` of its duration. At
+    its first instants the jerk differs, so a tenth of each margin may be missing (measured on 59 stops: at most 2.7e-5
+    of the normal force).
+    """
     return replace(PLANNED, forgiven=1.1, beginning=EASING * duration)
 
 
 def _going_on(motion: JointMotion, now: float, begin: float, ahead: JointMotion) -> JointMotion:
-    """The plan from `now` to `begin`, and what is ahead there; from time 0."""
+    """The plan from `now` to `begin`, followed by the motion `ahead`; from time 0."""
     between = np.unique(np.concatenate([[now], motion.t[(motion.t > now + SAME) & (motion.t < begin - SAME)]]))
     first = motion.sample(between)
     t = np.concatenate([between - now, begin - now + (ahead.t - ahead.t[0])])
@@ -347,8 +355,8 @@ def _going_on(motion: JointMotion, now: float, begin: float, ahead: JointMotion)
 
 
 def _law_ahead(now: float, begin: float, end: float, kept: Sequence[tuple[float, FoundStop]]) -> tuple[Array, Array]:
-    """The time law of going on to `begin` and stopping as there is a stop there: times from `now`, s, and where on the
-    path of a motion of duration `end`, s."""
+    """The time law of going on to `begin` and taking the stop there: times from `now`, s, and positions on the path of
+    a motion of duration `end`, s."""
     t, u = np.linspace(now, begin, 21), np.linspace(now, begin, 21) / end
     if kept and kept[-1][1].law is not None:
         t, u = np.append(t, begin + kept[-1][1].motion.t[1:]), np.append(u, kept[-1][1].law[1:])
@@ -356,14 +364,14 @@ def _law_ahead(now: float, begin: float, end: float, kept: Sequence[tuple[float,
 
 
 def _braking(spline: RestSpline, state: AtPosture, duration: float) -> SplineMotion:
-    """Every joint's velocity fades along the smooth step 1 - 3 s^2 + 2 s^3."""
+    """Braking: the velocity of every joint decreases along the smooth step 1 - 3 s^2 + 2 s^3."""
     s = np.linspace(0.0, 1.0, 121)
     q = state.q + np.outer(0.5 * duration * min_jerk_blend(s), state.rates[0])
     return SplineMotion(spline, spline.fit(s, q), duration)
 
 
 def _fitted(problem: TransportProblem, guess: JointMotion, duration: float) -> Array:
-    """(size, n) coefficients of a motion near to a guess in posture and acceleration, with its ends."""
+    """Coefficients (size, n) of the motion closest to a guess in posture and acceleration, with the same ends."""
     assert isinstance(problem.start, AtPosture)
     s, smooth = np.linspace(0.0, 1.0, 121), 0.1  # weight of acceleration, in normalised time, beside posture
     q, _, ddq = guess.sample(s * guess.duration)

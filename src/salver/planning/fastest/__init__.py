@@ -1,6 +1,6 @@
-"""The fastest motion that stays safe: shortest duration within the arm's limits, contact kept for all parameters.
+"""The fastest safe motion: least duration within the arm's limits, with contact kept for all uncertain parameters.
 
-Constraints, objectives and ends of one's own: docs/extending.md.
+How to add constraints, objectives and end conditions: docs/extending.md.
 """
 
 from salver.planning.fastest.found import EFFORTS, FastestMotion, FastestOptions, object_motion

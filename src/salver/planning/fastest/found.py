@@ -1,4 +1,4 @@
-"""Options of the search for a fastest motion, and the motion that it finds."""
+"""Options of the search for the fastest motion, and its result."""
 
 from __future__ import annotations
 
@@ -17,18 +17,23 @@ from salver.trajectory import JointMotion, MotionSamples, SampledReference
 
 @dataclass(frozen=True)
 class FastestOptions:
-    """Options of the search for a fastest motion.
+    """Options of the search for the fastest motion.
 
-    spans: polynomial pieces of a motion; doubled, there are twice as many unknowns, and motions are no longer.
-    nodes_per_span: instants of each at which conditions are imposed; between them they are checked.
-    pairs: of end postures from which the search begins when the start posture is free. ways: around what stands in the
-    way, the shortest of thrice as many. starts: local optima refined, of which the best is taken. Doubling any of these
-    three at most doubles the work; a hard task may gain by it. patience: rough optima in turn, for each of `starts`,
-    that are no shorter than what was found, after which the others are left out.
-    rough_gain: relative shortening below which a rough optimum is good enough, and by which another must promise to be
-    shorter. mendable: violation of a rough optimum that more pieces may mend; doubled, worse ones are refined.
-    iterations: of each optimum at most, as a multiple of the usual 60, and of the 25 of a rough one. seed: of all that
-    is random. time_limit: s, None for none: then no clock decides anything.
+    A rough optimum is a local optimum with few spline pieces; the best of them are refined with all `spans`. Doubling
+    `pairs`, `ways` or `starts` at most doubles the computing time and may find a shorter motion in a hard task.
+
+    Attributes:
+        spans: polynomial pieces of the motion.
+        nodes_per_span: instants per piece at which the constraints are imposed; between them they are checked.
+        pairs: pairs of start and goal postures from which the search begins when the start posture is free.
+        ways: initial paths around obstacles: the shortest of three times as many random ones.
+        starts: rough optima that are refined; the best result is taken.
+        patience: the search of rough optima ends after `patience * starts` in a row without improvement.
+        rough_gain: relative improvement below which the optimisation of a rough optimum stops, or another is no better.
+        mendable: largest constraint violation of a rough optimum that is still refined.
+        iterations: limit per optimum, as a multiple of the default (60; 25 for a rough one).
+        seed: of the random number generator.
+        time_limit: s; None for no limit, which makes the result independent of the computer's speed.
     """
 
     spans: int = 20
@@ -45,16 +50,16 @@ class FastestOptions:
 
     @property
     def most(self) -> int:
-        """Iterations of an optimum, at most."""
+        """Largest number of iterations of an optimum."""
         return round(60 * self.iterations)
 
     @property
     def most_roughly(self) -> int:
-        """Iterations of a rough optimum, at most."""
+        """Largest number of iterations of a rough optimum."""
         return round(25 * self.iterations)
 
     def first(self, problem: TransportProblem) -> int:
-        """Pairs that are tried first: fewer when one of the two postures is given."""
+        """Number of posture pairs that are tried first: fewer when one of the two postures is given."""
         return self.pairs if problem.start_posture is None else max(1, self.pairs // 4)
 
 
@@ -67,9 +72,9 @@ EFFORTS = {
 
 @dataclass(frozen=True)
 class FastestMotion:
-    """Result. spline, coefficients (size, n), duration: the motion. worst: largest row of each block on the fine
-    grid (<= 0: kept). binding: the blocks that hinder a shorter time. wall_time: s. iterations: of all rounds and
-    starts. margin: that was sought, when it was (`LeastMargin`).
+    """Result of a search. spline, coefficients (size, n), duration (s): the motion. worst: largest value of each
+    constraint block on a fine grid, <= 0 if met. binding: names of the constraints that prevent a shorter motion.
+    wall_time: s. iterations: of all rounds and starts. margin: the maximised one, with the objective `LeastMargin`.
     """
 
     problem: TransportProblem
@@ -84,7 +89,7 @@ class FastestMotion:
     margin: float = 0.0
 
     def after(self, *before: FastestMotion) -> FastestMotion:
-        """The motion with the time and the iterations of earlier searches added."""
+        """The motion with the wall time and the iterations of earlier searches added."""
         every = (self, *before)
         spent, steps = sum(x.wall_time for x in every), sum(x.iterations for x in every)
         return replace(self, wall_time=spent, iterations=steps)
@@ -99,7 +104,7 @@ class FastestMotion:
         return q, dq, ddq, dddq
 
     def joint_motion(self) -> JointMotion:
-        """The motion as samples; exact between them too, because the breaks of the spline are among them."""
+        """The motion as samples, which include the breaks of the spline: interpolation between them is exact."""
         t = self.duration * united(np.linspace(0, 1, 401), self.spline.breaks())
         q, dq, ddq, _ = self.sample(t)
         return JointMotion(t, q, dq, ddq)

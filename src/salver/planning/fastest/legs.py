@@ -1,8 +1,8 @@
 """Fastest plans of several legs: each from rest to rest with its own load, one after the other.
 
-Each leg begins where the one before it ended, and chooses for itself where it ends. Where no safe leg leads on from
-there, the branches of the inverse kinematics are chosen for the task as a whole (`chains`), and each leg is planned
-between its two postures.
+Each leg begins in the posture in which the one before it ended, and its end posture is free. If no safe leg goes on
+from there, the branches of the inverse kinematics are chosen for all legs together (`chains`), and each leg is planned
+between the two postures found.
 """
 
 from __future__ import annotations
@@ -30,9 +30,11 @@ from salver.scenario import Scenario
 
 
 def plan_legs(scenario: Scenario, *, options: FastestOptions | None = None, watch: Watch | None = None) -> MultiLegPlan:
-    """The fastest plan of a task of several legs that is safe over the whole uncertain set.
+    """The fastest plan of several legs that is safe over the whole uncertain set.
 
-    Raises ScenarioError without an arm, legs, or with a duration, UnreachableError when a stop is out of reach.
+    Raises:
+        ScenarioError: the scenario has no arm, no legs, or a duration.
+        UnreachableError: a stop is out of reach.
     """
     if not scenario.legs:
         raise ScenarioError(f"{scenario.name} has one leg; plan it as such, or give it a list of [[legs]].")
@@ -65,7 +67,8 @@ def plan_legs(scenario: Scenario, *, options: FastestOptions | None = None, watc
 
 
 def _begins(problems: Sequence[TransportProblem], options: FastestOptions) -> Iterator[list[SplineMotion] | None]:
-    """None: each leg chooses where it ends; then a motion of every leg along the most promising chains of postures."""
+    """Yield None, with which each leg chooses its own end posture; then initial motions of all legs along the most
+    promising chains of postures."""
     yield None
     few = few_pieces(options)
     for chain in chains(problems, np.random.default_rng(options.seed))[: options.pairs]:
@@ -74,7 +77,7 @@ def _begins(problems: Sequence[TransportProblem], options: FastestOptions) -> It
 
 
 def chains(problems: Sequence[TransportProblem], rng: np.random.Generator) -> list[list[Array]]:
-    """For every leg postures (N, n): at its start, where it passes a pose, and at its end. The most promising first.
+    """Candidate postures (N, n) of every leg, at its start, its via poses and its end; the most promising first.
 
     Raises UnreachableError when no posture reaches a stop.
     """
@@ -104,8 +107,8 @@ def in_turn(
     options: FastestOptions,
     watch: Watch,
 ) -> list[Plan]:
-    """Plans of the legs, each from the posture in which the one before it ends; to that in which its motion of `begin`
-    does, if there are any: then no further than to the first leg that is not safe."""
+    """Plans of the legs, each from the end posture of the one before it. With initial motions `begin` their end
+    postures are kept, and planning ends at the first leg that is not safe."""
     legs: list[Plan] = []
     for k, problem in enumerate(problems):
         near = None if begin is None else refitted(begin[k], options.spans)
@@ -124,7 +127,7 @@ def in_turn(
 
 
 def _merit(legs: Sequence[Plan], problems: Sequence[TransportProblem]) -> tuple[bool, int, float]:
-    """Smaller is better."""
+    """Sort key of a plan of several legs; smaller is better."""
     lacking = len(problems) - len(legs)
     return lacking > 0 or not all(leg.ok for leg in legs), lacking, sum(leg.duration for leg in legs)
 
@@ -135,7 +138,7 @@ def _end_of(plan: Plan) -> Array:
 
 
 def _from(problem: TransportProblem, q: Array) -> TransportProblem:
-    """The problem from a posture (n,) in which the leg before it ended: also in the heading that was chosen there."""
+    """The problem starting in the posture (n,), and with the heading, in which the leg before it ended."""
     scenario = problem.scenario
     if scenario.motion.goal_yaw == "free":
         samples = object_motion(problem, np.zeros(1), q[None], np.zeros((1, problem.n)), np.zeros((1, problem.n)))

@@ -1,4 +1,4 @@
-"""The optimum near one initial guess, with many spline pieces or few, checked between the nodes."""
+"""The local optimum near an initial guess, with many or few spline pieces, checked between the nodes."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from salver.planning.trajopt.spline import RestSpline, SplineMotion
 from salver.planning.trajopt.watch import Watch
 
 DEGREE = 5
-REFINED = 0.5  # damping of the first step after pieces have been added,
-NEAR = 0.1  # and from the optimum of a similar problem
+REFINED = 0.5  # damping of the first step after spline pieces were added
+NEAR = 0.1  # damping of the first step from the optimum of a similar problem
 
 
 def few_pieces(options: FastestOptions) -> RestSpline:
-    """The spline of rough optima, with few pieces."""
+    """The spline of rough optima, which has few pieces."""
     return RestSpline(DEGREE, max(4, options.spans // 3))
 
 
 def refitted(motion: SplineMotion, spans: int) -> SplineMotion:
-    """The motion refitted with so many pieces, as near as may be."""
+    """The motion refitted with this number of spline pieces."""
     spline, s = RestSpline(DEGREE, spans), np.linspace(0, 1, 201)
     return SplineMotion(spline, spline.fit(s, motion.spline.matrices(s)[0] @ motion.coefficients), motion.duration)
 
@@ -42,9 +42,9 @@ def nearby(
     begin: Start | None = None,
     watch: Watch | None = None,
 ) -> FastestMotion:
-    """Find the motion of least objective at a duration (s), near a motion that was found, under the same constraints.
+    """Find the motion with the least objective in a given duration (s), under the same constraints as `found`.
 
-    begin: a path between the same ends to begin from instead.
+    The search begins at `found`, or at the path `begin` between the same ends.
     """
     options = options or FastestOptions()
     start, damping = SplineMotion(found.spline, found.coefficients, duration), NEAR
@@ -62,7 +62,11 @@ def optimum(
     objective: Objective = SHORTEST,
     also: Array | None = None,
 ) -> FastestMotion:
-    """The optimum from a start that is near it, checked between the nodes. also: nodes beside the usual ones."""
+    """The local optimum near a start, checked between the nodes.
+
+    problem: what to solve. options: of the search. start: the initial motion. watch: reports progress and may end the
+    search. damping: of the first step. objective: what to minimise. also: additional nodes.
+    """
     begun = time.perf_counter()
     per_span = options.nodes_per_span
     found = optimise(problem, FreeCurve, start, per_span, watch, damping, objective, options.most, also=also)

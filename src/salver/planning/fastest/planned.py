@@ -1,4 +1,4 @@
-"""The plan of a scenario: the fastest motion that is found, checked, and told with what hinders a shorter one."""
+"""The fastest plan of a scenario: the motion, its verdict, and the constraints that prevent a shorter one."""
 
 from __future__ import annotations
 
@@ -35,11 +35,16 @@ _AT_SPEED = re.compile(r"( at [\d.]+ % of full speed| standing still)?( while th
 def plan_fastest(
     scenario: Scenario, *, robust: bool = True, options: FastestOptions | None = None, watch: Watch | None = None
 ) -> Plan:
-    """The fastest plan of a scenario with an arm. Its contact condition is the exact one, whatever the scenario's.
+    """The fastest plan of a scenario with an arm, under the exact contact condition, whatever the scenario's.
 
-    robust: safe for the whole uncertain set (with the arm's tracking), or for nominal parameters only. watch: may end
-    the search early, with the best so far.
-    Raises ScenarioError when the scenario has no arm; a plan that could not be found has a status that says so.
+    scenario: with an arm. robust: safe for the whole uncertain set, including the arm's tracking error; else for
+    nominal parameters only. options: of the search. watch: may end the search early, with the best motion so far.
+
+    Returns:
+        The plan; its status says so if no safe one was found.
+
+    Raises:
+        ScenarioError: the scenario has no arm.
     """
     return plan_problem(transport_problem(scenario, robust=robust), robust=robust, options=options, watch=watch)
 
@@ -52,7 +57,7 @@ def plan_problem(
     watch: Watch | None = None,
     near: SplineMotion | None = None,
 ) -> Plan:
-    """The plan of a problem, as `plan_fastest` makes it. near: a motion of a similar problem, tried first."""
+    """The plan of a problem, as `plan_fastest` makes it; `near`, a motion of a similar problem, is tried first."""
     return found_and_planned(problem, robust=robust, options=options, watch=watch, near=near)[1]
 
 
@@ -64,7 +69,7 @@ def found_and_planned(
     watch: Watch | None = None,
     near: FastestMotion | SplineMotion | None = None,
 ) -> tuple[FastestMotion, Plan]:
-    """`plan_problem`, and the motion that the plan is of."""
+    """The motion found for a problem, and its plan, as of `plan_problem`."""
     found, plan = _found(problem, robust, options, watch, near)
     if not robust:
         return found, plan
@@ -78,13 +83,13 @@ def _found(
     watch: Watch | None,
     near: FastestMotion | SplineMotion | None,
 ) -> tuple[FastestMotion, Plan]:
-    """The motion that is found and its plan; inner dynamics hold at the speeds that the problem names."""
+    """The motion found and its plan. Limits of load dynamics are met at the speed factors that the problem lists."""
     scenario = problem.scenario
     found = fastest(problem, options, near, watch)
     if not np.isfinite(found.duration):
         raise UnreachableError(f"{scenario.name}: {found.status.sentence}")
     plan = _planned(scenario, found, robust)
-    for _ in range(4):  # each adds what the checks of the plan miss, and few motions miss anything
+    for _ in range(4):  # each round adds what the plan's checks find violated; few motions need one
         sterner = _sterner(found, plan, robust) if found.status.ok else None
         if sterner is None:
             break
@@ -102,9 +107,9 @@ def _found(
 
 
 def _sterner(found: FastestMotion, plan: Plan, robust: bool) -> TransportProblem | None:
-    """The problem with the cases of loads that the motion does not keep although it keeps those that were asked for, or
-    else with nodes where it violates something; or with the contact of an arm that follows exactly, where the plan's
-    own check misses that; None for none of these."""
+    """A stricter problem for a motion that fails the checks of its plan: with load cases that it violates and that were
+    not imposed, or else with nodes where it violates a constraint; or with contact for an arm that follows exactly, if
+    the plan's own check fails. None if none of these applies."""
     problem = found.problem
     if not plan.status.ok and problem.cases:
         verdict = verify(problem, found.joint_motion(), None, PLANNED, thoroughly=True)
@@ -117,7 +122,7 @@ def _sterner(found: FastestMotion, plan: Plan, robust: bool) -> TransportProblem
         return more or replace(problem, nodes=(*problem.nodes, *along.s[violated].tolist()))
     if not robust or plan.verification.violation <= 0 or any(x.exactly for x in _contacts(problem)):
         return None
-    # Rows allow for an arm that misses the motion, and in quick turns even the motion itself lies outside of that.
+    # The rows allow for the arm's tracking error; in quick turns the motion itself may violate the exact condition.
     exactly = tuple(ContactConstraint(rows, plan.scenario.contact.margin, exactly=True) for rows in problem.contacts)
     return replace(problem, extra=(*problem.extra, *exactly))
 
@@ -127,9 +132,8 @@ def _contacts(problem: TransportProblem) -> list[ContactConstraint]:
 
 
 def slow_enough(scenario: Scenario, found: FastestMotion, plan: Plan, robust: bool) -> tuple[FastestMotion, Plan]:
-    """The motion and its plan, slower by the least of some shares of its time with which the plan's check lets it
-    pass, which looks at more instants than the optimiser; as given where none is enough: then the optimiser is at
-    fault."""
+    """The motion and its plan, slowed down by the smallest of a few shares with which it passes the plan's check, which
+    tests more instants than the optimiser does; unchanged if none is enough, which means an error of the optimiser."""
     for share in (1e-4, 1e-3, 4e-3, 1.6e-2):
         duration = found.duration * (1 + share)
         status = reached(SHORTEST.sought, duration) if found.status.code == "optimal" else found.status
@@ -140,13 +144,13 @@ def slow_enough(scenario: Scenario, found: FastestMotion, plan: Plan, robust: bo
 
 
 def _passes(plan: Plan, robust: bool) -> bool:
-    """Whether a plan's check finds nothing that more time could mend."""
+    """Whether a plan's check finds no violation that a slower motion could remove."""
     keeps = plan.arm_status is None or plan.arm_status.code != LIMIT_EXCEEDED
     return keeps and plan.status.ok and (not robust or plan.verification.ok)
 
 
 def _planned(scenario: Scenario, found: FastestMotion, robust: bool) -> Plan:
-    """The plan of a motion that was found, with what hinders a shorter one."""
+    """The plan of a motion, whose status names the constraints that prevent a shorter one."""
     problem, ends = found.problem, (found.coefficients[0], found.coefficients[-1])
     by_joints = least_duration(problem.limits, *ends)
     tilt = max(problem.max_tilt, np.sqrt(2) * LEVEL_TOLERANCE)  # about each of two axes
@@ -160,8 +164,7 @@ def _planned(scenario: Scenario, found: FastestMotion, robust: bool) -> Plan:
 
 
 def judged(plan: Plan, problem: TransportProblem) -> Plan:
-    """The plan of a motion that was found for a problem; unsafe, if the motion fails the verdict
-    (`salver.planning.verdict.verify`)."""
+    """The plan, with status "unsafe" if its motion fails the verdict (`salver.planning.verdict.verify`)."""
     if not plan.status.ok:
         return plan
     assert plan.joint is not None
@@ -173,7 +176,7 @@ def judged(plan: Plan, problem: TransportProblem) -> Plan:
 
 
 def _held_by(found: FastestMotion, bound: float, what: str) -> str:
-    """The constraint that hinders a shorter time, and a lower bound of the time, by `what`."""
+    """Sentence on the constraints that prevent a shorter motion and on a lower bound of the duration, set by `what`."""
     held = f"What hinders a shorter one: {listed(each_kind(found.binding))}. " if found.binding else ""
     if bound == 0.0:  # nobody gave a limit that bounds it
         return held.strip()
@@ -185,7 +188,7 @@ def _held_by(found: FastestMotion, bound: float, what: str) -> str:
 
 
 def each_kind(names: tuple[str, ...]) -> list[str]:
-    """Names of constraints without the speeds at which they hinder, each once."""
+    """Names of constraints without the speed factors at which they bind, each once."""
     kinds: dict[str, bool] = {}
     for name in names:
         kind = _AT_SPEED.sub("", name)
@@ -194,7 +197,7 @@ def each_kind(names: tuple[str, ...]) -> list[str]:
 
 
 def solver_record(found: FastestMotion, robust: bool) -> dict[str, Any]:
-    """The record of how a plan was found."""
+    """How a plan was found, as plan.json stores it."""
     return {
         "name": "sequential quadratic programming (PIQP)",
         "robust": robust,
@@ -215,7 +218,7 @@ def joint_plan(
     record: Mapping[str, Any],
     method: str = "fastest",
 ) -> Plan:
-    """A plan from a joint motion, under the exact contact condition and with the arm's verdict."""
+    """The plan of a joint motion, under the exact contact condition and with the verdict on the arm."""
     from salver.planning.follow.limits import torques, verdict
     from salver.planning.plan import Plan
 
@@ -233,7 +236,7 @@ def joint_plan(
 
 
 def _closer(joint: JointMotion) -> JointMotion:
-    """The motion with samples so dense that the tray's quintics between them agree with these joints."""
+    """The motion with samples dense enough that quintics of the tray's motion between them agree with the joints'."""
     step = 0.02  # s at most: the tray's acceleration is then known to 1e-3 m/s^2
     counts = np.maximum(1, np.ceil(np.diff(joint.t) / step - 1e-9).astype(int))
     if counts.max() == 1:
@@ -243,7 +246,7 @@ def _closer(joint: JointMotion) -> JointMotion:
 
 
 def tracking_record(found: FastestMotion) -> dict[str, float]:
-    """Peak of what the arm may stray under the uncertain load and what moves in it: the tray's position (m) and
+    """Largest tracking error under the uncertain load and its inner dynamics: of the tray's position (m) and
     orientation (rad)."""
     problem = found.problem
     if problem.tracking is None:

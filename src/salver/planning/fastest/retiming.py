@@ -37,30 +37,30 @@ from salver.trajectory import JointMotion
 if TYPE_CHECKING:
     from salver.planning.plan import Plan
 
-DEGREE = 5  # of the path and of the time law: what is four times differentiable has continuous jerk
-PATH_TOLERANCE = 1e-3  # rad: by which that may pass the waypoints; nearer ones are taken for the same
+DEGREE = 5  # of the path and of the time law: four times differentiable, so the jerk is continuous
+PATH_TOLERANCE = 1e-3  # rad: by how much the path may miss a waypoint; closer waypoints count as equal
 
 
 @dataclass(frozen=True, eq=False)
 class SplinePath:
-    """q(u), u in [0, 1] in proportion to the length in joint space; four times continuously differentiable.
+    """A path q(u), with u in [0, 1] proportional to the length in joint space; four times continuously differentiable.
 
-    missed: rad, by which it passes the waypoints at most.
+    missed: largest distance of a waypoint from the path, rad.
     """
 
     spline: BSpline
     missed: float = 0.0
 
     def derivatives(self, u: Array, order: int) -> Array:
-        """(order + 1, N, n): q and its derivatives by u."""
+        """q and its derivatives by u up to an order at u (N,), as (order + 1, N, n)."""
         u = np.clip(u, 0.0, 1.0)
         return np.stack([self.spline.derivative(k)(u) if k else self.spline(u) for k in range(order + 1)])
 
     @classmethod
     def through(cls, q: Array) -> SplinePath:
-        """Through waypoints (K, n), of any number.
+        """The path through waypoints (K, n), K >= 2.
 
-        Very many are thinned out to some that meet the others within `PATH_TOLERANCE`, if 480 are enough.
+        If there are very many, up to 480 of them are interpolated such that the others are met within `PATH_TOLERANCE`.
         Raises ScenarioError for fewer than two different ones.
         """
         q = _apart(np.asarray(q, dtype=float))
@@ -83,19 +83,19 @@ class SplinePath:
 
     @classmethod
     def timed(cls, motion: JointMotion) -> SplinePath:
-        """The path of a motion, u in proportion to its time instead of its length: the states are those of the motion,
-        to what its own samples leave open."""
+        """The path of a motion with u proportional to time instead of length, which keeps its velocities and
+        accelerations as far as its samples determine them."""
         t = np.linspace(0.0, motion.duration, 401)
         return cls(make_interp_spline(t / motion.duration, motion.sample(t)[0], DEGREE))
 
     @classmethod
     def of(cls, motion: JointMotion) -> SplinePath:
-        """The path of a motion, whatever its timing."""
+        """The path of a motion, without its timing."""
         return cls.through(motion.sample(np.linspace(0.0, motion.duration, 2001))[0])
 
 
 def _apart(q: Array) -> Array:
-    """Waypoints (K, n) without those within `PATH_TOLERANCE` of the one before; the first and the last stay."""
+    """Waypoints (K, n) without those within `PATH_TOLERANCE` of the one before; the first and the last are kept."""
     kept = [0]
     for k in range(1, len(q)):
         if np.abs(q[k] - q[kept[-1]]).max() >= PATH_TOLERANCE:
@@ -107,8 +107,11 @@ def _apart(q: Array) -> Array:
 
 @dataclass(frozen=True)
 class RetimedMotion:
-    """Result. law: spline of u(t), with its coefficients (size, 1). lower_bound: duration of the law without jerk,
-    torque rate and uncertainty, s: no motion on this path is faster. worst: as in `FastestMotion`.
+    """Result of retiming a path.
+
+    problem, path: what was retimed. law, coefficients: spline of the time law u(t), and its coefficients (size, 1).
+    duration: s. lower_bound: s; no motion on this path is faster: it ignores jerk, torque rate and uncertainty. worst:
+    as in `FastestMotion`. wall_time: s.
     """
 
     problem: TransportProblem
@@ -122,7 +125,7 @@ class RetimedMotion:
     wall_time: float
 
     def joint_motion(self, count: int = 401) -> JointMotion:
-        """Samples of the motion; denser than its own pieces, so that interpolation adds nothing visible."""
+        """The motion as samples, denser than the spline's pieces, so that interpolation errors are negligible."""
         s = united(np.linspace(0, 1, count), self.law.breaks())
         powers = self.duration ** np.arange(3.0)
         u, u1, u2 = (self.law.matrices(s)[:3] @ self.coefficients) / powers[:, None, None]
@@ -131,7 +134,7 @@ class RetimedMotion:
 
 
 def retime(problem: TransportProblem, path: SplinePath, *, spans: int = 20, nodes_per_span: int = 4) -> RetimedMotion:
-    """Fastest safe time law along a path. The problem's ends and tilt are not asked for: the path has its own.
+    """The fastest safe time law along a path. The problem's end poses and tilt limit are ignored: the path fixes both.
 
     Never raises for numerical reasons: see `status`.
     """
@@ -160,8 +163,8 @@ def retime(problem: TransportProblem, path: SplinePath, *, spans: int = 20, node
 
 
 def _calm(problem: TransportProblem, curve_of: CurveOf, law: RestSpline, duration: float) -> SplineMotion | None:
-    """A smooth time law from `duration` on that keeps everything, where a search can begin; one that begins
-    with what swings far too high ends in any of many optima. None when none of those tried does."""
+    """A smooth time law of at least `duration` that meets all constraints, as the start of the search; None if none of
+    those tried does. A start that excites a swinging load too much would lead to one of many poor local optima."""
     s = np.linspace(0.0, 1.0, 401)
     smooth = law.fit(s, min_jerk_blend(s)[:, None])
     curve = curve_of(problem, Grid.of(law, np.linspace(0.0, 1.0, 81)))
@@ -173,10 +176,13 @@ def _calm(problem: TransportProblem, curve_of: CurveOf, law: RestSpline, duratio
 
 
 def plan_retimed(scenario: Scenario, waypoints: Array, *, robust: bool = True) -> Plan:
-    """A plan along joint waypoints (K, n), rad: its fastest safe time law. Start and goal become those of the path.
+    """The plan with the fastest safe time law along joint waypoints (K, n), rad.
 
-    robust: safe for the whole uncertain set; else for nominal parameters only.
-    Raises ScenarioError when the scenario has no arm or the waypoints are not of its joints.
+    scenario: with an arm; its start and goal are replaced by the ends of the path. waypoints: (K, n). robust: safe for
+    the whole uncertain set; else for nominal parameters only.
+
+    Raises:
+        ScenarioError: the scenario has no arm, or the waypoints do not match its joints.
     """
     given = scenario.with_changes(arm__start_posture=None) if scenario.arm is not None else scenario
     problem = transport_problem(given, robust=robust)
@@ -197,7 +203,7 @@ def plan_retimed(scenario: Scenario, waypoints: Array, *, robust: bool = True) -
         changes[f"motion__{end}"] = {"position": p_SB.tolist(), "quat_wxyz": quat_wxyz_from_matrix(R_SB).tolist()}
     moved = given.with_changes(**changes, motion__duration=None)
 
-    # How the path leans, and how near it passes, is given: nearer than the arm may stray it touches.
+    # The path fixes tilt and clearance: where it passes an obstacle closer than the tracking error, the arm may touch.
     out = problem.keep_out
     strayed_from = None if out is None else KeepOut(out.parts, np.zeros_like(out.required))
 
@@ -218,9 +224,9 @@ def plan_retimed(scenario: Scenario, waypoints: Array, *, robust: bool = True) -
 
 
 def plan_retimed_legs(scenario: Scenario, paths: Sequence[Array], *, robust: bool = True) -> MultiLegPlan:
-    """A plan along joint waypoints of every leg, each with its fastest safe time law (`plan_retimed`).
+    """The plan of several legs, each with the fastest safe time law along its joint waypoints (`plan_retimed`).
 
-    Raises ScenarioError when there are not as many paths as legs.
+    Raises ScenarioError when the numbers of paths and of legs differ.
     """
     if len(paths) != len(scenario.legs):
         raise ScenarioError(f"{scenario.name} has {len(scenario.legs)} legs, and paths of {len(paths)} were given.")
@@ -228,7 +234,7 @@ def plan_retimed_legs(scenario: Scenario, paths: Sequence[Array], *, robust: boo
     for leg, path in zip(scenario.each_leg, paths, strict=True):
         plan = plan_retimed(leg.with_changes(motion__through=[]), path, robust=robust)
         begin = plan.scenario.motion.start if scenario.motion.goal_yaw == "free" else leg.motion.start
-        # With the poses to pass: the verdict looks whether the path still passes them.
+        # The via poses are kept: the verdict checks whether the path still passes them.
         motion = leg.motion.model_copy(update={"start": begin})
         legs.append(replace(plan, scenario=plan.scenario.model_copy(update={"motion": motion})))
     each = ", ".join(f"{leg.duration:.4f} s" for leg in legs)
@@ -244,7 +250,7 @@ def plan_retimed_legs(scenario: Scenario, paths: Sequence[Array], *, robust: boo
 
 
 def _within_limits(scenario: Scenario, problem: TransportProblem, waypoints: Array) -> None:
-    """Raise ScenarioError that names the waypoint and the joint that is beyond its limits, if one is."""
+    """Raise ScenarioError, which names waypoint and joint, if a waypoint exceeds the joint limits."""
     low, high = problem.limits.q_min, problem.limits.q_max
     beyond = np.argwhere((waypoints < low - PATH_TOLERANCE) | (waypoints > high + PATH_TOLERANCE))
     if len(beyond):
@@ -256,8 +262,8 @@ def _within_limits(scenario: Scenario, problem: TransportProblem, waypoints: Arr
 
 
 def reachable_law(problem: TransportProblem, path: SplinePath, count: int = 201) -> tuple[Array, Array] | None:
-    """Times t (count,) and path positions u (count,) of the fastest law under velocity, acceleration, torque and
-    nominal contact; None when there is none.
+    """The fastest time law under limits of velocity, acceleration, torque and nominal contact: times t (count,) and
+    path positions u (count,); None when there is none.
 
     With x_i = (du/dt)^2 at points of the path and d2u/dt2 = (x_{i+1} - x_i) / (2 du) between them, all conditions
     are linear, and the largest sum of x is the largest x everywhere.
@@ -271,7 +277,7 @@ def reachable_law(problem: TransportProblem, path: SplinePath, count: int = 201)
         terms = motion_terms(problem.model, problem.arm.tray_id, q, dq, ddq)
         return terms.w, terms.torque
 
-    # w and torque are affine in ddq and quadratic in dq: at rest, and what x = 1 and slope 1 add.
+    # w and torque are affine in ddq and quadratic in dq: their values at rest, and the changes with x = 1 and slope 1.
     rest, torque_rest = at(zero, zero)
     by_x, torque_x = (a - b for a, b in zip(at(first, second), (rest, torque_rest), strict=True))
     by_slope, torque_slope = (a - b for a, b in zip(at(zero, first), (rest, torque_rest), strict=True))
@@ -308,5 +314,5 @@ def reachable_law(problem: TransportProblem, path: SplinePath, count: int = 201)
         return None
     rate = np.sqrt(np.maximum(result.x, 0.0))
     both = rate[1:] + rate[:-1]
-    steps = np.where(both > 1e-6, 2 * du / np.maximum(both, 1e-6), 0.0)  # where these points allow no speed: no bound
+    steps = np.where(both > 1e-6, 2 * du / np.maximum(both, 1e-6), 0.0)  # where the speed is zero: no bound
     return np.concatenate([[0.0], np.cumsum(steps)]), u

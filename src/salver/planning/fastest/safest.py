@@ -1,6 +1,6 @@
-"""The safest motion in a given time: the largest worst-case margin of all contacts, under the same constraints.
+"""The safest motion in a given duration: the one with the largest worst-case contact margin.
 
-Of several legs, each takes the share of the time with which the least margin of all is largest: `plan_safest_legs`.
+With several legs the duration is divided such that the least margin of all legs is largest: `plan_safest_legs`.
 """
 
 from __future__ import annotations
@@ -35,13 +35,12 @@ if TYPE_CHECKING:
 def plan_safest(
     scenario: Scenario, *, robust: bool = True, options: FastestOptions | None = None, watch: Watch | None = None
 ) -> Plan:
-    """The plan that keeps the load furthest from slipping, tipping and lifting, and what moves inside it from its
-    limits, in the scenario's duration, at the worst parameters of the uncertain set, or at nominal ones; the arm's
-    limits are kept and obstacles avoided, the tray may tilt unless motion.orientation is "fixed".
+    """The plan with the largest margin of all contacts, and of the limits of load dynamics, in the scenario's duration.
 
-    It is the better of the local optima from the shortest motion, made slower, and from the straight path between its
-    ends.
-    Raises ScenarioError without an arm or a duration, UnreachableError when no motion was found that is as short.
+    The margin is that of the worst parameters in the uncertain set, or of nominal ones unless `robust`. The arm's
+    limits are met, obstacles are avoided, and the tray may tilt unless motion.orientation is "fixed". The result is the
+    better of the local optima found from the slowed-down fastest motion and from the straight path between its ends.
+    Raises ScenarioError without an arm or a duration, UnreachableError when no safe motion in this duration was found.
     """
     options = options or FastestOptions()
     watch = watch or Watch(options.time_limit)
@@ -80,9 +79,9 @@ def _kept(margin: float, scenario: Scenario, inner: bool) -> str:
 def quickest_within(
     scenario: Scenario, sought: str, robust: bool, options: FastestOptions, watch: Watch
 ) -> tuple[FastestMotion, float]:
-    """The shortest motion found, where a search in the scenario's duration begins, and that duration, s.
+    """The fastest motion, from which a search in the scenario's duration begins, and that duration, s.
 
-    Raises ScenarioError without a duration, UnreachableError when the motion does not exist or takes longer.
+    Raises ScenarioError without a duration, UnreachableError when no motion is found or it takes longer.
     """
     duration = scenario.motion.duration
     if duration is None:
@@ -107,8 +106,8 @@ def optima(
     watch: Watch,
     anew: bool = True,
 ) -> list[FastestMotion]:
-    """Local optima of an objective in a duration, s: from a motion made slower and, anew, from the straight path
-    between its ends."""
+    """Local optima of an objective in a duration, s: from the slowed-down fastest motion and, with `anew`, from the
+    straight path between its ends."""
     pair = Ends(quickest.coefficients[0], quickest.coefficients[-1], 0.0, True)
     begins = [None, straight(pair)] if anew else [None]
     return [
@@ -121,11 +120,12 @@ def optima(
 def plan_safest_legs(
     scenario: Scenario, *, options: FastestOptions | None = None, watch: Watch | None = None
 ) -> MultiLegPlan:
-    """The plan of a task of several legs that keeps the loads furthest from slipping, tipping and lifting while all
-    motions together take the scenario's duration; the stops' postures are those of the fastest plan.
+    """The plan of several legs with the largest margin of all contacts, whose motions together take the scenario's
+    duration. The postures at the stops are those of the fastest plan.
 
-    Raises ScenarioError without an arm, legs or a duration, UnreachableError when no motions were found that are as
-    short.
+    Raises:
+        ScenarioError: the scenario has no arm, no legs or no duration.
+        UnreachableError: no safe motions in this duration were found.
     """
     duration = scenario.motion.duration
     if duration is None:
@@ -161,15 +161,18 @@ def plan_safest_legs(
 def _in_shares(
     quickest: MultiLegPlan, duration: float, options: FastestOptions, watch: Watch
 ) -> tuple[list[FastestMotion], float]:
-    """The safest motion of each leg, all of them in a duration (s), which is shared again as their margins turn out;
-    of all sharings that with the largest least margin. And the seconds that the searches took."""
+    """The safest motions of the legs in a total duration, s, and the time, s, that the searches took.
+
+    The duration is divided again after each search by the margins found; the division with the largest least margin
+    wins.
+    """
     begins = [_as_found(leg, options) for leg in quickest.legs]
     times = np.array([leg.duration for leg in quickest.legs]) * (duration / quickest.duration)
     at_rest = np.array([_margin_at_rest(begin) for begin in begins])
     best: list[FastestMotion] = []
-    # The margin falls with a power of the speed: the fifth, until it is seen, as the tray leans into what it does.
+    # The margin falls with a power of the speed: the fifth is a first guess, as the tray leans into its acceleration.
     before, power, seconds = (times, at_rest), 5.0, 0.0
-    for sharing in range(3):  # with the power guessed, then seen, then seen from nearer
+    for sharing in range(3):  # with the power guessed, then estimated twice
         found = [
             max(
                 optima(LeastMargin(), begin, float(time), options, watch, anew=not sharing),
@@ -193,8 +196,12 @@ def _in_shares(
 
 
 def shared(times: Array, at_rest: Array, margins: Array, power: float) -> Array:
-    """Times (K,) with the same sum, s, with which all legs would keep the same margin, if what a leg lacks of the
-    margin that its load has at rest (K,) grows with a power of its pace. margins (K,): at the times given."""
+    """Durations (K,), s, of the same sum with which all legs would have equal margins, if the loss of margin against
+    rest grows with a power of the speed.
+
+    times: (K,) durations, s. at_rest: (K,) margins at rest. margins: (K,) margins with these durations. power: of the
+    speed.
+    """
     lacking = np.maximum(at_rest - margins, 1e-6)
     low, high = float(margins.min()), float(at_rest.min())
     for _ in range(60):
@@ -210,7 +217,7 @@ def _least(found: list[FastestMotion]) -> tuple[bool, float]:
 
 
 def _as_found(leg: Plan, options: FastestOptions) -> FastestMotion:
-    """A leg that was planned as the optimiser has it: from the posture in which it begins to that in which it ends."""
+    """The optimiser's result of a planned leg, with start and end posture fixed."""
     assert leg.joint is not None
     spline, s = RestSpline(DEGREE, options.spans), np.linspace(0, 1, 401)
     q = leg.joint.sample(s * leg.duration)[0]
@@ -221,7 +228,7 @@ def _as_found(leg: Plan, options: FastestOptions) -> FastestMotion:
 
 
 def _margin_at_rest(found: FastestMotion) -> float:
-    """The margin of the contacts where a motion begins and ends, at rest."""
+    """The contact margin at rest at the ends of a motion."""
     s, least = np.linspace(0.0, 1.0, 9), np.inf
     contacts = [constraint for constraint in found.problem.constraints if isinstance(constraint, ContactConstraint)]
     for q in found.coefficients[[0, -1]]:

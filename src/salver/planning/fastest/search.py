@@ -1,8 +1,8 @@
-"""The fastest motion that stays safe: shortest duration within the arm's limits, contact kept for all parameters.
+"""Search for the fastest safe motion: least duration within the arm's limits, with contact kept for all parameters.
 
-The decision variables are the coefficients of rest-to-rest joint splines and the duration, so the arm can run
-every candidate. `constraints` says what must hold, `starts` where to begin, `sqp` finds a local optimum, `exchange`
-checks it between the nodes; here is the search over local optima, from few spline pieces to many.
+The decision variables are the coefficients of rest-to-rest joint splines and the duration. `constraints` has what must
+hold, `starts` the initial guesses, `sqp` finds a local optimum, `exchange` checks it between the nodes. This module
+searches over local optima, first with few spline pieces, then with many.
 """
 
 from __future__ import annotations
@@ -44,10 +44,11 @@ def fastest(
     near: FastestMotion | SplineMotion | None = None,
     watch: Watch | None = None,
 ) -> FastestMotion:
-    """Find the shortest safe motion of a problem (see `transport_problem`). Never raises for numerical reasons:
-    see `status`.
+    """Find the shortest safe motion of a problem (`transport_problem`). Never raises for numerical reasons: see
+    `status`.
 
-    near: a motion of a similar problem, tried first. watch: may end the search early.
+    problem: what to solve. options: of the search. near: a motion of a similar problem, which is tried first. watch:
+    may end the search early, with the best motion so far.
     """
     options = options or FastestOptions()
     watch = watch or Watch(options.time_limit)
@@ -75,7 +76,7 @@ Rough = tuple[TransportProblem, SqpSolution]
 
 @dataclass(eq=False)
 class _Search:
-    """Rough optima with few pieces, the best of them refined with all."""
+    """A search: rough optima with few spline pieces, of which the best are refined with all."""
 
     problem: TransportProblem
     options: FastestOptions
@@ -86,8 +87,8 @@ class _Search:
     iterations: int = 0
 
     def best(self) -> FastestMotion:
-        """The best of the first few rough optima is refined; when none is feasible, the next that is; at last the
-        others."""
+        """The best motion: up to `starts` rough optima are refined, in order of merit; further starts are tried while
+        no rough optimum is feasible."""
         first, further = list(self._new(self._first())), self._new(self._further())
         steps = len(first) + self.options.starts
         roughs: list[Rough] = []
@@ -120,8 +121,8 @@ class _Search:
         return replace(best, status=_ended(best.status, self.watch), iterations=self.iterations)
 
     def _line(self) -> FastestMotion | None:
-        """The fallback of a search that found nothing: a straight line that holds at low speed, and, if there is
-        time, the optimum near it. Whatever ended the search, this is not ended."""
+        """The fallback when nothing was found: a straight path that is safe at low speed and, if time is left, the
+        optimum near it. It is completed even when the search was ended early."""
         spline, at_once = RestSpline(DEGREE, self.options.spans), replace(self.options, iterations=0.0)
         for pair in self.pairs[: self.options.first(self.problem)]:
             problem = between(self.problem, pair)
@@ -137,7 +138,7 @@ class _Search:
         return None
 
     def _shorter(self, problem: TransportProblem, line: FastestMotion, name: str) -> FastestMotion:
-        """The optimum near a line that holds, unless there is none or no time; then the line."""
+        """The optimum near a safe straight path, or that path itself when there is no time or no optimum."""
         if not self.watch.over():
             begin = SplineMotion(line.spline, line.coefficients, line.duration)
             found = optimum(problem, self.options, begin, self.watch, NEAR)
@@ -148,7 +149,7 @@ class _Search:
         return replace(line, status=replace(line.status, sentence=sentence))
 
     def _tried(self, first: list[Begin], roughs: list[Rough], steps: int) -> None:
-        """Add the rough optima of what is begun with, as long as one may become the best."""
+        """Add the rough optima of these starts, as long as one of them may become the best."""
         vain = 0
         for done, begin in enumerate(first, 1):
             beat = self._beat(roughs)
@@ -159,7 +160,7 @@ class _Search:
                 break
 
     def _beat(self, roughs: list[Rough]) -> float:
-        """Duration, s, below which another rough optimum is refined."""
+        """The duration, s, below which another rough optimum would be an improvement."""
         hopeful = sorted(
             found.iterate.duration for _, found in roughs if found.iterate.violation < self.options.mendable
         )
@@ -167,7 +168,7 @@ class _Search:
         return (1 - self.options.rough_gain) * hopeful[enough - 1] if len(hopeful) >= enough else np.inf
 
     def _new(self, begins: Iterable[Begin]) -> Iterator[Begin]:
-        """Those along paths not tried before: where nothing is in the way, a way around is the straight path."""
+        """The starts whose paths were not tried before: without obstacles a path around them is the straight one."""
         for problem, start in begins:
             path = start.path(np.linspace(0, 1, ALONG))
             if all(np.abs(path - other).max() > 0.01 for other in self.tried):  # rad; nearer ones end alike
@@ -175,8 +176,8 @@ class _Search:
                 yield problem, start
 
     def _first(self) -> list[Begin]:
-        """Straight paths between the most promising ends; where those cannot be gone along, the shortest ways around,
-        and then straight paths between these and other ends, the most promising first."""
+        """First starts: straight paths between the most promising ends. Where these are blocked: the shortest paths
+        around obstacles, then straight paths between these and other ends."""
         count = self.options.first(self.problem)
         lines = [(between(self.problem, pair), straight(pair)) for pair in self.pairs]
         free = [open_to(problem, line) for problem, line in lines[:count]]
@@ -187,15 +188,14 @@ class _Search:
         return [*self._ways(), *sorted(found, key=_promise)]
 
     def _ways(self) -> list[Begin]:
-        """The shortest of thrice as many random ways around, from any start to any goal that is known, with the problem
-        between their ends."""
+        """The shortest of three times as many random paths around obstacles, from any known start to any known goal."""
         count = self.options.ways
         drawn = [around(self.problem, self.pairs, self.rng) for _ in range(3 * count)]
         found = sorted((way for way in drawn if way is not None), key=lambda way: way.least(self.problem))[:count]
         return [(between(self.problem, Ends(way.postures[0], way.postures[-1], 0.0, True)), way) for way in found]
 
     def _further(self) -> Iterator[Begin]:
-        """Initial guesses to be tried when those fail."""
+        """Further initial guesses, for when the first ones fail."""
         yield from self._ways()
         if self.problem.start_posture is not None:  # so far only the first of them were sought
             self.pairs = ends(self.problem, self.rng)
@@ -205,7 +205,7 @@ class _Search:
             yield between(self.problem, pair), straight(pair)
 
     def _rough(self, problem: TransportProblem, start: Start, beat: float = np.inf) -> Rough:
-        """A first optimum with few spline pieces, from a comfortable duration."""
+        """The rough optimum, with few spline pieces, of a start, from a long duration."""
         self.watch.trying = start.name
         begin, o = start.motion(problem, self._few), self.options
         found = rough(problem, FreeCurve, begin, o.nodes_per_span, self.watch, o.rough_gain, o.most_roughly, beat)
@@ -213,12 +213,12 @@ class _Search:
         return problem, found
 
     def _refined(self, problem: TransportProblem, found: Iterate) -> FastestMotion:
-        """The optimum with all pieces."""
+        """The optimum with all spline pieces near a rough one."""
         self.watch.trying = f"a motion of {found.duration:.3f} s, refined"
         grid = found.curve.grid
         start = refitted(SplineMotion(self._few, found.coefficients, found.duration), self.options.spans)
         also = np.setdiff1d(grid.s[grid.nodes], self._few.nodes(self.options.nodes_per_span))
-        damping = 0.7 if problem.cases else REFINED  # what swings is new to a rough motion: its first step is shorter
+        damping = 0.7 if problem.cases else REFINED  # rough optima ignore load dynamics: a shorter first step
         best = optimum(problem, self.options, start, self.watch, damping, also=also)
         self.iterations += best.iterations
         return best
@@ -232,13 +232,13 @@ class _Search:
 
 
 def _promise(begin: Begin) -> float:
-    """About how long a motion from there may take, s: longer, the deeper the path is in something."""
+    """Estimated duration, s, of a motion from a start: longer, the deeper its path is inside obstacles."""
     problem, start = begin
     return start.least(problem) * (1 + 8.0 * touches(problem, start))  # 1/m: by 8 % for each centimetre
 
 
 def _ended(status: Status, watch: Watch) -> Status:
-    """The status of a search that was ended before it was done says so."""
+    """The status of a search, which says so if the search was ended early."""
     if not watch.ended:
         return status
     why = f"The search was ended by {WHY[watch.ended]} before it was done."

@@ -1,5 +1,5 @@
-"""The least sensitive motion in a given time: the integral of the squared Pi, eq (13) of the paper, over the motions of
-the arm's joints, within its limits, clear of obstacles, every contact kept for the whole uncertain set."""
+"""The least sensitive motion of the arm in a given duration: it minimises the integral of the squared Pi, eq (13) of
+the paper, within the arm's limits, clear of obstacles, with contact kept for the whole uncertain set."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class SensitivityCost(Objective):
-    """The cost of the first object's closed loop, eq (13), in units of `unit`, of a duration in s that is given.
+    """The cost of the first object's closed loop, eq (13), in units of `unit`, for a fixed duration in s.
 
-    The unit must be the size of the cost: tolerances and the price of a broken row are shares of 1.
+    The unit must be of the size of the cost: tolerances and the penalty on violations assume values of about 1.
     """
 
     problem: TransportProblem
@@ -51,7 +51,7 @@ class SensitivityCost(Objective):
         return float(np.sum(np.square(self._residual(at.coefficients, derivatives=False)[0])))
 
     def model(self, curve: Curve, at: Point) -> QuadraticModel:
-        """By Gauss and Newton."""
+        """Gauss-Newton model of the cost."""
         known = self._last.get("model")
         if known is None or known[0] is not at.coefficients:
             residual, jacobian = self._residual(at.coefficients, derivatives=True)
@@ -102,7 +102,7 @@ class SensitivityCost(Objective):
 
     @cached_property
     def _curves(self) -> tuple[FreeCurve, FreeCurve]:
-        """At the instants of the grid, and at those between them."""
+        """Curves at the instants of the grid, and at those between them."""
         at_grid, at_times = (Grid.of(self.spline, t / self.duration) for t in (self.grid.t, self.grid.times))
         return FreeCurve(self.problem, at_grid), FreeCurve(self.problem, at_times)
 
@@ -114,14 +114,13 @@ class SensitivityCost(Objective):
 def plan_least_sensitive(
     scenario: Scenario, *, options: FastestOptions | None = None, watch: Watch | None = None
 ) -> Plan:
-    """The plan along which the closed loop reacts least to wrong parameters, eq (13), in the scenario's duration, with
-    the arm's limits kept, obstacles avoided and every contact kept for the whole uncertain set by the exact condition;
-    the tray may tilt unless motion.orientation is "fixed".
+    """The plan along which the closed loop is least sensitive to parameter errors, eq (13), in the scenario's duration.
 
-    It is the better of the local optima from the shortest motion, made slower, and from the straight path between its
-    ends.
-    Raises ScenarioError without an arm or a duration, and where nothing uncertain acts on the closed loop,
-    UnreachableError when no motion was found that is as short.
+    The arm's limits are met, obstacles are avoided, every contact is kept for the whole uncertain set by the exact
+    condition, and the tray may tilt unless motion.orientation is "fixed". The result is the better of the local optima
+    found from the slowed-down fastest motion and from the straight path between its ends.
+    Raises ScenarioError without an arm, a duration or an uncertain parameter that acts on the closed loop,
+    UnreachableError when no safe motion in this duration was found.
     """
     options = options or FastestOptions()
     watch = watch or Watch(options.time_limit)
@@ -163,7 +162,7 @@ def plan_least_sensitive(
 
 def _instants(loop: TrayLoop, duration: float) -> Array:
     """Times, s, between which the cost is integrated."""
-    steps = 60  # at least: a motion's acceleration hardly bends over a sixtieth of it
+    steps = 60  # at least: over a sixtieth of a motion its acceleration is nearly linear
     return np.linspace(0, duration, steps * refinement(loop, duration / steps) + 1)
 
 

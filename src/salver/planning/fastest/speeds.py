@@ -1,4 +1,4 @@
-"""Motions that hold at every speed factor from 0 to 1, by exchange: a speed at which one fails joins its problem."""
+"""Motions that are safe at every speed factor from 0 to 1: factors at which one fails are added to its problem."""
 
 from __future__ import annotations
 
@@ -19,13 +19,15 @@ Found = TypeVar("Found", bound=Any)  # a motion with its `problem`, as `joint_mo
 
 
 def at_every_speed(found: Found, plan: Plan, again: Callable[[Found], tuple[Found, Plan]]) -> tuple[Found, Plan]:
-    """A motion and its plan, sought again until it holds at every speed, if the scenario asks for that. The tray's
-    motion regressor is linear in the square of the factor; inner dynamics and what the arm makes of a parameter error
-    have time scales of their own, so speeds at which they fail join those at which the motion must hold.
+    """A motion and its plan, searched for again until safe at every speed factor, if the scenario asks for that.
 
-    again: a motion and its plan from one that was found, with a problem that asks for more.
+    The tray's motion regressor is linear in the square of the factor. Load dynamics and the arm's tracking error have
+    their own time scales, so the factors at which they fail are added to those at which the motion must be safe.
+
+    found, plan: the motion and its plan. again: returns a motion and its plan, from one that was found with a problem
+    that has more speed factors.
     """
-    for _ in range(8):  # at most: each adds a speed that was not looked at
+    for _ in range(8):  # each round adds a factor
         lacking = _lacking(found, plan) if plan.status.ok and plan.scenario.motion.speeds == "any" else ()
         if not lacking:
             break
@@ -34,8 +36,8 @@ def at_every_speed(found: Found, plan: Plan, again: Callable[[Found], tuple[Foun
 
 
 def _lacking(found: Found, plan: Plan) -> tuple[Speed, ...]:
-    """Speeds at which a motion fails: with inner dynamics as its plan says; else of some, with what the arm makes of a
-    parameter error."""
+    """Speed factors at which a motion fails: with load dynamics those that its plan names; else, of a few factors,
+    those at which it fails with the arm's tracking error."""
     problem = found.problem
     if problem.cases:
         return tuple(Speed(max(factor, SLOWEST)) for factor in plan.speeds.lacking)

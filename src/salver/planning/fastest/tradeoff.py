@@ -21,9 +21,12 @@ FRICTION_SHARE = 0.1  # half-range of friction when a scenario names nothing unc
 
 @dataclass(frozen=True)
 class TradeoffPoint:
-    """scale: of all half-ranges; 0 is nominal, 1 the scenario's own set. duration: of the fastest motion that is safe
-    for that set, s. friction_needed: least nominal friction coefficient with which the motion holds, all else
-    nominal, by object or interface the largest. margin: least exact margin at nominal parameters, share of the weight.
+    """A point of the trade-off between duration and robustness.
+
+    scale: factor of all half-ranges; 0 is nominal, 1 the scenario's own set. duration: of the fastest motion that is
+    safe for that set, s. friction_needed: least friction coefficient with which the motion is safe at otherwise nominal
+    parameters; the largest over all objects and interfaces. margin: least exact margin at nominal parameters, as a
+    share of the weight. status: of the plan.
     """
 
     scale: float
@@ -37,9 +40,9 @@ class TradeoffPoint:
 
 
 def scaled(scenario: Scenario, factor: float) -> Scenario:
-    """The scenario with all half-ranges multiplied. Raises ScenarioError when no such objects can exist.
+    """The scenario with all half-ranges multiplied by a factor. Raises ScenarioError when no such objects can exist.
 
-    Contents that may be any stay so, unless the factor is 0.
+    contents = "any" stays as it is, unless the factor is 0.
     """
     changes: dict[str, Any] = {}
     for i, item in enumerate(scenario.objects):
@@ -71,9 +74,9 @@ def _times(value: Any, factor: float) -> Any:
 class TradeoffTask:
     """The task of a trade-off curve.
 
-    scenario: without a duration, and with ranges. own: the scale of the given scenario's own set. tray: whether it may
-    tilt. assumed: the ranges that were assumed; "" if the scenario names some. left_open: s, the scenario's duration,
-    or None.
+    scenario: without a duration, and with ranges. own: the scale of the given scenario's own set. tray: in words,
+    whether the tray may tilt. assumed: in words, the ranges that were assumed; "" if the scenario gives some.
+    left_open: duration of the given scenario, s, which is ignored; None without one.
     """
 
     scenario: Scenario
@@ -84,7 +87,7 @@ class TradeoffTask:
 
     @classmethod
     def of(cls, scenario: Scenario) -> TradeoffTask:
-        """Of a scenario what `salver plan --fastest` asks, with something uncertain."""
+        """The task of `salver plan --fastest` for a scenario, with ranges assumed if it has none."""
         left_open, asked = scenario.motion.duration, scenario.with_changes(motion__duration=None)
         tray = "may tilt" if asked.motion.may_turn else "stays level"
         named = (
@@ -103,7 +106,7 @@ class TradeoffTask:
 
     @property
     def sentence(self) -> str:
-        """What is asked, and how it differs from what the scenario says."""
+        """The task in words, and how it differs from the scenario."""
         then = "so" if self.scenario.motion.orientation is None else "and"
         left = "" if self.left_open is None else f"The duration of {self.left_open:g} s is left open, {then} "
         found = f"{left}the tray {self.tray}, as with salver plan --fastest."
@@ -115,10 +118,10 @@ class TradeoffTask:
 def tradeoff(
     scenario: Scenario, scales: Sequence[float] = SCALES, options: FastestOptions | None = None
 ) -> Iterator[TradeoffPoint]:
-    """Points of the curve, smallest scale first, each from the one before; at the scenario's own ranges it is what
-    `plan_fastest` finds with the duration left open. Ends early where no motion is safe, or no such object can exist.
+    """Points of the curve, smallest scale first; each search begins from the point before.
 
-    Raises ScenarioError when the scenario has no arm.
+    At the scenario's own ranges the point is the result of `plan_fastest` with the duration left open. The curve ends
+    early where no motion is safe or no such object can exist. Raises ScenarioError when the scenario has no arm.
     """
     asked = TradeoffTask.of(scenario)
     before: FastestMotion | None = None

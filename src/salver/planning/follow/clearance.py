@@ -1,8 +1,8 @@
-"""Does anything touch along a motion, at any instant? And how near do things come?
+"""Collisions and least distances along a whole motion, not only at sampled instants.
 
-Distances are taken at some instants. Between two of them a pair of parts comes no nearer than half of what the two
-distances leave beyond the way that the parts can have gone against one another (conservative advancement; Mirtich,
-"Impulse-based Dynamic Simulation", 1996): where that is not enough, the interval is halved.
+Distances are computed at some instants. Between two of them the distance of a pair is at least half of (the sum of the
+two distances minus the length of the path that the parts can move relative to each other): conservative advancement,
+Mirtich, "Impulse-based Dynamic Simulation", 1996. Where this bound is too small, the interval is halved.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from salver.models.arm.arm_geometry import ArmGeometry
 from salver.trajectory import JointMotion
 
 RESOLUTION = 1e-4  # m: parts that may have come nearer than this count as touching
-EXACT = 1e-5  # m: Coal's distances are not known better
+EXACT = 1e-5  # m: accuracy of Coal's distances
 
 
 @dataclass(frozen=True)
 class NearestPair:
-    """Two parts, an instant (s) and their distance there (m): 0 or less when they overlap."""
+    """Two parts, an instant (s), and their distance then (m): 0 or less when they overlap."""
 
     first: str
     second: str
@@ -31,8 +31,10 @@ class NearestPair:
 
 @dataclass(frozen=True)
 class Sweep:
-    """touch: the first instant found at which two parts touch, or None. nearest: where any two of them are nearest;
-    obstacle: the same of those that stand around and of what passes them; None where nothing was compared.
+    """Result of the check of a motion.
+
+    touch: the first instant found at which two parts touch, or None. nearest: the closest approach of any two parts.
+    obstacle: the closest approach of a moving part to an obstacle. None where no pair was compared.
     """
 
     touch: NearestPair | None
@@ -41,7 +43,7 @@ class Sweep:
 
 
 def sweep(parts: ArmGeometry, motion: JointMotion) -> Sweep:
-    """All pairs of `parts` along the whole of a motion, the least distance to 1 mm."""
+    """Check all pairs of `parts` along a motion; least distances are accurate to 1 mm."""
     if not parts.pairs:
         return Sweep(None, None, None)
     reach = parts.levers(motion.q)
@@ -58,7 +60,7 @@ def sweep(parts: ArmGeometry, motion: JointMotion) -> Sweep:
         left = 0.5 * (first + last - gone)
         settled = gone <= RESOLUTION
         touch = _earlier(touch, _first_touch(end, np.where(settled, left, np.inf), pairs))
-        enough = np.zeros(len(pairs))  # what must be left, for an interval to need no further look
+        enough = np.zeros(len(pairs))  # bounds above this need no finer interval
         if touch is None:
             nearest_obstacle = least[around].min(initial=np.inf)
             enough = np.where(around[pairs], max(nearest_obstacle, least.min()), least.min()) - 1e-3
@@ -95,7 +97,7 @@ def sweep(parts: ArmGeometry, motion: JointMotion) -> Sweep:
 
 
 def _first_touch(t: Array, distance: Array, pairs: Indices) -> tuple[float, int] | None:
-    """The earliest instant at which a pair touches, and which; distances (T, len(pairs)), indices of the pairs."""
+    """The earliest instant at which a pair touches, s, and its index; of distances (T, len(pairs)) at t (T,)."""
     touching = distance <= EXACT
     if not touching.any():
         return None

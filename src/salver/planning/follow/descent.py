@@ -1,6 +1,6 @@
 """BFGS with backtracking (J. Nocedal and S. Wright, "Numerical Optimization", 2006, algorithms 6.1 and 3.1).
 
-A few steps of it choose postures. SciPy's takes a tenth of a second to import, a tenth of a short command.
+Own code because SciPy takes a tenth of a second to import, a tenth of a short command's time.
 """
 
 from __future__ import annotations
@@ -11,12 +11,14 @@ import numpy as np
 
 from salver.geometry import Array
 
-Slope = Callable[[Array], tuple[float, Array]]  # x (k,) to a value and its gradient (k,)
+Slope = Callable[[Array], tuple[float, Array]]  # from x (k,) to a value and its gradient (k,)
 
 
 def descend(at: Slope, x: Array, steps: int, flat: float) -> Array:
-    """Walk downhill from x (k,), so many steps at most, until no entry of the gradient exceeds `flat` or no step leads
-    down: where it ends. at: the function and its gradient.
+    """Minimise a function from x (k,); returns the last point (k,).
+
+    at: returns the function's value and gradient. x: (k,) the initial point. steps: at most. flat: ends when no entry
+    of the gradient exceeds it, or when no step lowers the value.
     """
     value, slope = at(x)
     inverse = np.eye(len(x)) / max(1.0, float(np.linalg.norm(slope)))

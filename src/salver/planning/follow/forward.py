@@ -10,7 +10,7 @@ from salver.trajectory import JointMotion, MotionSamples
 
 
 def tray_motion(arm: ArmModel, motion: JointMotion) -> MotionSamples:
-    """Motion of the tray's frame E at the samples of a joint motion; of something fixed to the tray by `of_frame`."""
+    """Motion of the tray's frame E at the samples of a joint motion; `of_frame` gives that of a frame fixed to it."""
     count, local = len(motion.t), pin.ReferenceFrame.LOCAL
     p, v, a, omega, alpha = (np.empty((count, 3)) for _ in range(5))
     R = np.empty((count, 3, 3))

@@ -1,4 +1,4 @@
-"""Does a joint motion keep the arm's limits? A verdict with joint, time and by how much."""
+"""Whether a joint motion keeps the arm's limits; the verdict names the joint, the time and the excess."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from salver.trajectory import JointMotion
 from salver.wording import listed
 
 WITHIN_LIMITS, LIMIT_EXCEEDED, COLLISION = "within_limits", "limit_exceeded", "collision"
-BETWEEN = 5e-3  # of a limit: more than what a motion that keeps it at a planner's instants asks for between them
+BETWEEN = 5e-3  # of a limit: a motion that keeps it at the planner's instants exceeds it by less between them
 
 
 @dataclass(frozen=True)
 class Peak:
-    """The largest share of one kind of limit over a motion: share 1 is the limit."""
+    """The peak of a motion relative to one kind of limit: a share of 1 is the limit."""
 
     kind: str
     share: float
@@ -37,17 +37,17 @@ class Peak:
 
 
 def torques(arm: ArmModel, motion: JointMotion, bodies: Sequence[Body] = ()) -> Array:
-    """(T, n) torque at the motion's samples, arm and tray and what is carried: N m."""
+    """Joint torques (T, n), N m, at the motion's samples, for arm, tray and the bodies carried."""
     load = with_load(arm, bodies)
     states = zip(motion.q, motion.dq, motion.ddq, strict=True)
     return np.array([load.inverse_dynamics(*state) for state in states])
 
 
 def peaks(arm: ArmModel, motion: JointMotion, bodies: Sequence[Body] = ()) -> list[Peak]:
-    """The largest share of each kind of the scenario's limits (`arm.planning_limits`).
+    """The peak relative to each kind of the scenario's limits (`arm.planning_limits`).
 
-    Position is measured from the middle of the range. Between samples too: the spline is checked twice as finely, and
-    where samples are far apart (two of them may be a whole motion) at 200 instants.
+    Position is measured from the middle of the range. The motion is checked between its samples too: at twice as many
+    instants, and at 200 at least.
     """
     motion, limits = _finely(motion), arm.planning_limits
     t = np.sort(np.concatenate([motion.t, 0.5 * (motion.t[1:] + motion.t[:-1])]))
@@ -73,7 +73,7 @@ def peaks(arm: ArmModel, motion: JointMotion, bodies: Sequence[Body] = ()) -> li
 
 
 def _finely(motion: JointMotion) -> JointMotion:
-    """The motion with no samples further apart than a 200th of it."""
+    """The motion resampled such that no step exceeds a 200th of its duration."""
     counts = np.ceil(np.diff(motion.t) * 200 / (motion.t[-1] - motion.t[0]) - 1e-9).astype(np.intp)
     if counts.max(initial=1) <= 1 or not all(np.isfinite(x).all() for x in (motion.q, motion.dq, motion.ddq)):
         return motion
@@ -82,8 +82,10 @@ def _finely(motion: JointMotion) -> JointMotion:
 
 
 def blocked_end(parts: ArmGeometry, ends: Mapping[str, tuple[Array, Array]], whatever: str = "") -> Status | None:
-    """Why nothing can stand at an end of a motion, or None; ends: name -> (p_SE, R_SE) of the tray. whatever: words for
-    what was tried at that end beside this."""
+    """Why the tray cannot be at an end of the motion, whatever the arm's posture; None if it can.
+
+    ends: from the end's name to the tray's pose (p_SE, R_SE). whatever: words on other headings that were tried.
+    """
     for name, (p_SE, R_SE) in ends.items():
         found = parts.in_the_way(p_SE, R_SE)
         if found is not None:
@@ -97,8 +99,8 @@ def blocked_end(parts: ArmGeometry, ends: Mapping[str, tuple[Array, Array]], wha
 
 
 def unchecked(arm: ArmModel, parts: ArmGeometry) -> list[str]:
-    """Parts of the arm's verdict that were not checked, in words: surroundings without obstacles, missing limits,
-    unknown masses, shapes and pairs left out."""
+    """What the arm's verdict does not cover, in words: surroundings without obstacles, missing limits, unknown masses,
+    and shapes and pairs that were left out."""
     nobody: dict[str, list[str]] = {}
     for kind in LIMITS:
         if arm.weightless and kind.of == "torque":
@@ -126,14 +128,18 @@ def verdict(
     parts: ArmGeometry | None = None,
     between: float = 0.0,
 ) -> Status:
-    """Status "within_limits", "limit_exceeded" or "collision". A good one says first what was not checked.
+    """The verdict on the arm's limits: "within_limits", which first names what was not checked, "limit_exceeded" or
+    "collision".
 
-    parts: the arm's geometry, when it is known already. between: share by which the scenario's part of a limit may be
-    overstepped, but never the maker's own: for looks at other instants than those at which a motion was planned
-    (`BETWEEN`). `details` has the peak of each kind of limit by its key;
-    "unchecked" (`unchecked`); "limit_sources": who gave each limit, joint by joint; "pairs_left_out": links that were
-    not compared, by reason; "clearance": the nearest two parts; "obstacle_clearance": the part nearest to an obstacle;
-    "collision": the parts that touch.
+    arm: the arm. motion: of its joints. bodies: carried bodies, whose weight and shape count. parts: the arm's
+    geometry, if it is known already. between: share by which the scenario's part of a limit may be exceeded (never the
+    manufacturer's limit), for checks at other instants than the planner's (`BETWEEN`).
+
+    Returns:
+        Status, whose `details` have the peak of each kind of limit by its key; "unchecked" (`unchecked`);
+        "limit_sources": who gave each limit, per joint; "pairs_left_out": links that were not compared, by reason;
+        "clearance": the closest two parts; "obstacle_clearance": the part closest to an obstacle; "collision": the
+        parts that touch.
     """
     parts = arm_geometry(arm, bodies) if parts is None else parts
     found = peaks(arm, motion, bodies)
@@ -170,7 +176,7 @@ def verdict(
 
 
 def _room(arm: ArmModel, kind: LimitKind, between: float) -> Array:
-    """(n,) what a motion may use of the scenario's part of each limit of a kind."""
+    """The share (n,) of each limit of a kind that a motion may use."""
     part, whole = arm.planning_limits.range(kind)[1], arm.limits.range(kind)[1]
     with np.errstate(invalid="ignore"):  # where nobody gave a limit
         return np.fmin(1.0 + between, np.fmax(whole / part, 1.0))

@@ -35,15 +35,18 @@ def follow(
     q_start: Sequence[float] | Array | None = None,
     seed: int = 0,
 ) -> tuple[JointMotion | None, Status]:
-    """Joint motion along which the tray carries the object's frame B along `reference`.
+    """The joint motion with which the object's frame B follows `reference`.
 
-    p_EB, R_EB: place of B on the tray. bodies: all that is carried; its weight counts in the torques and its
-    size in collisions. obstacles: in the world, to be kept clear of. q_start: (n,) where to start; None to have it
-    chosen (same seed, same choice).
+    arm: the arm. reference: motion of B in S. p_EB, R_EB: pose of B on the tray, m. bodies: all carried bodies; their
+    weight counts in the torques and their shape in collisions. obstacles: in the world. q_start: (n,) start posture,
+    rad; None to have it chosen. seed: of the choice of the start posture.
 
-    Returns the motion and a status: "within_limits"; "limit_exceeded" or "collision", with the joint or the
-    parts, the time and by how much (the motion is returned all the same); or "unreachable", with no motion.
-    Raises ScenarioError when `q_start` is wrong (`salver.planning.postures.start_posture`).
+    Returns:
+        The motion and a status: "within_limits"; "limit_exceeded" or "collision", with the joint or the parts, the time
+        and the excess (the motion is returned all the same); or "unreachable", with None.
+
+    Raises:
+        ScenarioError: `q_start` is wrong (`salver.planning.postures.start_posture`).
     """
     path = tray_path(reference, p_EB, R_EB, np.linspace(0.0, reference.duration, 31))  # redundancy is smooth
     parts = arm_geometry(arm, bodies, obstacles)
@@ -79,9 +82,15 @@ def follow_scenario(
 ) -> tuple[JointMotion | None, Status]:
     """`follow` for the first object of a scenario, with all its objects as load and its start posture.
 
-    arm: the scenario's arm when it is loaded already. q_start: overrides the scenario's, so that a second
-    trajectory can start from the posture chosen for the first, where the joints' limits allow that one. Raises
-    ScenarioError when there is no arm, or the scenario's start posture is wrong.
+    scenario: with an arm. reference: motion of the first object's frame B. arm: the scenario's arm, if it is loaded
+    already. q_start: (n,) start posture, rad, instead of the scenario's, if the joint limits allow it: a second motion
+    can start where the first one does.
+
+    Returns:
+        As `follow`.
+
+    Raises:
+        ScenarioError: there is no arm, or the scenario's start posture is wrong.
     """
     if scenario.arm is None:
         raise ScenarioError(
@@ -106,7 +115,7 @@ def follow_scenario(
 def _choices(
     load: ArmModel, parts: ArmGeometry, path: TrayPath, whole: list[Array], free_start: bool
 ) -> Iterator[Choice]:
-    """Ways to use the redundancy, the most promising few improved and the best of them first."""
+    """Choices of the redundant joint motion: the most promising ones, improved, best first."""
     choices = [choice for postures in whole if (choice := first_choice(load, parts, path, postures)) is not None]
     choices.sort(key=lambda choice: choice.cost)
     yield from sorted(
@@ -118,7 +127,7 @@ def _choices(
 def _sampled(
     arm: ArmModel, reference: Reference, p_EB: Array, R_EB: Array, path: TrayPath, choice: Choice
 ) -> JointMotion | None:
-    """The joint motion of a choice on a fine grid."""
+    """The joint motion of a choice, sampled on a fine grid."""
     step = 5e-3  # s, and a sixtieth of the motion, at most; quintic in between
     count = max(2 * len(path.t), int(np.ceil(reference.duration / step)) + 1)
     fine = tray_path(reference, p_EB, R_EB, np.linspace(0.0, reference.duration, count))

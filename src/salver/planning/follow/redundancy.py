@@ -1,18 +1,18 @@
-"""Joint motions along which the tray goes where it must, and the best use of the joints that are left over.
+"""Joint motions for a given motion of the tray, and the choice of the redundant degrees of freedom.
 
-The tray must go where the object goes: six conditions on n joints. A redundant arm has n - 6 left to choose. They
-are chosen as linear functions of the joints, C q = s(t), with C as near as possible to the null spaces of the
-Jacobian along the motion (an extended Jacobian: Baillieul 1985), and s(t) a polynomial at rest at both ends. So
-q(t) is the root of a square system at each instant, independent of the path that led there: nothing drifts, and
-velocity and acceleration are exact derivatives of it,
+The tray's pose gives six conditions on n joints; a redundant arm has n - 6 degrees of freedom left. They are fixed by
+linear functions of the joints, C q = s(t), with C as near as possible to the null spaces of the Jacobian along the
+motion (an extended Jacobian: Baillieul 1985), and s(t) a polynomial at rest at both ends. So q(t) is the root of a
+square system at each instant, whatever path led there: it does not drift, and velocity and acceleration are its exact
+derivatives,
 
     [J; C] dq = [V; s'],    [J; C] ddq = [V' - J' dq; s''].
 
 The coefficients of s(t) keep positions, speeds, accelerations and torques far from their limits, and the arm
 far from singular postures.
 
-An arm of fewer joints than six has none to choose, and follows what lies within its reach: the systems are then solved
-by least squares, and only a root counts.
+An arm with fewer than six joints has no such freedom and can follow some motions only: the systems are then solved by
+least squares, and accepted if the residual vanishes.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from salver.trajectory import MotionSamples, Reference
 
 @dataclass(frozen=True)
 class TrayPath:
-    """The tray's motion at N instants: pose, body twist (v, omega) and its rate, of frame E."""
+    """Motion of the tray's frame E at N instants: pose, body twist (v, omega) and its derivative."""
 
     t: Array
     p_SE: Array
@@ -54,7 +54,7 @@ class FollowedPath:
 
 
 def tray_path(reference: Reference, p_EB: Array, R_EB: Array, t: Array) -> TrayPath:
-    """The tray's motion when the object keeps its place (p_EB, R_EB) on it."""
+    """The tray's motion at t (N,) when the object stays at (p_EB, R_EB) on it and follows `reference`."""
     samples: MotionSamples = reference.sample(t).of_frame(*invert(p_EB, R_EB))
     v = np.einsum("tji,tj->ti", samples.R_SB, samples.v_S)
     a = np.einsum("tji,tj->ti", samples.R_SB, samples.a_S)
@@ -86,9 +86,9 @@ def _extended(jacobian: Array, rows: Array) -> Array:
 def solve_path(
     arm: ArmModel, path: TrayPath, q: Array, rows: Array, profile: tuple[Array, ...], tolerance: float = REACHED
 ) -> FollowedPath | None:
-    """Root of the extended system at every instant, by Newton's method from a guess (N, n), and its derivatives.
+    """Root of the extended system at every instant, by Newton's method from a guess q (N, n), and its derivatives.
 
-    tolerance: m and rad. None where there is no root near the guess.
+    tolerance: m and rad. None when no root was found near the guess.
     """
     s, ds, dds = profile
     q = q.copy()
@@ -127,7 +127,7 @@ def _solved(matrix: Array, right: Array) -> Array:
 
 @dataclass(frozen=True)
 class Choice:
-    """One way to use the redundancy: rows C (r, n), start s_0 (r,), coefficients (4, r) of s(t)."""
+    """A choice of the redundant joint motion: rows C (r, n), start s_0 (r,), coefficients (4, r) of s(t)."""
 
     rows: Array
     start: Array
@@ -162,12 +162,11 @@ def _profile(start: Array, coefficients: Array, t: Array) -> tuple[Array, ...]:
 
 @dataclass(frozen=True, eq=False)
 class Usage:
-    """Use of the limits along a path: a smooth stand-in for the largest share, 1 at a limit.
+    """How much of the limits a path uses: a smooth approximation of the largest share, which is 1 at a limit.
 
-    `arm` includes what is carried. sharpness: exponent of the norm that stands for "the largest of all"; doubled, less
-    is done about what is second. clear: m; parts that are further apart do not count, 0 is a full limit. singular:
-    smallest singular value of the body Jacobian (m or 1 per rad) that counts as a full limit. Doubled, either is kept
-    from twice as far, at the price of speed.
+    arm: with the carried bodies. sharpness: exponent of the norm that approximates the maximum. clear: distance of two
+    parts, m, from which on they count; contact is share 1. singular: smallest singular value of the body Jacobian (m or
+    1 per rad) that counts as share 1. Larger values of the last two keep more distance, with less speed.
     """
 
     arm: ArmModel
@@ -184,7 +183,7 @@ class Usage:
 
     @cached_property
     def _singular_values(self) -> tuple[Array, Array, Array]:
-        """The smallest of each body Jacobian (N,), with its left (N, 6) and right (N, n) direction."""
+        """Smallest singular value of each body Jacobian (N,), with its left (N, 6) and right (N, n) vector."""
         left, values, right = np.linalg.svd(self.joints.jacobian, full_matrices=False)
         return np.maximum(values[:, -1], 1e-9), left[:, :, -1], right[:, -1]
 
@@ -205,8 +204,8 @@ class Usage:
         return float(largest * np.mean((shares / largest) ** self.sharpness) ** (1 / self.sharpness))
 
     def gradient(self, rows: Array) -> tuple[Array, Array, Array]:
-        """Derivative of the cost by s, s', s'' (N, r) at each instant, where [J; C] dq = [V; s'] and so on hold: the
-        adjoint of these systems."""
+        """Derivatives of the cost by s, s', s'' (N, r) at each instant, with the adjoint of [J; C] dq = [V; s'] and of
+        the systems for q and ddq."""
         arm, joints, cost = self.arm, self.joints, self.cost
         count = sum(shares.size for shares in self._shares.values())
         by = {
@@ -227,7 +226,7 @@ class Usage:
             by_q[k] += by_value["torque"][k] @ torque_by_q
             by_dq[k] += by_value["torque"][k] @ torque_by_dq
             masses[k] = mass
-            # How the Jacobian turns is how the velocity of one direction of the joints changes with the posture.
+            # (dJ/dq) v for the singular direction v is the derivative by q of the tray's velocity at dq = v.
             pin.computeForwardKinematicsDerivatives(model, data, q, right[k], ddq)
             turned = pin.getFrameVelocityDerivatives(model, data, frame, pin.LOCAL)[0]
             by_q[k] -= by["singular"][k, 0] * self.singular / smallest[k] ** 2 * left[k] @ turned
@@ -250,9 +249,9 @@ class Usage:
 
 
 def _null_rows(jacobian: Array) -> Array:
-    """C (n - 6, n): the directions that are nearest to the null spaces of all Jacobians (N, 6, n) of a path.
+    """C (n - 6, n), orthonormal: the directions closest to the null spaces of all Jacobians (N, 6, n) of a path.
 
-    Orthonormal, with signs that do not depend on the linear algebra underneath; none for up to six joints.
+    Signs do not depend on the linear algebra library. No rows for up to six joints.
     """
     free = max(0, jacobian.shape[2] - 6)
     basis = np.linalg.svd(jacobian)[2][:, 6:]
@@ -262,7 +261,7 @@ def _null_rows(jacobian: Array) -> Array:
 
 
 def first_choice(arm: ArmModel, parts: ArmGeometry, path: TrayPath, postures: Array) -> Choice | None:
-    """Postures by continuation in the form C q = s(t), which they fit nearly."""
+    """The choice C q = s(t) that fits postures (N, n) of a path best; None if the arm cannot follow with it."""
     rows = _null_rows(_kinematics(arm, postures)[2])
     s = postures @ rows.T
     coefficients = np.linalg.lstsq(_basis(len(path.t))[0], s - s[0], rcond=None)[0]
@@ -271,13 +270,13 @@ def first_choice(arm: ArmModel, parts: ArmGeometry, path: TrayPath, postures: Ar
 
 
 def improved(arm: ArmModel, parts: ArmGeometry, path: TrayPath, start: Choice, free_start: bool) -> Choice:
-    """Improve the coefficients of s(t), and where it starts if that is free, by BFGS on `Usage`."""
+    """The choice with improved coefficients of s(t), and start s_0 if that is free, by BFGS on `Usage`."""
     rows = start.rows
     free = len(rows)
     if free == 0:
         return start
     best = start
-    parts = parts.near(start.path.q, 0.2)  # m: further parts do not come near in a few steps
+    parts = parts.near(start.path.q, 0.2)  # m: parts further apart than this cannot matter in a few steps
     duration = float(path.t[-1])
     values, first, second = _basis(len(path.t))
 

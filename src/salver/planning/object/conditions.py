@@ -1,16 +1,16 @@
-"""What keeps the carried objects in place (eq 16), as slacks along a motion that must stay above a margin.
+"""The contact conditions (eq 16) as slacks along a motion, which must stay above a margin.
 
-paper: Lambda = pinv(G F-hat) wrench >= 0 with the tube of the closed loop's input sensitivity (eqs 11, 12), in N. It
-asks for one particular distribution of the contact forces, and is sufficient. What the paper's loop does not know
-counts too: the least friction, the contact area that every placement keeps, and, to first order as for an object
-that follows its tray, place and tilt.
-exact: the wrench that the motion needs lies in the contact wrench cone of every interface, in the worst case over
-the uncertain set (`salver.models.contact_rows`), as a share of the normal force at rest. A body that follows its
-tray needs Y(t) phi whatever its phi, so this worst case is not first order. What moves inside loads adds to it, and
-keeps its own limits.
+"paper": Lambda = pinv(G F-hat) wrench >= 0 with the tube of the closed loop's input sensitivity (eqs 11, 12), in N. It
+requires one particular distribution of the contact forces, so it is sufficient. Uncertainties that the paper does not
+treat count too: the least friction, the contact area common to all placements, and, to first order, placement and
+tilt, as for an object that follows its tray.
+"exact": the wrench that the motion needs lies in the contact wrench cone of every interface, in the worst case over the
+uncertain set (`salver.models.contact_rows`); slacks are shares of the normal force at rest. A body that follows its
+tray needs Y(t) phi for every phi, so this worst case is not a first-order one. Load dynamics add to it, and have limits
+of their own.
 
-All are concave in what the tray feels, so at fixed orientation in the plan's variables, but for what the tray's lifting
-makes of swings: their tangents bound them from above.
+All slacks are concave in the tray's motion regressor, so with fixed orientation in the plan's variables (except for
+the effect of vertical acceleration on swinging loads): tangents bound them from above.
 """
 
 from __future__ import annotations
@@ -39,11 +39,11 @@ from salver.sensitivity.tray import BodyMotion, TraySensitivity
 
 UNITS = {"paper": "N", "exact": "of the weight"}
 TILT = "tilt limit"
-_PLACE_STEP = 1e-4  # m or rad, of a central difference of what is nearly linear
+_PLACE_STEP = 1e-4  # m or rad, of a central difference of a nearly linear function
 
 
 class Rows(Protocol):
-    """n slacks of one condition at T instants. owner: (n,) whose each is."""
+    """The n slacks of one condition at T instants. owner: (n,) object or interface of each."""
 
     @property
     def owner(self) -> tuple[str, ...]: ...
@@ -60,18 +60,21 @@ class Rows(Protocol):
 def conditions_along(
     scenario: Scenario, t: Array, motion: BodyMotion, sensitivity: Callable[[], TraySensitivity], n_z: int = 0
 ) -> tuple[Rows, ...]:
-    """The contact conditions of everything that a scenario carries, and its limit on tilt, along a motion of the first
-    object's B at t (T,), with its closed loop's sensitivity and derivatives by n_z variables.
+    """The contact conditions of all objects of a scenario, and its tilt limit, along a motion.
 
-    Raises ScenarioError when the paper's condition is asked for loads in which something moves, for objects that stand
-    on each other, or for a tray that shakes."""
+    scenario: the task. t: (T,) instants, s. motion: of the first object's frame B at t, with derivatives by n_z
+    variables. sensitivity: returns that of the first object's closed loop. n_z: number of variables.
+
+    Raises:
+        ScenarioError: contact.condition = "paper" with load dynamics, objects on each other or a shaking tray.
+    """
     payload, largest = scenario.payload, scenario.motion.max_tilt_deg
     payload.check_places()
     tilt = () if largest is None else (TiltRows.along(motion, len(t), float(np.deg2rad(largest)), n_z),)
     if scenario.contact.condition == "paper":
         _check_known_to_paper(scenario)
         return (*(_paper(payload, body, motion, sensitivity, n_z) for body in payload.bodies), *tilt)
-    # How loads swing inside at other speeds is looked at along whole motions, not by rows of instants.
+    # Load dynamics at other speed factors are checked along whole motions, not by rows of instants.
     speeds = (FULL_SPEED,) if payload.dynamic else corners(scenario.motion.speeds, scenario.motion.speed_rate)
     felt = {speed: FeltMotion(payload, t, *felt_at(motion, payload.first, n_z, speed)) for speed in speeds}
     contacts = (MotionRows.of(rows, felt[speed], speed) for rows in contact_rows(payload) for speed in speeds)
@@ -79,19 +82,19 @@ def conditions_along(
 
 
 def unit_of(scenario: Scenario, owner: str) -> str:
-    """Unit of the slack of one row."""
+    """Unit of the slack of a row with this owner."""
     if of_load(owner):
         return "of the room"
     return "rad" if owner == TILT else UNITS[scenario.contact.condition]
 
 
 def of_load(owner: str) -> bool:
-    """Whether a row is of what moves inside a load ("liquid in cup"), whose names have no spaces."""
+    """Whether the owner of a row is a load's inner dynamics ("liquid in cup"); names of bodies have no spaces."""
     return " in " in owner
 
 
 def apart(owner: str) -> bool:
-    """Whether a row is of no contact, and so in a unit of its own."""
+    """Whether a row is no contact condition and so has another unit."""
     return owner == TILT or of_load(owner)
 
 
@@ -100,9 +103,10 @@ def apart(owner: str) -> bool:
 
 @dataclass(frozen=True)
 class WrenchRows:
-    """map @ wrench of one body, less its tube (eq 12). map (n, 6); wrench (T, 6), wrench_jacobian (T, 6, n_z).
+    """Slacks map @ wrench of one body, minus the tube (eq 12).
 
-    spread (T, 6, n_p) and spread_jacobian (T, 6, n_p, n_z): sensitivity of the wrench times the set's factor.
+    map (n, 6); wrench (T, 6), wrench_jacobian (T, 6, n_z). spread (T, 6, n_p), spread_jacobian (T, 6, n_p, n_z): the
+    wrench's sensitivity times the factor of the uncertain set.
     """
 
     owner: tuple[str, ...]
@@ -144,7 +148,8 @@ def _check_known_to_paper(scenario: Scenario) -> None:
 def _paper(
     payload: Payload, body: Body, motion: BodyMotion, sensitivity: Callable[[], TraySensitivity], n_z: int
 ) -> WrenchRows:
-    """Lambda of one body: the closed loop's tube for the first, that of a body that follows its tray for others."""
+    """Lambda of one body: with the closed loop's tube for the first, and that of a body fixed to its tray for
+    others."""
     first, uncertain = payload.first, payload.uncertain
     (network,) = (one for one in payload.networks if one.bodies[0] is body)  # nothing else touches it
     contacts = sure_contacts(network, payload.tray_half, uncertain)[0]
@@ -174,7 +179,7 @@ def _paper(
 
 
 def _place_map(body: Body, parameters: tuple[Parameter, ...]) -> Array:
-    """(n_p, 6, 12) change of a body's wrench with its place and the tray's tilt, of what the tray feels."""
+    """Derivative (n_p, 6, 12) of a body's wrench by placement and tilt parameters, as a map of the motion regressor."""
     maps = np.zeros((len(parameters), 6, N_MOTION))
     for k, parameter in enumerate(parameters):
         if not parameter.places or parameter.owner not in ("", body.name):
@@ -205,8 +210,7 @@ def _stacked(force: Dual, torque: Dual, n_z: int) -> tuple[Array, Array]:
 
 @dataclass(frozen=True, eq=False)
 class FeltMotion:
-    """What the tray feels, w (T, 12) at t (T,), its derivative (T, 12, n_z), and what it makes of what moves inside
-    loads."""
+    """The tray's motion regressor w (T, 12) at t (T,), its derivative (T, 12, n_z), and the load dynamics' response."""
 
     payload: Payload
     t: Array
@@ -219,7 +223,7 @@ class FeltMotion:
         return self.w if step is None else self.w + self.w_jacobian @ step
 
     def loads(self, step: Array | None) -> Mapping[str, tuple[LoadResponse, ...]]:
-        """What moves inside all loads after a step; that of the last one is kept."""
+        """Responses of all load dynamics after a step; cached for the latest step."""
         key = b"" if step is None else step.tobytes()
         if key not in self._loads:
             self._loads.clear()
@@ -229,7 +233,7 @@ class FeltMotion:
 
 @dataclass(frozen=True)
 class MotionRows:
-    """Contact rows, and what loads add to them, in the worst case, with the sign of a slack."""
+    """Slacks of contact rows in the worst case, with what load dynamics add."""
 
     owner: tuple[str, ...]
     rows: ContactRows
@@ -257,8 +261,8 @@ class MotionRows:
 
 @dataclass(frozen=True)
 class LoadLimitRows:
-    """The least share that what moves in one body leaves of all its limits, `LoadResponse.limits`, in any case; at the
-    last instant, of what it does after the motion too."""
+    """Slacks of one body's load dynamics: the least share left of all its limits, `LoadResponse.limits`, in any case;
+    at the last instant also of limits after the motion."""
 
     body: Body
     felt: FeltMotion
@@ -285,7 +289,8 @@ class LoadLimitRows:
 
 
 def felt_at(motion: BodyMotion, first: Body, n_z: int, speed: Speed = FULL_SPEED) -> tuple[Array, Array]:
-    """w (T, 12) of the tray's E (`salver.models.tray_motion`) at a speed, with its derivative (T, 12, n_z)."""
+    """Motion regressor w (T, 12) of the tray (`salver.models.tray_motion`) at a speed factor, and its derivative
+    (T, 12, n_z)."""
     shape = motion.force.value[:, 0].shape
     force, alpha, omega = (motion.force, motion.alpha, motion.omega) if speed.factor else (motion.weight, None, None)
     parts = [(0, force, 1.0), (3, alpha, 1.0)]
@@ -314,7 +319,7 @@ def felt_at(motion: BodyMotion, first: Body, n_z: int, speed: Speed = FULL_SPEED
 
 @dataclass(frozen=True)
 class TiltRows:
-    """(cos tilt - cos limit) / sin limit (T,): the angle that is left, rad, to first order near the limit."""
+    """Slacks (T,) of the tilt limit, (cos tilt - cos limit) / sin limit: near the limit the angle that is left, rad."""
 
     owner: tuple[str, ...]
     left: Array
@@ -329,7 +334,7 @@ class TiltRows:
             # d(e_z . R e_z) = e_z . R (dtheta x e_z) = dtheta . (e_z x R^T e_z)
             lever = np.cross([0.0, 0.0, 1.0], upright) / np.sin(limit)
             jacobian = np.einsum("ti,tiz->tz", lever, motion.rotation.tangent[:, 0])
-        # One rotation stands for all of a motion that does not turn.
+        # A motion that does not rotate has a single rotation.
         return cls((TILT,), np.broadcast_to(left, instants), np.broadcast_to(jacobian, (instants, n_z)))
 
     def slack(self, step: Array | None = None) -> Array:

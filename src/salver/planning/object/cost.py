@@ -1,4 +1,4 @@
-"""What the plan minimises, eq (13): the integral of the squared norm of Pi, and how its rows and columns count."""
+"""The cost of a plan, eq (13): the integral of the squared norm of Pi, and the weights of its rows and columns."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from salver.scenario import Scenario
 from salver.sensitivity.dual import Dual
 from salver.sensitivity.tray import TrayLoop, TraySensitivity
 
-_STEP = 0.35  # of the fastest rate times h: the integral of the cost is then right to some 1e-4
+_STEP = 0.35  # largest product of the fastest rate and the step: the integral's relative error is then about 1e-4
 
 
 def tray_loop(scenario: Scenario) -> TrayLoop:
@@ -26,10 +26,10 @@ def tray_loop(scenario: Scenario) -> TrayLoop:
 
 @dataclass(frozen=True, eq=False)
 class CostWeights:
-    """How rows and columns of Pi count in the cost, and instants in its integral.
+    """Weights of the rows and columns of Pi in the cost, and of the instants in its integral.
 
     rows: of the blocks (dp, dtheta, dv, domega). columns: (n_p, n_p), multiplies Pi from the right. times: (T,) s.
-    The weightings of the scenario are:
+    The weightings that a scenario can choose are:
 
     paper: the plain norm of the whole state, metres beside radians. pose: the plain norm of its pose rows.
     scaled: every row as a displacement of the contact points, in m: rotations by the radius of the base,
@@ -44,7 +44,7 @@ class CostWeights:
 
     @classmethod
     def of(cls, scenario: Scenario, t: Array) -> CostWeights:
-        """As a scenario asks for, at uniform instants t (T,) from 0 on."""
+        """The weights of a scenario, at uniform instants t (T,), s, from 0 on."""
         times, uncertain = integration_weights(len(t), float(t[-1])), scenario.payload.uncertain
         if scenario.objective.weighting != "scaled":
             rates = 1.0 if scenario.objective.weighting == "paper" else 0.0
@@ -54,18 +54,18 @@ class CostWeights:
 
 
 def base_radius(body: Body) -> float:
-    """m, from B to the furthest corner of what a body stands on."""
+    """Distance, m, from B to the furthest corner of the surface that a body stands on."""
     return float(np.linalg.norm(body.base_polygon_B, axis=1).max())
 
 
 def refinement(loop: TrayLoop, step: float) -> int:
-    """Into how many parts a step of s is to be divided, for the integral of the cost."""
+    """Number of parts into which a step (s) is divided for the integral of the cost."""
     fastest = max(fastest_rate(*pair) for pair in zip(loop.gains.kp, loop.gains.kd, strict=True))
     return max(1, int(np.ceil(fastest * step / _STEP)))
 
 
 def integration_weights(instants: int, duration: float) -> Array:
-    """(T,) fourth-order end-corrected trapezoidal weights of a uniform grid, s (Gregory)."""
+    """Weights (T,), s, of the trapezoidal rule with fourth-order end correction (Gregory) on a uniform grid."""
     weights = np.full(instants, duration / (instants - 1))
     correction = np.array([9 / 24, 28 / 24, 23 / 24])
     weights[:3] *= correction
@@ -74,7 +74,7 @@ def integration_weights(instants: int, duration: float) -> Array:
 
 
 def sensitivity_cost(scenario: Scenario, t: Array, sensitivity: TraySensitivity) -> float:
-    """Integral (13) of the weighted squared norm of Pi over uniform instants t (T,) from 0 on."""
+    """The integral (13) of the weighted squared norm of Pi over uniform instants t (T,), s, from 0 on."""
     return float(np.sum(np.square(cost_residual(sensitivity, CostWeights.of(scenario, t))[0])))
 
 
@@ -83,7 +83,7 @@ def cost_residual(sensitivity: TraySensitivity, weights: CostWeights, size: int 
     instants = np.sqrt(weights.times)[:, None, None]
     residual, jacobian = [np.zeros(0)], [np.zeros((0, size))]
     blocks = (sensitivity.dp, sensitivity.dtheta, sensitivity.dv, sensitivity.domega)
-    moving = (sensitivity.loop.pushing, sensitivity.loop.turning) * 2  # the others' rows are zero
+    moving = (sensitivity.loop.pushing, sensitivity.loop.turning) * 2  # the other rows are zero
     for scale, block, which in zip(weights.rows, blocks, moving, strict=True):
         if scale > 0 and len(which):
             value, tangent = _times_columns(block, which, weights.columns, size)
@@ -93,8 +93,8 @@ def cost_residual(sensitivity: TraySensitivity, weights: CostWeights, size: int 
 
 
 def _times_columns(block: Dual, which: Indices, columns: Array, n_z: int) -> tuple[Array, Array]:
-    """(T, n_p, 3) and its tangent with the parameter axis multiplied by a matrix: of these parameters, others being
-    zero, and without the columns that are then zero."""
+    """A block (T, n_p, 3) and its tangent, multiplied by a matrix along the parameter axis. Only the parameters `which`
+    are nonzero; columns that are zero then are left out."""
     some = columns[which]
     weights = some[:, some.any(axis=0)].T
     value = weights @ block.value[:, which]

@@ -1,7 +1,7 @@
-"""What a reference means for the carried objects: wrench, coefficients, sensitivities and margins over time.
+"""Evaluation of a reference: wrench, cone coefficients, sensitivities and contact slacks over time.
 
-Computed from the reference itself, not from the matrices of the planning problem, and at any instants: the
-check of a plan does not share the planner's linear algebra.
+It uses the reference itself, not the matrices of the planning problem, so the check of a plan is independent of the
+planner's linear algebra.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ from salver.trajectory import MotionSamples, Reference
 
 @dataclass(frozen=True, repr=False)
 class Evaluation(Outlined):
-    """A motion at T uniform instants and what it asks of the contact, time axis first.
+    """A reference at T uniform instants with its contact quantities, time axis first.
 
-    samples: the motion of B. wrench_B (T, 6): nominal. cone_coefficients (T, n_lambda): Lambda of eq (19).
-    slack (T, n_c): the scenario's own contact conditions minus their tubes, in the condition's unit, before the
-    margin; slack_owner names the object or interface of each column. closed_loop: what the loop makes of wrong
-    parameters, worked out when it is first read. distribution (n_lambda, 6): of the wrench on the coefficients.
+    samples: the motion of B. wrench_B: (T, 6) nominal wrench. cone_coefficients: (T, n_lambda) Lambda of eq (19).
+    slack: (T, n_c) contact conditions of the scenario minus their tubes, in the condition's unit, before the margin.
+    slack_owner: (n_c,) object or interface of each column. closed_loop: response to parameter errors, computed when it
+    is first read. distribution: (n_lambda, 6) map from the wrench to the coefficients. uncertain: the uncertain set.
     """
 
     samples: MotionSamples
@@ -55,7 +55,7 @@ class Evaluation(Outlined):
 
     @cached_property
     def cone_radius(self) -> Array:
-        """(T, n_lambda) tube of the coefficients (eq 11)."""
+        """(T, n_lambda) tube radius of the coefficients (eq 11)."""
         return radius(self.input_sensitivity, self.uncertain)
 
     @property
@@ -64,29 +64,31 @@ class Evaluation(Outlined):
 
     @property
     def _others(self) -> Mask:
-        """(n_c,) which columns are no contact, but a brim or the limit on tilt."""
+        """(n_c,) which columns are no contact conditions, but a limit of load dynamics or of tilt."""
         return np.array([apart(owner) for owner in self.slack_owner])
 
     @property
     def contacts(self) -> Array:
-        """(T, ...) `slack` of the contact conditions alone."""
+        """(T, ...) `slack` of the contact conditions only."""
         return self.slack[:, ~self._others]
 
     def worst(self, since: float = 0.0) -> tuple[float, float, str]:
-        """Least slack, its time, and the object it belongs to: of the contacts, unless only something else fails.
-        since: s, of contacts alone from then on."""
+        """Least slack, its time (s) and its owner: of the contact conditions, unless only another condition fails.
+
+        since: s; from then on only contact conditions count.
+        """
         others, slack = self._others, self.slack
         if since > 0.0:
             slack = np.where(others | (self.t < since)[:, None], np.inf, slack)
         if slack[:, ~others].min() < 0 or slack[:, others].min(initial=np.inf) >= 0:
-            slack = np.where(others, np.inf, slack)  # in a unit of its own
+            slack = np.where(others, np.inf, slack)  # has another unit
         k, i = np.unravel_index(int(np.argmin(slack)), slack.shape)
         return float(slack[k, i]), float(self.t[k]), self.slack_owner[i]
 
 
 @dataclass(frozen=True, eq=False)
 class ObjectLoop:
-    """The object's loop along a reference, at a grid's instants; motion: the reference there."""
+    """The object's closed loop along a reference. motion: the reference at the instants of `grid`."""
 
     loop: TrayLoop
     grid: QuadratureGrid
@@ -100,7 +102,7 @@ class ObjectLoop:
 
 
 def evaluate(scenario: Scenario, reference: Reference, instants: int, rest: float = 0.0) -> Evaluation:
-    """Evaluate a reference at uniform instants from its start to its end; rest: s, and at rest after it."""
+    """Evaluate a reference at uniform instants from its start to its end, and for `rest` seconds at rest after it."""
     loop, payload = tray_loop(scenario), scenario.payload
     grid = loop.grid(np.linspace(0, reference.duration + rest, instants))
     samples = reference.sample(grid.t)

@@ -1,8 +1,7 @@
 """The optimisation problem of the paper, eqs (13) to (17), with derivatives.
 
-Variables z are what the boundary conditions leave free of the reference's coefficients: all rest-to-rest
-references are a = particular + null_space z (eq 26), for position and for body angular velocity alike. The
-goal orientation is met by an equality on z, because SO(3) is not flat.
+The variables z parametrise all rest-to-rest references, with coefficients a = particular + null_space z (eq 26), for
+position and for body angular velocity. The goal orientation is a nonlinear equality in z.
 
     minimise    integral of |S Pi(t)|^2 dt                       (13)   (and a trace of jerk)
     subject to  c(t) - r(t) >= margin on a grid of instants      (16)
@@ -36,17 +35,16 @@ from salver.trajectory import (
     position_boundary,
 )
 
-MISSED = 1e-7  # N (or the row's own unit) by which a solution may miss a constraint
-_SMOOTH = 1e-9  # share of the jerk in what is minimised
+MISSED = 1e-7  # N (or the row's own unit) by which a solution may violate a constraint
+_SMOOTH = 1e-9  # share of the jerk in the cost
 
 
 @dataclass(frozen=True)
 class Linearisation:
     """Cost and constraints linearised at z.
 
-    Residuals (n_r,), with cost = |residual|^2; constraints at T instants, n_c each.
-    rows: the contact conditions.
-    goal and goal_jacobian (m, n_z): what is left to the goal orientation; empty when orientation is fixed.
+    residual (n_r,), with cost = |residual|^2. rows: the contact conditions at T instants. goal (m,) and goal_jacobian
+    (m, n_z): the error of the goal orientation; empty when the orientation is fixed.
     """
 
     residual: Array
@@ -58,14 +56,15 @@ class Linearisation:
 
 @dataclass(frozen=True)
 class Problem:
-    """The planning problem of a scenario; constraints hold at `nodes` uniform instants at least: those of `grid`."""
+    """The planning problem of a scenario. Constraints are imposed at the instants of `grid`, at least `nodes` of
+    them."""
 
     scenario: Scenario
     nodes: int
 
     @property
     def margin(self) -> float:
-        """What slacks must exceed: the scenario's margin, and at least what a solution may miss it by."""
+        """The least slack allowed: the scenario's margin, or the numerical tolerance if that is larger."""
         return max(self.scenario.contact.margin, MISSED)
 
     @cached_property
@@ -88,7 +87,7 @@ class Problem:
 
     @cached_property
     def grid(self) -> QuadratureGrid:
-        """The nodes, and as many instants between them as the integral of the cost needs."""
+        """The nodes, with as many instants between them as the integral of the cost needs."""
         every = refinement(self.loop, self.duration / (self.nodes - 1))
         return self.loop.grid(np.linspace(0, self.duration, (self.nodes - 1) * every + 1))
 
@@ -103,11 +102,10 @@ class Problem:
 
     @property
     def is_affine(self) -> bool:
-        """Whether cost residuals and constraints are affine in z, so that one convex solve is the answer.
+        """Whether cost residuals and constraints are affine in z, so that one convex programme solves the problem.
 
-        What swings on a tray that lifts is stiffer, which is a product of two things that depend on z.
-        In the closed loop an uncertain centre of mass turns the object against the reference, and the force it
-        feels is then turned: a product of two things that depend on z.
+        Two effects are products of functions of z: vertical acceleration changes the stiffness of a swinging load, and
+        an uncertain centre of mass rotates the object in the closed loop, and with it the force on it.
         """
         turned = any(parameter.kind == "com" for parameter in self.uncertain.parameters)
         return (
@@ -140,7 +138,7 @@ class Problem:
 
     @property
     def size(self) -> int:
-        """n_z. Position first, axis by axis, then angular velocity, axis by axis."""
+        """Number of variables n_z: first of position, axis by axis, then of angular velocity, axis by axis."""
         return self.n_position + (3 * self._spin[1].shape[1] if self.rotates else 0)
 
     @property
@@ -148,7 +146,7 @@ class Problem:
         return 3 * self._position[1].shape[1]
 
     def reference(self, z: Array) -> PolynomialReference:
-        """The reference of z. z = 0 is the paper's initial guess, the minimum-norm solution a = M^+ d."""
+        """The reference of variables z (n_z,); z = 0 is the paper's initial guess, the minimum-norm a = M^+ d."""
         particular, null_space = self._position
         position = particular + null_space @ z[: self.n_position].reshape(3, -1).T
         angular_velocity = None
@@ -167,8 +165,8 @@ class Problem:
     def smoothness(self) -> tuple[Array, Array]:
         """Residual (n_j,) at z = 0 of the squared jerk (and second derivative of omega), and its Jacobian.
 
-        A trace of it decides between references that the cost cannot tell apart. If nothing uncertain acts on the
-        closed loop (friction alone, say), there is no other cost.
+        A small share of it decides between references of equal cost. If no uncertain parameter acts on the closed loop
+        (only friction, for example), it is the whole cost.
         """
         s, rate = 2 * self.grid.t / self.duration - 1, 2 / self.duration
         weights = np.sqrt(self.weights.times)[:, None, None]
@@ -188,7 +186,7 @@ class Problem:
 
     @property
     def _smoothness_share(self) -> float:
-        """What the jerk at z = 0 may count: a trace of the cost of errors that have settled, or 1 if none can arise."""
+        """Cost of the jerk at z = 0: a small share of the cost of settled errors, or 1 if no errors can arise."""
         push = np.full((1, 3), 1 / self.duration**2) if self.rotates else np.zeros((1, 3))
         zero = np.zeros((1, 3))
         still = MotionSamples(np.zeros(1), zero, zero, zero, np.eye(3)[None], zero, push)
@@ -198,7 +196,8 @@ class Problem:
         return _SMOOTH * self.duration * settled if settled > 0 else 1.0
 
     def _blocks(self, basis: Array, offset: int) -> Array:
-        """(T, m) for one axis to (T, 3, n_z), each axis in its own block of columns from `offset` on."""
+        """Expand a basis (T, m) of one axis to (T, 3, n_z): each axis has its own block of columns, from `offset`
+        on."""
         out = np.zeros((len(basis), 3, self.size))
         m = basis.shape[1]
         for axis in range(3):
@@ -226,7 +225,8 @@ class Problem:
         return v, a, *(self._blocks(basis, self.n_position) for basis in spin)
 
     def _motions(self, reference: PolynomialReference) -> tuple[MotionSamples, BodyMotion, BodyMotion, Array | None]:
-        """Samples on the grid, body motions there and between with derivatives by z, and dtheta/dz on the grid."""
+        """Samples on the grid, body motions on the grid and between with derivatives by z, and dtheta/dz on the
+        grid."""
         on_grid, between = reference.sample(self.grid.t), reference.sample(self.grid.times)
         (v, a, *spin), (v_between, a_between, *spin_between) = self._bases
         if not self.rotates:
@@ -258,7 +258,7 @@ class Problem:
         return Linearisation(residual, jacobian, rows, goal, goal_jacobian)
 
     def _goal(self, R_end: Array, theta_end: Array) -> tuple[Array, Array]:
-        """What is left to the goal orientation, (3,), with its derivative; (2,), of the vertical, with free yaw."""
+        """Error of the goal orientation, (3,), or of the vertical, (2,), with free yaw; and its derivative by z."""
         turn = self.scenario.motion.goal.rotation.T @ R_end
         if self.scenario.motion.goal_yaw == "fixed":
             return log(turn), right_jacobian_inverse(log(turn)) @ theta_end

@@ -1,9 +1,9 @@
-"""Solvers of the planning problem, eqs (13) to (17): the convex programme to global optimality, the rest by a sequence
-of such.
+"""Solvers of the planning problem, eqs (13) to (17): convex problems to global optimality, others by a sequence of
+convex programmes.
 
-A convex programme has a quadratic cost and thousands of concave constraints, few of which bind. The quadratic solver
-gets the tangents that its last answer violates, until none is. Every programme with fewer constraints bounds the
-optimum from below, which gives the duality gap that is reported.
+A convex programme has a quadratic cost and thousands of concave constraints, few of which are active. Tangents of the
+violated ones are added to a quadratic programme until none is violated. Each of these programmes has fewer constraints
+and so bounds the optimum from below, which gives the duality gap that is reported.
 """
 
 from __future__ import annotations
@@ -19,18 +19,18 @@ from salver.planning.object.conditions import Rows, apart, unit_of
 from salver.planning.object.problem import MISSED, Linearisation, Problem
 from salver.planning.qp import Optimum, Quadratic
 
-TOLERANCE = 1e-9  # N (or the row's own unit): a constraint of a convex programme counts as kept within this
-PROGRAMME_TOLERANCE = 1e-12  # of the scaled rows: the bound that a programme proves is only as good
+TOLERANCE = 1e-9  # N (or the row's own unit): violation of a convex programme's constraint that is allowed
+PROGRAMME_TOLERANCE = 1e-12  # of the scaled rows: limits the accuracy of the lower bound
 
 
 @dataclass(frozen=True)
 class SequentialOptions:
-    """How a local optimum is sought.
+    """Options of the sequential solver.
 
-    iterations: at most. progress: relative improvement of the cost that counts as none; doubled, a search ends up to
-    twice as far from its optimum. radius: first size of the trust region, in units of z. least_radius: at which a
-    search ends. penalty: first price of a unit of violation, in units of the starting cost. highest_penalty: at which a
-    violation that no step lowers is taken for infeasible.
+    iterations: at most. progress: relative improvement of the cost below which the search ends. radius: initial size of
+    the trust region, in units of z. least_radius: size of the trust region at which the search ends. penalty: initial
+    penalty on the violation, in units of the initial cost. highest_penalty: at which a violation that no step lowers
+    means an infeasible problem.
     """
 
     iterations: int = 60
@@ -43,10 +43,10 @@ class SequentialOptions:
 
 @dataclass(frozen=True)
 class Solution:
-    """A point z with its cost and how it was found.
+    """A solution z with its cost and how it was found.
 
-    cost: integral (13). lower_bound: a proven bound on it, or None where nothing is proven.
-    iterations: convex programmes solved. violation: how far the worst constraint on the grid is from kept.
+    cost: integral (13). lower_bound: a proven bound on it, or None without a proof. violation: of the worst constraint
+    on the grid. iterations: number of convex programmes solved.
     """
 
     z: Array
@@ -59,14 +59,14 @@ class Solution:
 
     @property
     def gap(self) -> float | None:
-        """Relative duality gap: |cost - lower bound| / cost. The bound has an error of some 1e-10 of its own."""
+        """Relative duality gap: |cost - lower bound| / cost. The bound itself has an error of about 1e-10."""
         return None if self.lower_bound is None else _relative(self.cost, self.lower_bound)
 
 
 def solve(problem: Problem, start: Array | None = None) -> Solution:
-    """Solve a planning problem: as a convex programme if it is one, else by a sequence of convex programmes.
+    """Solve a planning problem: as one convex programme if it is convex, else by a sequence of them.
 
-    An infeasible problem is a status, not an exception.
+    An infeasible problem is reported in the status, not by an exception.
     """
     if problem.is_affine:
         return solve_convex(problem)
@@ -78,7 +78,7 @@ def solve(problem: Problem, start: Array | None = None) -> Solution:
 
 
 def solve_convex(problem: Problem) -> Solution:
-    """Global optimum of the fixed-orientation problem, with the duality gap; or the least violation possible."""
+    """Global optimum of a convex problem, with the duality gap; or the solution with the least possible violation."""
     model, margin = problem.linearise(np.zeros(problem.size)), problem.margin
     method = "convex quadratic programme with tangent cuts"
     step = solve_model(model, margin)
@@ -89,12 +89,12 @@ def solve_convex(problem: Problem) -> Solution:
         status = Status("optimal", sentence, True, {"gap": gap})
         return Solution(step.d, cost, step.lower_bound, step.violation, step.rounds, method, status)
     relaxed = solve_model(model, margin, penalty=np.inf)
-    if relaxed is None:  # numbers too far apart for the programme: the motion that z = 0 stands for, without a proof
+    if relaxed is None:  # too badly scaled for the solver: the motion of z = 0, without a proof
         zero = np.zeros(problem.size)
         step = Step(zero, -np.inf, _violation(model, margin, zero), 0, 0.0)
     else:
         step = relaxed
-    if step.violation <= TOLERANCE:  # only the programme of least cost was too hard
+    if step.violation <= TOLERANCE:  # only the programme of least cost failed
         status = Status("iteration_limit", "The plan is safe; whether it is optimal could not be shown.", True)
     else:
         status = infeasible(problem, model, step.d, relaxed is not None)
@@ -104,10 +104,12 @@ def solve_convex(problem: Problem) -> Solution:
 def solve_sequential(
     problem: Problem, start: Array | None = None, options: SequentialOptions = SequentialOptions()
 ) -> Solution:
-    """Local optimum by Gauss-Newton steps inside a trust region, each a convex programme, from a start (n_z,), 0 unless
-    given. The cost's curvature beyond Gauss-Newton's is left to the trust region.
+    """Local optimum by Gauss-Newton steps inside a trust region, each a convex programme.
 
-    Where constraints bend, a step is corrected with what they turned out to be (Fletcher 1982).
+    The trust region makes up for the curvature that Gauss-Newton neglects. A step along which constraints are curved
+    gets a second-order correction with their true values (Fletcher 1982).
+
+    problem: what to solve. start: (n_z,) initial z; 0 unless given. options: of the search.
     """
     z, margin = np.zeros(problem.size) if start is None else start, problem.margin
     model = problem.linearise(z)
@@ -162,7 +164,7 @@ def solve_sequential(
 
 
 def infeasible(problem: Problem, model: Linearisation, d: Array, proven: bool) -> Status:
-    """The constraint that is violated most after the step d of least violation, with instant and amount."""
+    """Status that names the most violated constraint after the step d of least violation, its instant and amount."""
     contact = problem.scenario.contact
     worst = min(model.rows, key=lambda rows: float(rows.slack(d).min()))
     slack = worst.slack(d)
@@ -200,13 +202,13 @@ def _violation(model: Linearisation, margin: float, d: Array | None = None) -> f
 
 
 def _merit(model: Linearisation, margin: float, penalty: float, d: Array | None = None) -> float:
-    """Exact penalty on the largest violation and on the goal, after a step of the model."""
+    """Merit function after a step of the model: cost with exact penalties on the largest violation and the goal."""
     goal = model.goal if d is None else model.goal + model.goal_jacobian @ d
     return _cost(model, d) + penalty * (_violation(model, margin, d) + float(np.abs(goal).sum()))
 
 
 def _correction(trial: Linearisation, margin: float, radius: float) -> Array | None:
-    """Shortest step, in the metric of the cost, from a trial point back to what its own constraints allow."""
+    """Shortest step, in the metric of the cost, from a trial point to one that satisfies its linearised constraints."""
     level = replace(trial, residual=np.zeros_like(trial.residual))
     metric = float(np.mean(np.sum(trial.residual_jacobian**2, axis=0)))
     step = solve_model(level, margin, 1e-3 * metric, radius)
@@ -214,7 +216,7 @@ def _correction(trial: Linearisation, margin: float, radius: float) -> Array | N
 
 
 def _met_goal(problem: Problem, z: Array, model: Linearisation) -> tuple[Array, Linearisation]:
-    """z after Newton steps of least norm until the goal orientation is met to rounding, and the model there."""
+    """z after least-norm Newton steps until the goal orientation is met to rounding, and the linearisation there."""
     for _ in range(5):
         if np.abs(model.goal).max(initial=0.0) < 1e-13:
             break
@@ -224,7 +226,7 @@ def _met_goal(problem: Problem, z: Array, model: Linearisation) -> tuple[Array, 
 
 
 def _waiter(problem: Problem) -> Array:
-    """z of the min-jerk line with the tray tilted as a waiter does: its normal along a - g, as far as z allows."""
+    """z of the min-jerk line with the waiter's tilt: the tray's normal along a - g, as far as z allows."""
     z, n = np.zeros(problem.size), problem.n_position
     # The straight line is a minimum-jerk problem: least squares on the jerk that z leaves free.
     residual, jacobian = problem.smoothness
@@ -244,7 +246,7 @@ def _waiter(problem: Problem) -> Array:
 
 
 def _convex_bound(problem: Problem) -> float | None:
-    """A proven lower bound: of the cost alone when that is convex, with all constraints dropped."""
+    """A proven lower bound: the least cost without any constraints, if the cost is convex; else None."""
     if problem.rotates:
         return None
     model = problem.linearise(np.zeros(problem.size))
@@ -261,10 +263,10 @@ def _relative(cost: float, bound: float) -> float:
 
 @dataclass(frozen=True)
 class Step:
-    """Answer of one convex programme.
+    """Solution of one convex programme.
 
     d: the step. lower_bound, violation: of the model. rounds: quadratic programmes solved. price: sum of the
-    multipliers, what one unit of violation is worth.
+    multipliers, the change of the cost per unit of violation.
     """
 
     d: Array
@@ -284,9 +286,9 @@ def solve_model(
 ) -> Step | None:
     """Minimise |r + J d|^2 + damping |d|^2 over |d_i| <= radius, goal met, all rows above the margin.
 
-    penalty: price of one common violation s >= 0 of the rows, which must be kept without one; if it is infinite only s
-    counts (and the cost decides among equals by a hair). most_rounds: of tangents. Returns None when the rows
-    contradict each other.
+    penalty: on one common violation s >= 0 of all rows; None: the rows are hard constraints; infinite: only s is
+    minimised (a tiny weight of the cost decides between equal solutions). most_rounds: of adding tangents. Returns None
+    when the rows contradict each other.
     """
     n, elastic = model.residual_jacobian.shape[1], penalty is not None
     if n == 0:  # the boundary conditions leave nothing free
@@ -301,7 +303,7 @@ def solve_model(
     programme, step = _Programme(hessian, gradient, model, radius, penalty), None
     for rounds in range(1, most_rounds + 1):
         answer = programme.solve()
-        if answer is None:  # of an elastic one the latest tangents differ by rounding: the step before is as good
+        if answer is None:  # with a penalty: the latest tangents differ by rounding only, the last step is as good
             return step if elastic else None
         d, s, dual_value, price = answer
         offset, slope, violation = _violated(model.rows, d, margin, s)
@@ -313,7 +315,7 @@ def solve_model(
 
 
 def _violated(rows: tuple[Rows, ...], d: Array, margin: float, s: float) -> tuple[Array, Array, float]:
-    """Tangents at d of what is violated there: for each row, at its local minima over time."""
+    """Tangents at d of the violated slacks: of each row at its local minima over time."""
     offsets, slopes, violation = [np.zeros(0)], [np.zeros((0, len(d)))], 0.0
     for item in rows:
         slack = item.slack(d) - margin
@@ -331,10 +333,10 @@ def _violated(rows: tuple[Rows, ...], d: Array, margin: float, s: float) -> tupl
 
 
 class _Programme:
-    """The dense quadratic programme of a subproblem, which gets more rows from round to round.
+    """The dense quadratic programme of a subproblem, to which each round adds rows.
 
-    Scaled so that cost and rows are of order one, whatever their units. With a penalty, one unknown more: the common
-    violation s.
+    Cost and rows are scaled to order one, whatever their units. With a penalty the common violation s is one more
+    unknown.
     """
 
     def __init__(
@@ -354,8 +356,8 @@ class _Programme:
         self.quadratic = Quadratic(h, g, np.zeros((0, size)), np.zeros(0), equal, -model.goal, low, high)
 
     def add(self, offset: Array, slope: Array) -> None:
-        """Rows offset (m,) + slope (m, n) d >= 0."""
-        # What d cannot change keeps a row of order one when s can: its slope is rounding.
+        """Add rows offset (m,) + slope (m, n) d >= 0."""
+        # A row that d cannot change has a slope of rounding errors: with s it is scaled to order one all the same.
         norm = np.maximum(np.linalg.norm(slope, axis=1), 1.0 if self.elastic else 1e-12)
         rows = np.empty((len(slope), self.n + self.elastic))
         rows[:, : self.n] = slope / -norm[:, None]
@@ -368,8 +370,8 @@ class _Programme:
         )
 
     def solve(self) -> tuple[Array, float, float, float] | None:
-        """(d, s, value of the dual, sum of multipliers), or None when it is infeasible. The dual value is computed from
-        the multipliers themselves, so it is a bound even where the solver stopped early."""
+        """(d, s, dual value, sum of multipliers), or None when infeasible. The dual value is computed from the
+        multipliers, so it is a bound even if the solver stopped early."""
         found = qp.solve(self.quadratic, PROGRAMME_TOLERANCE)
         if found is None:
             return None

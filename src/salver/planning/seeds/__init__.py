@@ -1,1 +1,1 @@
-"""Where a search begins: postures at both ends, and paths from one to the other, past or around what stands there."""
+"""Initial guesses of a search: postures at both ends, and paths between them, straight or around obstacles."""

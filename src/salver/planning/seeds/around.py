@@ -1,9 +1,9 @@
-"""A way around what stands in the way: postures from one end to another along which nothing touches.
+"""Collision-free paths around obstacles, by RRT-Connect.
 
-Two trees, one from the start postures and one from the goal postures, grow in steps towards random postures and then
-towards one another (RRT-Connect: Kuffner and LaValle, ICRA 2000). Every posture is put back to where the tray leans no
-further than it may (Berenson, Srinivasa, Ferguson, Kuffner, ICRA 2009). What is found is then cut short. Work is
-counted in postures that are checked, never in seconds, so the same generator gives the same way on any machine.
+Two trees, from the start and from the goal postures, grow in steps towards random postures and then towards each other
+(RRT-Connect: Kuffner and LaValle, ICRA 2000). Each posture is projected to one within the tilt limit of the tray
+(Berenson, Srinivasa, Ferguson, Kuffner, ICRA 2009). The path found is then shortened. Effort is limited by the number
+of postures checked, not by time, so the same random generator gives the same path on any computer.
 """
 
 from __future__ import annotations
@@ -18,16 +18,16 @@ from salver.geometry import Array
 from salver.models.arm.arm_geometry import ArmGeometry
 from salver.planning.trajopt.problem import TransportProblem
 
-STEP = 0.1  # rad, or m of a sliding joint: from one posture to the next
-LEAN = 5e-4  # rad; a tray that leans no further counts as level
+STEP = 0.1  # rad, or m for a prismatic joint: from one posture to the next
+LEAN = 5e-4  # rad; tilt up to which a tray counts as level
 
 
 @dataclass(eq=False)
 class FreeSpace:
-    """Postures in which nothing touches, joints are within limits and the tray leans no further than `lean`, rad.
+    """Free postures: without collision, within the joint limits and with a tilt of the tray of at most `lean`, rad.
 
-    parts: geometry with distances to keep set, for this space alone. looks: postures that may still be looked at.
-    corrections: steps of Newton's by which a posture is put upright, before it counts as one in which it cannot be.
+    parts: geometry with the distances to keep, set for this space. looks: number of postures that may still be checked.
+    corrections: Newton steps at most, of projecting a posture to the tilt limit.
     """
 
     problem: TransportProblem
@@ -38,14 +38,14 @@ class FreeSpace:
 
     @classmethod
     def between(cls, problem: TransportProblem, ends: Array, looks: int) -> FreeSpace:
-        """The space in which ways between end postures (N, n) lie."""
+        """The space of paths between end postures (N, n)."""
         up = [problem.arm.tray_pose(q)[1][2, 2] for q in ends]
         lean = max(LEAN, *(float(np.arccos(np.clip(x, -1.0, 1.0))) + LEAN for x in up))
         if problem.keep_out is None:
             return cls(problem, None, lean, looks)
         parts, required = problem.keep_out.parts, problem.keep_out.required
         least = parts.clearance(ends).min(axis=0)
-        room = 0.01  # m that a way keeps beyond what is required, where its ends have it
+        room = 0.01  # m: distance beyond the required one that a path keeps if its ends do
         apart = np.minimum(required + room, np.maximum(0.9 * least, np.minimum(required, least)))
         parts = parts.only(range(len(parts.pairs)))
         for request, distance in zip(parts.data.collisionRequests, apart, strict=True):
@@ -53,7 +53,7 @@ class FreeSpace:
         return cls(problem, parts, lean, looks)
 
     def nearest(self, q: Array) -> Array | None:
-        """A free posture at q (n,), or near it where the tray leans too far there; None when that one is not free."""
+        """q (n,), projected to the tilt limit if necessary; None when the result is not free."""
         self.looks -= 1
         limits = self.problem.limits
         upright = self._upright(q)
@@ -83,7 +83,7 @@ class FreeSpace:
         return None
 
     def towards(self, q: Array, target: Array) -> list[Array]:
-        """Free postures from q, which is left out, in steps towards a target; the last one is it if it was reached."""
+        """Free postures in steps from q (not included) towards a target, which is the last one if it was reached."""
         found: list[Array] = []
         away = float(np.linalg.norm(target - q))
         while away > 1e-9 and self.looks > 0:
@@ -100,7 +100,8 @@ class FreeSpace:
 
 @dataclass(eq=False)
 class _Tree:
-    """nodes (N, n), in an array that has room for more; parents: of each, -1 of a root."""
+    """A search tree. nodes: (N, n), in an array with space for more. parents: index of each node's parent, -1 at a
+    root."""
 
     nodes: Array
     parents: list[int] = field(default_factory=list)
@@ -112,7 +113,7 @@ class _Tree:
         return int(np.argmin(np.square(self.nodes[: len(self.parents)] - q).sum(axis=1)))
 
     def grow(self, space: FreeSpace, target: Array) -> int:
-        """Grow from the nearest node towards a target; the node that came nearest."""
+        """Grow from the nearest node towards a target; returns the index of the last node."""
         at = self.nearest(target)
         for q in space.towards(self.nodes[at], target):
             count = len(self.parents)
@@ -124,7 +125,7 @@ class _Tree:
         return at
 
     def way(self, node: int) -> list[Array]:
-        """From a root to a node."""
+        """The path from a root to a node."""
         found = []
         while node >= 0:
             found.append(self.nodes[node])
@@ -135,9 +136,9 @@ class _Tree:
 def way_around(
     problem: TransportProblem, starts: Sequence[Array], goals: Sequence[Array], rng: np.random.Generator, looks: int
 ) -> Array | None:
-    """Postures (N, n) of a way from one of the starts to one of the goals, (n,) each; None when none was found.
+    """A collision-free path (N, n) from one of the starts to one of the goals, (n,) each; None when none was found.
 
-    looks: postures that are checked, at most.
+    looks: number of postures checked, at most.
     """
     ends = np.array([*starts, *goals])
     space = FreeSpace.between(problem, ends, looks)
@@ -147,12 +148,12 @@ def way_around(
         return None
     limits = problem.limits
     wide_low, wide_high = np.maximum(limits.q_min, ends.min(0) - np.pi), np.minimum(limits.q_max, ends.max(0) + np.pi)
-    # Mostly no joint goes 1 rad beyond the range between the ends; three times in ten it may go half a turn.
+    # Samples are mostly within 1 rad of the range between the ends; three in ten are within half a turn.
     near_low, near_high = np.maximum(wide_low, ends.min(0) - 1.0), np.minimum(wide_high, ends.max(0) + 1.0)
     trees = [_Tree(np.array(starts)), _Tree(np.array(goals))]
     meeting: tuple[int, int] | None = None
     turn = 0
-    target = goals[int(rng.integers(len(goals)))]  # first straight ahead
+    target = goals[int(rng.integers(len(goals)))]  # the first target is a goal
     while space.looks > 0 and meeting is None:
         one, other = trees[turn], trees[1 - turn]
         at = one.grow(space, target)
@@ -170,7 +171,7 @@ def way_around(
 
 
 def _cut_short(space: FreeSpace, way: Array, rng: np.random.Generator) -> Array:
-    """The way with straight pieces in place of detours."""
+    """The path with detours replaced by straight pieces."""
     space.looks = 12_000
     for _ in range(60):  # random pieces
         if len(way) < 3:

@@ -1,5 +1,5 @@
-"""Why no motion can begin or end as it should: a load that does not stay there at rest, what is out of reach, what is
-inside an obstacle there, whatever the arm does, and what touches in every posture that was found."""
+"""Reasons why an end of the motion is impossible: the load falls even at rest, the pose is out of reach, the tray is
+inside an obstacle, or every posture that was found has a collision."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from salver.planning.seeds.starts import Ends, guess
 from salver.planning.trajopt.ends import AtPose, AtPosture
 from salver.planning.trajopt.problem import TransportProblem
 
-HEADINGS = np.linspace(0, 2 * np.pi, 36, endpoint=False)  # rad; at which an end that leaves it open is looked at
+HEADINGS = np.linspace(0, 2 * np.pi, 36, endpoint=False)  # rad; tried at an end with free heading
 
 
 def why_blocked(problem: TransportProblem) -> Status | None:
-    """Why no motion can begin or end as it should, or None: what the load or an obstacle forbids whatever the arm does,
-    and what the start posture that was given does."""
+    """Why an end is impossible whatever the arm's posture (load or obstacle), or because the given start posture has a
+    collision; None if neither holds."""
     falling = _falling(problem)
     if falling is not None or problem.keep_out is None:
         return falling
@@ -44,7 +44,7 @@ def why_blocked(problem: TransportProblem) -> Status | None:
 
 
 def _falling(problem: TransportProblem) -> Status | None:
-    """Why the load does not stay on the tray at an end, even at rest, or None."""
+    """Why the load falls at an end even at rest; None if it does not."""
     for name, end in (("start", problem.start), ("goal", problem.goal)):
         if isinstance(end, AtPose):
             R_SE = end.target.tray_pose[1]
@@ -63,8 +63,8 @@ def _falling(problem: TransportProblem) -> Status | None:
 
 
 def why_unreached(problem: TransportProblem) -> Status:
-    """The end that no posture reaches, by how much the nearest posture misses it, and whether another heading would
-    do."""
+    """Status that names the end that no posture reaches, the error of the nearest posture, and another heading that can
+    be reached, if there is one."""
     told = "No posture within the joint limits was found at the goal that goes with one at the start."
     for name, end in (("start", problem.start), ("goal", problem.goal)):
         if not isinstance(end, AtPose):
@@ -84,7 +84,7 @@ def why_unreached(problem: TransportProblem) -> Status:
 
 
 def _nearest(problem: TransportProblem, target: PoseTarget) -> tuple[Array, float]:
-    """The posture that meets a target best that was found, and by how much it misses it (m, rad)."""
+    """The best posture found for a target, and its pose error (m, rad)."""
     best = (np.zeros(problem.n), np.inf)
     for found in _sought(problem, target):
         best = min(best, found, key=lambda pair: pair[1])
@@ -94,15 +94,14 @@ def _nearest(problem: TransportProblem, target: PoseTarget) -> tuple[Array, floa
 
 
 def _sought(problem: TransportProblem, target: PoseTarget) -> Iterator[tuple[Array, float]]:
-    """Postures that meet a target as well as may be, and by how much each misses it; so many that it may be called out
-    of reach."""
+    """Postures from many guesses, each with its pose error (m, rad): enough of them to call the target out of reach."""
     rng = np.random.default_rng(0)
     for attempt in range(48):
         yield posture_at(problem.arm, target, guess(problem, rng, attempt), limits=problem.limits)
 
 
 def why_touching(problem: TransportProblem, pairs: list[Ends]) -> Status | None:
-    """The overlap that all pairs of end postures have, where it is least; None if one is free."""
+    """Status that names the least overlap among all pairs of end postures; None if one pair is free."""
     if any(pair.free for pair in pairs):
         return None
     assert problem.keep_out is not None
@@ -120,8 +119,7 @@ def why_touching(problem: TransportProblem, pairs: list[Ends]) -> Status | None:
 
 
 def _higher(problem: TransportProblem, where: str) -> str:
-    """By how much the end must be raised for a posture to be found in which nothing touches, in words: in steps of 5 cm
-    up to half a metre."""
+    """In words, how much higher the end must be for a posture without collision; tried in steps of 5 cm up to 0.5 m."""
     end = problem.start if where == "start" else problem.goal
     if not isinstance(end, AtPose) or problem.keep_out is None:
         return ""
@@ -134,7 +132,7 @@ def _higher(problem: TransportProblem, where: str) -> str:
 
 
 def _stuck(parts: ArmGeometry, name: str, target: PoseTarget) -> Status | None:
-    """Why the tray cannot be at an end, whatever the arm does, or None."""
+    """Why the tray cannot be at an end, whatever the arm's posture; None if it can."""
     headings = HEADINGS if target.yaw_free else HEADINGS[:1]
     whatever = f" whichever way it points (at {len(headings)} headings)" if target.yaw_free else ""
     stuck = None

@@ -19,22 +19,25 @@ from salver.planning.trajopt.ends import AtPosture, End
 from salver.planning.trajopt.problem import TransportProblem
 from salver.planning.trajopt.spline import RestSpline, SplineMotion, min_jerk_blend
 
-APART = 0.3  # rad between pairs of ends that count as different,
-ALONG = 31  # postures by which a path is looked at
+APART = 0.3  # rad between pairs of ends that count as different
+ALONG = 31  # postures at which a path is checked
 
 
 @dataclass(frozen=True)
 class EndOptions:
     """Options of the search for end postures.
 
-    attempts: random postures from which both are, in so many `batches`, no more than are needed. again: from which each
-    of them is when more are wanted, until so many as are `enough` are different and touch nothing. others: goal
-    postures that are sought from a start posture that is given. Doubled, each takes twice the time where postures that
-    touch nothing are rare, and finds more of them.
-    roundabout: times what friction takes on the way: a goal posture to which the joints take longer is followed by
-    others. at_limits: s that a posture at the limit of a joint counts for. too_near: s/m, that it counts for to be
-    nearer than 3 cm to something. Doubled, searches begin further from what limits them, with longer ways.
-    slides, slide: steps, and rad of each, by which an end posture that touches something is slid free.
+    Attributes:
+        attempts: random guesses for pairs of end postures, in `batches`, of which no more than necessary are tried.
+        batches: number of batches of attempts.
+        again: random guesses for each end when more postures are needed.
+        enough: number of different collision-free postures with which that search ends.
+        others: further goal postures that are searched for when the start posture is given.
+        roundabout: further goal postures are searched for when the joints take longer than this multiple of the time
+            that friction needs.
+        at_limits: cost, s, of a posture at a joint limit.
+        too_near: cost, s/m, of being closer than 3 cm to an obstacle.
+        slides, slide: steps, and rad per step, of moving an end posture out of a collision.
     """
 
     attempts: int = 120
@@ -54,8 +57,8 @@ USUAL = EndOptions()
 
 @dataclass(frozen=True, eq=False)
 class Ends:
-    """Postures (n,) at the start and at the goal. cost: s, about; what a motion between them may take, dearer near
-    joint limits and where something is near. free: whether nothing touches in either."""
+    """Postures (n,) at the start and at the goal. cost: estimated duration of a motion between them, s, plus penalties
+    near joint limits and obstacles. free: whether both are collision-free."""
 
     start: Array
     goal: Array
@@ -65,7 +68,7 @@ class Ends:
 
 @dataclass(frozen=True, eq=False)
 class Start:
-    """An initial path: postures (N, n), gone through from rest to rest. name: of what it is."""
+    """An initial path through postures (N, n), from rest to rest. name: its kind, in words."""
 
     name: str
     postures: Array
@@ -77,19 +80,19 @@ class Start:
         return np.asarray(along / along[-1] if along[-1] > 0 else np.linspace(0, 1, len(along)))
 
     def path(self, s: Array) -> Array:
-        """(len(s), n) postures at s in [0, 1]."""
+        """Postures (len(s), n) at s in [0, 1]."""
         u = min_jerk_blend(s)
         return interpolated(self._length, self.postures, u)
 
     def least(self, problem: TransportProblem) -> float:
-        """About how long a motion along it takes, s: what the joints take to go as far, and friction lets the tray."""
+        """Estimated duration of a motion along it, s: the larger of what joint limits and what friction allow."""
         far = np.abs(np.diff(self.postures, axis=0)).sum(axis=0)
         p_SE = np.array([problem.arm.tray_pose(q)[0] for q in self.path(np.linspace(0, 1, ALONG))])
         way = float(np.linalg.norm(np.diff(p_SE, axis=0), axis=1).sum())
         return float(np.hypot(least_duration(problem.limits, np.zeros_like(far), far), _by_contact(problem, way)))
 
     def motion(self, problem: TransportProblem, spline: RestSpline) -> SplineMotion:
-        """Along it, in a comfortable time."""
+        """The motion along it, with a long duration."""
         s = np.linspace(0, 1, 201)
         q = self.path(s)
         if problem.moving:
@@ -106,13 +109,12 @@ def ends(
     few: int | None = None,
     options: EndOptions = USUAL,
 ) -> list[Ends]:
-    """Pairs of end postures, the most promising first; without any that touch something, unless there are no others.
+    """Pairs of end postures, the most promising first; pairs with a collision only if there are no others.
 
-    With the start posture given: its goal posture is the one nearest to it, then others, unless that one touches
-    something or is far. With none given: nearby
-    postures that are clear of joint limits and of one another's parts. Where none of them is free, or more are wanted,
-    both ends are sought independently of one another too, which takes longer.
-    few: so many are enough. With the start posture given nothing random decides of the first.
+    With a given start posture, the goal posture nearest to it comes first, without any randomness; others follow if it
+    has a collision or is far. Otherwise pairs of nearby postures away from joint limits are returned. If none of them
+    is free, or with `more`, both ends are also searched for independently, which takes longer. few: pairs that are
+    enough.
     """
     given = problem.start_posture
     found = _Found(problem, options)
@@ -148,14 +150,14 @@ def ends(
 
 
 def _fine(problem: TransportProblem, pair: Ends, options: EndOptions) -> bool:
-    """Whether nothing touches in either of two postures, and the joints do not take far longer from one to the other
-    than friction takes: then they go a roundabout way, and another goal posture is nearer."""
+    """Whether both postures are collision-free and the joints do not take far longer between them than friction
+    requires; if they do, another goal posture is probably nearer."""
     way = float(np.linalg.norm(np.subtract(*(problem.arm.tray_pose(q)[0] for q in (pair.start, pair.goal)))))
     return pair.free and pair.cost < options.roundabout * _by_contact(problem, way)
 
 
 def guess(problem: TransportProblem, rng: np.random.Generator, attempt: int) -> Array:
-    """The middle of the joints' ranges, then random postures around it."""
+    """The middle of the joint ranges for attempt 0, then random postures around it."""
     centre, half = problem.limits.range(POSITION)
     half = np.where(np.isfinite(half), half, np.pi)
     return np.asarray(centre + (0.7 * half * rng.uniform(-1, 1, problem.n) if attempt else 0.0))
@@ -164,7 +166,7 @@ def guess(problem: TransportProblem, rng: np.random.Generator, attempt: int) -> 
 def _sought(
     problem: TransportProblem, rng: np.random.Generator, first: int, options: EndOptions
 ) -> list[tuple[float, Array, Array]]:
-    """Costs and pairs of postures, the goal's near the start's, the cheapest first."""
+    """Costs (s) and pairs of end postures, goal near start, cheapest first."""
     arm, limits = problem.arm, problem.limits
     found: list[tuple[float, Array, Array]] = []
     starts: list[Array] = []
@@ -180,7 +182,7 @@ def _sought(
 
 
 def _cost(problem: TransportProblem, start: Array, goal: Array, options: EndOptions) -> float:
-    """About how long a motion between two postures takes, s; dearer near joint limits."""
+    """Estimated duration of a motion between two postures, s, with a penalty near joint limits."""
     limits = problem.limits
     centre, half = limits.range(POSITION)
     half = np.where(np.isfinite(half), half, np.pi)
@@ -197,8 +199,8 @@ class _Found:
     pairs: list[Ends] = field(default_factory=list)
 
     def nearby(self, sought: list[tuple[float, Array, Array]], few: int | None) -> bool:
-        """Add those of the pairs that can be slid free, until `few` are that nothing that follows is cheaper than.
-        Whether one is new."""
+        """Add pairs, moved out of collisions where possible, until `few` free ones are cheaper than all that follow.
+        Returns whether any was new."""
         problem, before = self.problem, len(self.pairs)
         for cost, start, goal in sought:
             if few is not None and sum(pair.free and pair.cost <= cost for pair in self.pairs) >= few:
@@ -208,7 +210,7 @@ class _Found:
         return len(self.pairs) > before
 
     def add(self, start: Array, goal: Array | None) -> None:
-        """A pair, its goal slid free where it can be, unless one that hardly differs is there."""
+        """Add a pair, its goal moved out of collisions where possible, unless a similar pair is known."""
         problem = self.problem
         goal = None if goal is None else _slid_free(problem, problem.goal, goal, self.options)
         if goal is None:
@@ -230,7 +232,7 @@ class _Found:
 def _free_postures(
     problem: TransportProblem, end: End, known: list[Array], rng: np.random.Generator, options: EndOptions = USUAL
 ) -> list[Array]:
-    """Different postures at an end in which nothing touches, those that are known first; as many as are enough."""
+    """Different collision-free postures at an end, known ones first; at most `options.enough`."""
     limits = problem.limits
     low, high = np.maximum(limits.q_min, -np.pi), np.minimum(limits.q_max, np.pi)
     found: list[Array] = []
@@ -246,8 +248,8 @@ def _free_postures(
 
 
 def _slid_free(problem: TransportProblem, end: End, q: Array, options: EndOptions = USUAL) -> Array:
-    """A posture in which nothing touches, slid to from one at an end by the freedom that the end leaves; as far as it
-    came, when it did not come free."""
+    """The posture moved out of collisions within the freedom that the end leaves; with a collision left when that
+    failed."""
     keep_out, arm = problem.keep_out, problem.arm
     if keep_out is None:
         return q
@@ -256,7 +258,7 @@ def _slid_free(problem: TransportProblem, end: End, q: Array, options: EndOption
         distance = keep_out.distances(q[None])[0] - CLEARANCE.enough_at_ends
         vain = 0 if distance.min() > free else vain + 1
         free = max(free, float(distance.min()))
-        if free >= 0 or vain >= 4:  # slides in turn that came no further
+        if free >= 0 or vain >= 4:  # steps in a row without progress
             break
         near = np.flatnonzero(distance < 0)
         away = -distance[near] @ keep_out.gradient(q[None], np.zeros_like(near), near)
@@ -273,8 +275,8 @@ def _slid_free(problem: TransportProblem, end: End, q: Array, options: EndOption
 
 
 def standing_at(problem: TransportProblem, end: End, rng: np.random.Generator) -> Iterator[Array]:
-    """Postures at an end: the one that is nearest to the middle of the joints' ranges, that slid free of what it comes
-    too near to, and then others in which nothing touches."""
+    """Postures at an end: the one nearest to the middle of the joint ranges, the same moved out of collisions, then
+    other collision-free ones."""
     middle = end.nearest(problem.arm, problem.limits, problem.limits.range(POSITION)[0])
     known = [] if middle is None else [middle, _slid_free(problem, end, middle)]
     yield from known
@@ -282,42 +284,42 @@ def standing_at(problem: TransportProblem, end: End, rng: np.random.Generator) -
 
 
 def _unwound(problem: TransportProblem, start: Array, goal: Array) -> tuple[Array, Array]:
-    """The same two postures by whole turns as near to the middle of the joints' ranges as they can be: nobody wants an
-    arm that begins a turn away, and cables less."""
+    """The two postures shifted by whole turns towards the middle of the joint ranges, so that joints and cables are not
+    wound up."""
     middle = problem.limits.range(POSITION)[0]
     turns = np.where(problem.arm.linear, 0.0, np.round((0.5 * (start + goal) - middle) / (2 * np.pi)))
     return start - 2 * np.pi * turns, goal - 2 * np.pi * turns
 
 
 def _apart(problem: TransportProblem, q: Array, other: Array) -> float:
-    """Largest difference of a joint; whole turns are none, as the arm stands and moves the same."""
+    """Largest joint difference of two postures, rad, modulo whole turns."""
     turns = np.where(problem.arm.linear, 0.0, np.round((q - other) / (2 * np.pi)))
     return float(np.abs(q - other - 2 * np.pi * turns).max())
 
 
 def between(problem: TransportProblem, pair: Ends) -> TransportProblem:
-    """The problem with distances to keep that both of its end postures keep."""
+    """The problem with required distances that both end postures satisfy."""
     if problem.keep_out is None:
         return problem
     return replace(problem, keep_out=problem.keep_out.kept_by(np.stack([pair.start, pair.goal])))
 
 
 def straight(pair: Ends) -> Start:
-    """Straight in joint space."""
+    """The straight path in joint space."""
     return Start("straight path of the joints", np.stack([pair.start, pair.goal]))
 
 
 def around(problem: TransportProblem, pairs: list[Ends], rng: np.random.Generator) -> Start | None:
-    """A way that touches nothing, from a start to a goal of the pairs; None when none was found."""
+    """A collision-free path from a start to a goal of the pairs; None when none was found."""
     starts, goals = (
         _different(problem, postures) for postures in zip(*((p.start, p.goal) for p in pairs), strict=True)
     )
-    way = way_around(problem, starts, goals, rng, looks=6000)  # postures; half a second, where there is no way
+    way = way_around(problem, starts, goals, rng, looks=6000)  # postures; half a second if there is no path
     return None if way is None else Start("way around", way)
 
 
 def _different(problem: TransportProblem, postures: Iterable[Array]) -> list[Array]:
-    """Those of postures (n,) that differ."""
+    """The postures (n,) without near duplicates."""
     found: list[Array] = []
     for q in postures:
         if all(_apart(problem, q, other) > APART for other in found):
@@ -326,15 +328,14 @@ def _different(problem: TransportProblem, postures: Iterable[Array]) -> list[Arr
 
 
 def open_to(problem: TransportProblem, start: Start) -> bool:
-    """Whether a path can be gone along slowly, or nearly so: nothing touches, and no tray leans so far that its load
-    slides."""
+    """Whether a slow motion along a path is (nearly) possible: no collision, and no tilt at which the load slides."""
     ups = [problem.arm.tray_pose(q)[1][2, 2] for q in start.path(np.linspace(0, 1, ALONG))]
     stays = np.arccos(np.clip(min(ups), -1, 1)) < np.arctan(_friction(problem))
     return bool(stays) and touches(problem, start) < CLEARANCE.touching
 
 
 def _by_contact(problem: TransportProblem, way: float) -> float:
-    """Rough time, s, that friction needs for a level path of the tray, m."""
+    """Estimated time, s, that friction allows for a level path of the tray of this length, m."""
     return least_time(way, np.inf, _friction(problem) * -GRAVITY_S[2], np.inf)
 
 
@@ -343,14 +344,14 @@ def _friction(problem: TransportProblem) -> float:
 
 
 def touches(problem: TransportProblem, start: Start) -> float:
-    """Deepest penetration of a path, m: 0 where nothing comes nearer than required."""
+    """Largest violation of the required distances along a path, m; 0 without one."""
     if problem.keep_out is None:
         return 0.0
     return max(0.0, problem.keep_out.depth(start.path(np.linspace(0, 1, ALONG))))
 
 
 def braking_time(problem: TransportProblem) -> float:
-    """Twice the time in which the start's velocity could be braked if nothing slid, s."""
+    """Twice the time, s, in which the initial velocity could be braked if the load did not limit it."""
     start = problem.start
     assert isinstance(start, AtPosture)
     speed = np.abs(start.rates[0])
@@ -360,5 +361,5 @@ def braking_time(problem: TransportProblem) -> float:
 
 
 def _comfortable_duration(problem: TransportProblem, speed: Array) -> float:
-    """A duration at which joint velocity is far from binding, s; `speed` (n,) is |dq/ds| at its largest."""
+    """A duration, s, at which joint velocities are far below their limits; `speed` (n,) is the largest |dq/ds|."""
     return float(np.clip(2.5 * np.max(speed / problem.limits.velocity), 1.0, 60.0))

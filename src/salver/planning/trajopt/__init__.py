@@ -1,1 +1,1 @@
-"""Optimal control of one motion: what is unknown, what is made small, what must hold, and the solver for all of it."""
+"""Trajectory optimisation of one motion: variables, objectives, constraints and the solver."""

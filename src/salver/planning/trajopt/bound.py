@@ -1,16 +1,15 @@
-"""A time that no motion between two postures can beat: what the limits of its joints take, each for itself, and what
-friction takes, whatever the arm.
+"""Lower bounds on the duration of a motion between two postures: from each joint's own limits, and from friction.
 
-From rest to rest, without acceleration at either end, a joint is soonest at the other end with the largest jerk,
+From rest to rest, with zero acceleration at both ends, a joint is fastest when it moves with its largest jerk,
 acceleration and velocity in turn (Biagiotti and Melchiorri, "Trajectory Planning for Automatic Machines and Robots",
-2008, section 3.4). Torque, contact and obstacles only add to that; so do other joints.
+2008, section 3.4). Torque, contact, obstacles and the other joints can only add to that.
 
-What carries a load that neither slides nor lifts is a force within the cone of friction about the tray's normal, so
-within psi = atan(mu) + theta of the vertical while the tray leans no further than theta. With u = g + z'' >= 0, the
-force by mass along the vertical, |x''| <= k u, k = tan(psi), for the centre of mass. At rest at both ends the integrals
-of x'' and z'' over T are zero, so that of u is g T, and the distance is
+A load that neither slides nor lifts is carried by a force within the friction cone about the tray's normal, so within
+psi = atan(mu) + theta of the vertical if the tray tilts by at most theta. With u = g + z'' >= 0, the vertical force per
+mass, |x''| <= k u, k = tan(psi), holds for the centre of mass. At rest at both ends the integrals of x'' and z'' over T
+are zero, so that of u is g T, and the distance is
     d = int (T - t) x'' dt = int (T/2 - t) x'' dt <= k T/2 int u dt = k g T^2 / 2.
-No acceleration is taken to be too large: nearly so fast is who tosses tray and load up and sideways and catches them.
+Accelerations are not limited: tossing tray and load up and sideways and catching them comes close to this bound.
 """
 
 from __future__ import annotations
@@ -28,14 +27,14 @@ from salver.models.uncertain.parameters import Parameter
 
 
 def least_duration(limits: JointLimits, q_start: Array, q_goal: Array) -> float:
-    """The least time, s, in which every joint can get from q_start to q_goal (n,), from rest to rest."""
+    """The least time, s, in which every joint can move from q_start to q_goal (n,), from rest to rest."""
     joints = zip(abs(q_goal - q_start), limits.velocity, limits.acceleration, limits.jerk, strict=True)
     return max(least_time(*(float(x) for x in joint)) for joint in joints)
 
 
 def least_by_friction(arm: ArmModel, payload: Payload, max_tilt: float, q_start: Array, q_goal: Array) -> float:
-    """The least time, s, in which friction can carry what stands on the tray from q_start to q_goal (n,), from rest to
-    rest, while the tray leans by `max_tilt` (rad) at most. 0 where nothing is known, as of inner dynamics."""
+    """The least time, s, in which friction can carry the load from q_start to q_goal (n,), from rest to rest, with a
+    tilt of at most `max_tilt`, rad. 0 where no bound is known, as with load dynamics."""
     least = 0.0
     for friction, centre in _stacks(payload):
         cone = math.atan(friction) + max_tilt
@@ -47,8 +46,8 @@ def least_by_friction(arm: ArmModel, payload: Payload, max_tilt: float, q_start:
 
 
 def _stacks(payload: Payload) -> Iterator[tuple[float, Array]]:
-    """For each stack that touches nothing else: the largest friction that surely holds it, and its centre of mass
-    (3,) in E."""
+    """For each stack that touches nothing else: its largest certain friction coefficient, and its centre of mass (3,)
+    in E, m."""
     ranges = payload.uncertain.ranges
     for network in payload.networks:
         if any(body.inner is not None for body in network.bodies):
@@ -60,10 +59,10 @@ def _stacks(payload: Payload) -> Iterator[tuple[float, Array]]:
 
 
 def least_time(distance: float, velocity: float, acceleration: float, jerk: float) -> float:
-    """The least time over a distance, at least 0, within limits, which may be infinite."""
+    """The least time, s, from rest to rest over a distance >= 0 within limits, which may be infinite."""
 
     def rise(peak: float) -> float:
-        """Time from rest to a velocity, without acceleration at both."""
+        """Time from rest to a velocity, with zero acceleration at both ends."""
         if math.isinf(jerk):
             return peak / acceleration
         if peak * jerk >= acceleration**2:

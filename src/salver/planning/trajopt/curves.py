@@ -17,18 +17,19 @@ from salver.planning.trajopt.problem import TransportProblem
 from salver.planning.trajopt.spline import DERIVATIVES, RestSpline, min_jerk_blend
 
 ORDERS = np.arange(float(DERIVATIVES))[:, None, None]  # of the rows of z
-SAME = 1e-9  # of a duration: points nearer than this are one
+SAME = 1e-9  # share of a duration: points closer than this count as equal
 
 
 def united(points: npt.ArrayLike, more: npt.ArrayLike, same: float = SAME) -> Array:
-    """Points (P,) and more of them in order; of those no further apart than `same`, which differ by rounding, one."""
+    """The sorted union of two sets of points; of points within `same`, which differ by rounding, only one is kept."""
     both = np.union1d(points, more)
     return both[np.append(True, np.diff(both) > same)]
 
 
 @dataclass(frozen=True)
 class Grid:
-    """Points s (P,) in [0, 1], the spline basis there, (4, P, size), and which of them are nodes, (N,) indices."""
+    """Points s (P,) in [0, 1], the spline basis there (4, P, size), and the indices (N,) of the points that are
+    nodes."""
 
     s: Array
     basis: Array
@@ -36,24 +37,25 @@ class Grid:
 
     @classmethod
     def of(cls, spline: RestSpline, nodes: Array, finer: int = 1) -> Grid:
-        """The nodes (N,), and finer - 1 points between each two of them."""
+        """The grid of nodes (N,) with finer - 1 points between neighbours."""
         last = finer * (len(nodes) - 1)
         s = np.interp(np.arange(last + 1) / finer, np.arange(len(nodes)), nodes)
         return cls(s, spline.matrices(s), finer * np.arange(len(nodes)))
 
     @property
     def weights(self) -> Array:
-        """(P,) of a mean over time by the trapezoidal rule; their sum is 1."""
+        """Weights (P,) of a mean over time by the trapezoidal rule; their sum is 1."""
         steps = np.diff(self.s)
         return 0.5 * (np.append(steps, 0.0) + np.append(0.0, steps))
 
     def motion(self, coefficients: Array, duration: float) -> Array:
-        """(4, P, m): the spline's value and its first three time derivatives."""
+        """The spline's value and its first three time derivatives, (4, P, m)."""
         z = self.basis @ coefficients
         return np.asarray(z / duration**ORDERS)
 
     def chained(self, parts: Array, point: Indices, duration: float) -> Array:
-        """(r, size m) from derivatives by the value and its time derivatives, parts (r, 4, m), to the coefficients."""
+        """Chain rule: derivatives by the coefficients (r, size m) from those by the value and its time derivatives,
+        parts (r, 4, m)."""
         basis = self.basis[:, point].transpose(1, 2, 0) * duration ** -np.arange(4.0)
         return np.matmul(basis, parts).reshape(len(point), -1)
 
@@ -73,19 +75,19 @@ class Curve(Protocol):
         ...
 
     def motion(self, coefficients: Array, duration: float) -> Array:
-        """z (4, P, n): q and its time derivatives at the points of the grid."""
+        """q, dq, ddq, dddq at the points of the grid, z (4, P, n)."""
         ...
 
     def by_duration(self, coefficients: Array, duration: float, z: Array) -> Array:
-        """(4, P, n): derivative of z by log T, the coefficients unchanged."""
+        """Derivative (4, P, n) of z by log T with fixed coefficients."""
         ...
 
     def columns(self, coefficients: Array, duration: float, parts: Array, point: Indices) -> Array:
-        """(r, size m): derivatives by the coefficients from those by z at points, parts (r, 4, n)."""
+        """Derivatives (r, size m) by the coefficients from those by z at points, parts (r, 4, n)."""
         ...
 
     def fixed(self) -> tuple[int, int]:
-        """Number of the size m unknowns at the beginning and at the end that are given."""
+        """Numbers of unknowns, of size m, that are fixed at the beginning and at the end."""
         ...
 
     def equalities(self, coefficients: Array) -> tuple[Array, Array]:
@@ -97,15 +99,15 @@ class Curve(Protocol):
         ...
 
     def repaired(self, coefficients: Array) -> Array | None:
-        """Coefficients after a step, made to satisfy the equalities exactly; None when they cannot."""
+        """Coefficients after a step, corrected to satisfy the equalities exactly; None when that failed."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class FreeCurve:
-    """Joint splines between the problem's ends: coefficients (size, n) are control postures, the ends included.
+    """Joint splines between the problem's ends, with control postures as coefficients (size, n), the ends included.
 
-    A start that is moving adds the quintic Hermite functions of its velocity and acceleration.
+    For a moving start the quintic Hermite functions of its velocity and acceleration are added.
     """
 
     problem: TransportProblem
@@ -149,7 +151,7 @@ class FreeCurve:
 
     @cached_property
     def _launch(self) -> Array | None:
-        """(2, 4, P, n): what velocity and acceleration of the start add to z for T = 1; None when it is at rest."""
+        """(2, 4, P, n) contributions of the start's velocity and acceleration to z for T = 1; None at rest."""
         start = self.problem.start
         if not isinstance(start, AtPosture) or not start.moving:
             return None
@@ -161,7 +163,7 @@ class FreeCurve:
 
 
 def end_equalities(arm: ArmModel, ends: Sequence[tuple[End, int]], coefficients: Array) -> tuple[Array, Array]:
-    """`Curve.equalities` of ends, each with the row of the coefficients (size, n) that is its posture."""
+    """`Curve.equalities` of ends, each given with the index of its posture in the coefficients (size, n)."""
     size, n = coefficients.shape
     blocks, targets = [], []
     for end, row in ends:
@@ -174,8 +176,8 @@ def end_equalities(arm: ArmModel, ends: Sequence[tuple[End, int]], coefficients:
 
 
 def with_ends(coefficients: Array, start: Array, goal: Array) -> Array:
-    """Coefficients (size, n) with other ends (n,): to move an end alone would be a jolt, so the whole motion follows
-    it, the less the further away."""
+    """Coefficients (size, n) with other ends (n,). The whole motion is shifted smoothly with them: moving an end alone
+    would cause a jolt."""
     share = _ramp(len(coefficients))
     moved = coefficients + (1 - share) * (start - coefficients[0]) + share * (goal - coefficients[-1])
     moved[0], moved[-1] = start, goal
@@ -184,18 +186,18 @@ def with_ends(coefficients: Array, start: Array, goal: Array) -> Array:
 
 @lru_cache(maxsize=16)
 def _ramp(count: int) -> Array:
-    """(count, 1) from 0 to 1, level at both ends."""
+    """A smooth step (count, 1) from 0 to 1."""
     return min_jerk_blend(np.linspace(0, 1, count))[:, None]
 
 
 def launch_basis(s: Array) -> Array:
-    """(2, 4, P) the quintics in s with slope, and with curvature, 1 at s = 0 and all else 0 at both ends, and their
-    first three derivatives."""
+    """The two quintics in s with slope 1, and with second derivative 1, at s = 0 and all other end values 0, and their
+    first three derivatives, (2, 4, P)."""
     return np.array([[p(s) for p in each] for each in _launches()])
 
 
 def launched(start: AtPosture, s: Array, duration: float) -> Array:
-    """(len(s), n) what velocity and acceleration of a start add to the posture."""
+    """Contribution (len(s), n) of a start's velocity and acceleration to the posture, rad."""
     powers = np.array([duration, duration**2])[:, None, None]
     return np.asarray((launch_basis(s)[:, 0, :, None] * start.rates[:, None, :] * powers).sum(axis=0))
 
@@ -212,15 +214,15 @@ class JointPath(Protocol):
     """A path q(u), u in [0, 1]."""
 
     def derivatives(self, u: Array, order: int) -> Array:
-        """(order + 1, N, n): q and its derivatives by u."""
+        """q and its derivatives by u up to an order, (order + 1, N, n)."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class PathCurve:
-    """A time law u(t) along a given path: coefficients (size, 1), from 0 to 1, never backwards.
+    """A monotonic time law u(t) along a given path, from 0 to 1; coefficients (size, 1).
 
-    The control values are kept in order, and so is the spline: it does not turn oftener than they do.
+    The control values are kept in order, which makes the spline monotonic (variation diminishing property).
     """
 
     problem: TransportProblem
@@ -255,11 +257,11 @@ class PathCurve:
         return np.maximum.accumulate(np.clip(coefficients, 0.0, 1.0), axis=0)
 
     def law(self, coefficients: Array, duration: float) -> Array:
-        """(4, P, 1) u and its time derivatives."""
+        """u and its time derivatives, (4, P, 1)."""
         return self.grid.motion(coefficients, duration)
 
     def _by_law(self, law: Array) -> Array:
-        """(4, 4, R, n): derivatives of z by u and its three time derivatives (first axis)."""
+        """Derivatives (4, 4, R, n) of z by u and its three time derivatives (first axis)."""
         u, u1, u2, u3 = law
         _, p1, p2, p3, p4 = self.path.derivatives(u[:, 0], 4)
         zero = np.zeros_like(p1)
@@ -274,9 +276,10 @@ class PathCurve:
 
 @dataclass(frozen=True, eq=False)
 class BrakingCurve(PathCurve):
-    """A time law along a path that begins as the motion goes which gave the path, and ends at rest where it will.
+    """A time law that leaves a motion at a point of its path and ends at rest anywhere on the path.
 
-    start: u where it begins. rate: of u there, 1/s; the path is in proportion to the motion's time, so u'' is 0.
+    start: u at the beginning. rate: du/dt there, 1/s; u is proportional to the motion's time, so its second derivative
+    is 0.
     """
 
     start: float = 0.0
@@ -300,5 +303,5 @@ class BrakingCurve(PathCurve):
         return self.grid.motion(coefficients, duration) + self._launched(duration)
 
     def _launched(self, duration: float) -> Array:
-        """(4, P, 1) what the rate at the start adds."""
+        """Contribution (4, P, 1) of the initial rate."""
         return launch_basis(self.grid.s)[0][:, :, None] * self.rate * duration ** (1 - ORDERS)

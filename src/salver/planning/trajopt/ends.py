@@ -1,6 +1,6 @@
 """Boundary conditions of a motion: at rest in a pose, in a given posture (at rest or moving), or anywhere at rest.
 
-An end says which postures it allows, how far one is from them to first order, and which one of them is nearest.
+An end provides the error of a posture with its Jacobian, and the allowed posture nearest to a given one.
 """
 
 from __future__ import annotations
@@ -21,21 +21,21 @@ class End(Protocol):
 
     @property
     def given(self) -> bool:
-        """Whether the posture is known beforehand."""
+        """Whether the end fixes the posture."""
         ...
 
     def residual(self, arm: ArmModel, q: Array) -> tuple[Array, Array]:
-        """Error (k,) at a posture, and the Jacobian (k, n) that a step dq must satisfy J dq = error."""
+        """Error (k,) of a posture q (n,), and its Jacobian J (k, n): a step dq must satisfy J dq = error."""
         ...
 
     def nearest(self, arm: ArmModel, limits: JointLimits, q: Array, iterations: int = 60) -> Array | None:
-        """Allowed posture within limits near to q; None when none was found."""
+        """An allowed posture (n,) within the limits near q (n,); None when none was found."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class AtPose:
-    """At rest, with what stands on the tray at a pose."""
+    """At rest, with the load at a pose."""
 
     target: PoseTarget
     given = False
@@ -66,7 +66,7 @@ class AtPosture:
 
     @property
     def rates(self) -> Array:
-        """(2, n) velocity and acceleration."""
+        """Velocity and acceleration, (2, n)."""
         return np.stack([x if len(x) else np.zeros(len(self.q)) for x in (self.dq, self.ddq)])
 
     def residual(self, arm: ArmModel, q: Array) -> tuple[Array, Array]:

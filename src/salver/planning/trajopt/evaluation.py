@@ -1,4 +1,4 @@
-"""A joint motion at the points of a grid, and the quantities along it that constraints and objectives read."""
+"""Evaluation of a joint motion at the points of a grid: the quantities that constraints and objectives need."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from salver.sensitivity.arm.compliance import LoadResponses
 from salver.sensitivity.arm.terms import MotionTerms, motion_terms
 from salver.sensitivity.arm.tracking import Deviation, JointLoop
 
-# Instants of the rest after a motion that a programme, and a check, looks at: the peak of a swing between two is missed
-# by 2 %, which is within what its nodes keep, and by 0.3 %.
+# Instants of the rest after a motion, in a programme and in a check. Peaks of a swing between them are up to 2 % higher
+# (less than the margin at the nodes), and 0.3 %.
 RESTS = 16, 40
-EASING = 0.25  # of a motion that begins moving: over this share of it margins grow from nothing
+EASING = 0.25  # share of a motion with a moving start over which margins grow from zero
 
 
 @dataclass(frozen=True, eq=False)
 class Known:
-    """Parts of an evaluation that are known already, or taken from a similar motion; None is computed.
+    """Quantities of `MotionEvaluation` that are known already, or taken from a similar motion; None: to be computed.
 
-    See `MotionEvaluation` for what they are. like: the motion to which the arm and its loads give way in the same way.
+    like: the motion whose response of arm and load dynamics is used.
     """
 
     terms: MotionTerms | None = None
@@ -43,17 +43,16 @@ NOTHING = Known()
 
 @dataclass(frozen=True, eq=False)
 class MotionEvaluation:
-    """A motion at points s (P,) in [0, 1] of its duration (s): z (4, P, n) is q and its three time derivatives there.
+    """A motion at points s (P,) in [0, 1] of its duration (s), with z (4, P, n): q, dq, ddq, dddq there. Derived
+    quantities are computed when they are first read.
 
-    model: Pinocchio's, with all objects bolted on at nominal parameters; frame_id: of the tray in it. tracking: what a
-    parameter error does to the arm, or None. nodes: (N,) indices of the points at which dynamics and distances are
-    checked; the joints' own motion costs little and is checked at all points. imposed: whether the rows are conditions
-    of a programme; otherwise they are checked between its nodes. moving: whether it begins moving. cases: of what
-    moves inside each load; past: what they come from, if not from rest. coarsely: whether of rows that are far from
-    their edge a bound is enough. resting: s, how long the rest after it is looked at. known: quantities that need not
-    be computed.
-
-    All further quantities are computed when they are first read, and once.
+    model: Pinocchio model with all objects fixed to the tray at nominal parameters; frame_id: of the tray in it.
+    tracking: closed loop that determines the tracking error under parameter errors, or None. nodes: (N,) indices of the
+    points at which dynamics and distances are evaluated; limits of the joints' own motion are cheap and evaluated at
+    all points. imposed: whether the rows are constraints of a programme; else they are checked between its nodes.
+    moving: whether the motion begins moving. cases: of each load's dynamics; past: their initial states, if not at
+    rest. coarsely: whether a bound is enough for rows far from their limit. resting: duration of the rest after the
+    motion that is evaluated, s. known: quantities that need not be computed.
     """
 
     model: Any
@@ -82,17 +81,17 @@ class MotionEvaluation:
 
     @cached_property
     def at_nodes(self) -> Array:
-        """(4, N, n) q and its time derivatives at the nodes."""
+        """q, dq, ddq, dddq at the nodes, (4, N, n)."""
         return self.z[:, self.nodes]
 
     @cached_property
     def shares(self) -> Array:
-        """(N,) of the motion's time, at which the nodes are."""
+        """Instants (N,) of the nodes as shares of the duration."""
         return self.s[self.nodes]
 
     @cached_property
     def terms(self) -> MotionTerms:
-        """The tray's motion regressor and the joints' torque at the nodes; derivatives when they are read."""
+        """The tray's motion regressor and the joint torques at the nodes, with derivatives on demand."""
         if self.known.terms is not None:
             return self.known.terms
         q, dq, ddq = self.at_nodes[:3]
@@ -107,8 +106,8 @@ class MotionEvaluation:
         return self.tracking.along(shares * self.duration, self.terms, self.at_nodes[1:], shares=shares)
 
     def felt(self, factor: float = 1.0, rate: float = 0.0, exactly: bool = False) -> tuple[Array, Drift | None]:
-        """w (N, 12) at the nodes, at a speed factor that changes by a rate, 1/s, and how a parameter error and the
-        zero-order hold change it; nothing, where the arm follows exactly."""
+        """The motion regressor w (N, 12) at the nodes, at a speed factor that changes at a rate, 1/s; and its change by
+        parameter errors and the zero-order hold, None for an arm that follows exactly."""
         if not factor:
             return self.terms.w_at(0.0, rate), None if exactly else self.sag
         at = self.at_factor(factor)
@@ -119,7 +118,7 @@ class MotionEvaluation:
         return w, drift
 
     def at_factor(self, factor: float) -> MotionEvaluation:
-        """This motion at a speed factor above 0."""
+        """The evaluation at a speed factor above 0."""
         if factor == 1.0:
             return self
         known: dict[float, MotionEvaluation] = self._at_factors
@@ -135,32 +134,32 @@ class MotionEvaluation:
 
     @cached_property
     def sag(self) -> Drift | None:
-        """The arm's response to parameter errors at rest in the postures of the nodes."""
+        """The arm's static response to parameter errors in the postures of the nodes."""
         if self.tracking is None or self.known.sag is not None:
             return self.known.sag
         return self.tracking.sag(self.terms)
 
     def knowing(self, **known: Any) -> MotionEvaluation:
-        """This motion, with some of the fields of `Known`."""
+        """A copy with some fields of `Known` set."""
         return replace(self, known=replace(self.known, **known))
 
     def straying_as(self, other: MotionEvaluation) -> MotionEvaluation:
-        """This motion, with an arm that strays from it as from a motion like it, at the same instants."""
+        """A copy with the tracking error of a similar motion at the same instants."""
         like = other.response
         if like is None:
             return self
         return self.knowing(terms=self.terms, response=like.along(self.terms), sag=other.sag)
 
     def giving_way_as(self, other: MotionEvaluation) -> MotionEvaluation:
-        """This motion, with an arm that gives way to its load and to what moves in it as along a motion like it, at the
-        same shares of its time."""
+        """A copy with the response of the arm, and of the load dynamics, of a similar motion at the same shares of the
+        duration."""
         straying = self.straying_as(other)
         loads = other.load_responses.along(self.shares * self.duration, straying.terms.w)
         return straying.knowing(loads=loads, like=other)
 
     @cached_property
     def rest(self) -> MotionEvaluation:
-        """The rest after its end, from the deviation and the modal states that there are then."""
+        """Evaluation of the rest after the end, from the final deviation and modal states."""
         count = RESTS[0 if self.imposed else 1]
         z = np.zeros((4, count, self.n))
         z[0] = self.z[0, -1]
@@ -179,34 +178,34 @@ class MotionEvaluation:
 
     @cached_property
     def loads(self) -> dict[str, tuple[LoadResponse, ...]]:
-        """What moves inside each body, by the body's name: its cases."""
+        """Responses of the load dynamics by body name, one for each case."""
         return self.load_responses.each
 
     @cached_property
     def load_responses(self) -> LoadResponses:
-        """What moves inside its loads, all cases."""
+        """Responses of all load dynamics, in all cases."""
         return self.known.loads or LoadResponses.of(
             self.cases, self.shares * self.duration, self.terms.w, self.response, self.past
         )
 
     @property
     def left(self) -> Past:
-        """The modal states along it, for a motion that goes on from it: at instants of its own time, s."""
+        """Modal states along the motion, at instants of its own time, s, from which another motion can go on."""
         return self.load_responses.past(self.shares * self.duration)
 
     def rested(self, seconds: float) -> Past:
-        """The evaluation after so many seconds at rest at the end."""
+        """The modal states after a number of seconds at rest at the end."""
         return self.load_responses.rested(seconds + np.array([0.0, self.steps[-1]]))
 
     def joint_radius(self, order: int) -> Array:
-        """(N, n) most by which the joints' position (order 0) or velocity (1) can differ from the plan's at the nodes:
-        for a parameter error, the zero-order hold and what loads push."""
+        """Largest deviation (N, n) of the joints' position (order 0) or velocity (order 1) from the plan at the nodes,
+        by parameter errors, the zero-order hold and load dynamics."""
         assert self.response is not None
         name = ("q", "dq")[order]
         return self._wider(self.response.joint_radius(order), lambda reaction: getattr(reaction.joints, name))
 
     def torque_radius(self) -> Array:
-        """(N, n) the same for the commanded torque, N m."""
+        """Largest deviation (N, n) of the commanded torque, N m, as `joint_radius`."""
         assert self.response is not None
         return self._wider(self.response.torque_radius(), lambda reaction: reaction.torque)
 
@@ -219,16 +218,16 @@ class MotionEvaluation:
         return moved, self._wider(turn, lambda reaction: reaction.tray.state[:, 3:6])
 
     def _wider(self, radius: Array, what: Callable[[Any], Array]) -> Array:
-        """A radius (N, m), and what loads add to it."""
+        """A radius (N, m) plus the contribution of load dynamics."""
         return np.asarray(radius + given_way(self.loads, what)) if self.cases else radius
 
     @cached_property
     def steps(self) -> Array:
-        """(N - 1,) s from node to node."""
+        """Time steps (N - 1,) between nodes, s."""
         return np.asarray((self.shares[1:] - self.shares[:-1]) * self.duration)
 
     def between_nodes(self, values: Array) -> Array:
-        """(P, m) at all points, linear between the nodes, of values (N, m) there."""
+        """Values (P, m) at all points, interpolated linearly between those at the nodes (N, m)."""
         if len(self.nodes) == len(self.s):
             return values
         before, share = _between(self.s.tobytes(), self.nodes.tobytes())
@@ -236,7 +235,7 @@ class MotionEvaluation:
         return np.asarray(at + share * (values[before + 1] - at))
 
     def eased(self, points: Indices) -> Array:
-        """(N,) share of a margin that is asked for at points: all, but less soon after a moving start."""
+        """Share of a margin that is required at points: 1, but less just after a moving start."""
         if not self.moving:
             return np.ones(len(points))
         return np.minimum(self.s[points] / EASING, 1.0)
@@ -244,8 +243,8 @@ class MotionEvaluation:
 
 @lru_cache(maxsize=16)
 def _between(points: bytes, nodes: bytes) -> tuple[Indices, Array]:
-    """(P,) the node before each point, and (P, 1) its share of the way to the next one; of points (P,) and the indices
-    of those that are nodes."""
+    """For points (P,) and the indices of nodes among them: the node before each point (P,), and the point's position
+    (P, 1) between it and the next node, from 0 to 1."""
     s = np.frombuffer(points)
     at = s[np.frombuffer(nodes, dtype=np.intp)]
     before = np.clip(np.searchsorted(at, s, side="right") - 1, 0, len(at) - 2)

@@ -1,4 +1,4 @@
-"""Conditions for all times, not only at nodes: optimise, check on a finer grid, add nodes where a row is broken.
+"""Constraints at all times, not only at nodes: optimise, check on a finer grid, add nodes where a row is violated.
 
 The exchange method for semi-infinite programmes (Hettich and Kortanek, SIAM Review 35(3), 1993).
 """
@@ -30,18 +30,19 @@ CurveOf = Callable[[TransportProblem, Grid], Curve]
 
 @dataclass(frozen=True)
 class ExchangeOptions:
-    """Options of the exchange: how an optimum is kept between the nodes of its programme.
+    """Options of the exchange method. Violations are relative to the scale of their row.
 
-    rounds: of adding nodes, at most; doubled, what six do not mend is tried for longer. repairs: iterations of each, at
-    most. repair: damping of the first step of the first round, four times more in each that follows; doubled, a repair
-    stays nearer to what is repaired.
-    added: nodes of each spline piece beside what is asked for; as inner dynamics remember what was between them.
-    finer: the check's points from node to node; doubled, it takes twice the time.
-    hopeless: a row broken by this share of its scale on the check's grid, or by `hopeless_at_nodes` at the nodes, is
-    not repaired.
-    left: violation that is left to a repair: what the nodes keep from the edge and the check does not.
-    excess: what is broken by less is left to a slightly longer duration; doubled, fewer rounds and longer motions.
-    binding: rows nearer than this to their edge are said to hinder a shorter time; doubled, more are named.
+    Attributes:
+        rounds: of adding nodes, at most; each is a repair of the last optimum.
+        repairs: iterations per repair, at most.
+        repair: damping of the first step of the first repair, four times larger in each that follows; larger values
+            keep a repair closer to what is repaired.
+        added: extra nodes per spline piece, for load dynamics, which depend on the motion between nodes.
+        finer: points of the check from node to node.
+        hopeless, hopeless_at_nodes: violation on the check's grid, and at the nodes, above which no repair is tried.
+        left: largest violation at the nodes with which a repair ends: the nodes keep this much more than the check.
+        excess: a smaller violation is removed by a slightly longer duration instead of a repair.
+        binding: rows closer than this to their limit are named as preventing a shorter motion.
     """
 
     rounds: int = 6
@@ -57,17 +58,16 @@ class ExchangeOptions:
 
     @classmethod
     def of(cls, problem: TransportProblem) -> ExchangeOptions:
-        """The usual ones; what swings need not become calmer in a longer time."""
+        """The options for a problem: with load dynamics a longer duration does not always reduce a swing."""
         return cls(repair=4.0, added=1, finer=4, left=3e-4, excess=5e-4) if problem.cases else cls()
 
 
 @dataclass(frozen=True)
 class Checked:
-    """Coefficients (size, m), duration and margin (as in `Point`) of a motion whose rows were checked on the fine grid.
+    """A motion that was checked on the fine grid: coefficients (size, m), duration and margin as in `Point`.
 
-    problem: with all the cases of inner dynamics that were checked.
-    worst: largest row of each block there, <= 0 when kept. binding: names of those blocks that hinder a shorter time:
-    that depend on time, and come near their edge. iterations: of all rounds.
+    problem: with all load cases that were checked. worst: largest row of each block, <= 0 if met. binding: names of the
+    blocks that prevent a shorter motion: those that depend on time and are near their limit. iterations: of all rounds.
     """
 
     problem: TransportProblem
@@ -88,13 +88,14 @@ def programme_of(
     objective: Objective = SHORTEST,
     points: int = 2,
 ) -> Programme:
-    """The programme at nodes (N,) in [0, 1], watching, for a shorter time, only what comes near along the start.
+    """The programme with constraints at nodes (N,) in [0, 1]; for the shortest duration only those near the start
+    motion.
 
-    curve_of: makes the curve of a problem and grid. points: from node to node, where the joints' limits are imposed.
+    curve_of: makes the curve of a problem and grid. points: from node to node, at which joint limits are imposed.
     """
     curve = curve_of(problem, Grid.of(start.spline, nodes, points))
     constraints = problem.constraints
-    if objective.scalar is Scalar.DURATION:  # others may lead far from where they begin
+    if objective.scalar is Scalar.DURATION:  # other objectives may lead far from the start
         postures = curve.motion(start.coefficients, start.duration)[0, curve.grid.nodes]
         constraints = tuple(constraint.near(postures) for constraint in constraints)
     return Programme(curve, constraints, objective)
@@ -113,22 +114,22 @@ def optimise(
     also: Array | None = None,
     beat: float = np.inf,
 ) -> Checked:
-    """The optimum from a start, kept between the nodes too; of the duration, unless another objective is given.
+    """The local optimum from a start motion, which satisfies the constraints between the nodes too.
 
-    gain: relative improvement below which an iteration counts as idle. also: more nodes, s in [0, 1]. beat: s; given up
-    where it will hardly be shorter than this: nodes that are added only make it longer.
+    gain: relative improvement below which an iteration counts as idle. also: more nodes, s in [0, 1]. beat: s; the
+    search ends early when a shorter duration is unlikely: added nodes only make it longer.
     """
     watch, how = watch or Watch(), ExchangeOptions.of(problem)
     spline = start.spline
     nodes = united(spline.nodes(nodes_per_span + how.added), problem.nodes)
     nodes = nodes if also is None else united(nodes, also)
-    check = Grid.of(spline, Grid.of(spline, nodes, how.finer).s, 5)  # the joints' limits are looked at so much finer
+    check = Grid.of(spline, Grid.of(spline, nodes, how.finer).s, 5)  # joint limits are checked on a finer grid
     fine = curve_of(problem, check)
 
     programme = programme_of(problem, curve_of, start, nodes, objective)
     begun = programme.begin(start.coefficients, start.duration)
     first = SqpOptions(iterations, watch, gain=gain, beat=beat)
-    if problem.cases:  # more cases of them will join, which a loose optimum shows as well
+    if problem.cases:  # load cases will be added, for which a loose optimum is enough
         first = SqpOptions(iterations, watch, gain=5e-3, violation=1e-2, poor=0.6)
     solution = minimise(programme, begun, first, Trust(damping))
     done = solution.iterations
@@ -139,7 +140,7 @@ def optimise(
             return Checked(problem, point.coefficients, point.duration, point.margin, status, {}, (), done)
         seen = _seen(fine, point)
         more = with_missed_cases(problem, seen, point.margin)
-        if more is not None:  # fills and dampings that no row stood for
+        if more is not None:  # fill levels and damping ratios without a row yet
             problem, fine = more, curve_of(more, check)
             seen = _seen(fine, point).knowing(terms=seen.terms, response=seen.response)
         worst, binding, slower, peaks = _between(fine, objective, point, seen)
@@ -151,14 +152,14 @@ def optimise(
         if excess <= 0.0 or hopeless or exchange == how.rounds or late:
             break
         before, nodes = nodes, united(nodes, fine.grid.s[peaks])
-        if len(nodes) == len(before):  # what is broken is driven by what was between them
+        if len(nodes) == len(before):  # the violation is caused by the motion between the nodes
             nodes = united(nodes, 0.5 * (nodes[1:] + nodes[:-1]))
         options, repair = _repair(problem, how, exchange, iterations, gain, watch)
         start = SplineMotion(spline, point.coefficients, point.duration)
         programme = programme_of(problem, curve_of, start, nodes, objective)
         programme = replace(programme, given=bool(problem.cases))
         begun = programme.begin(start.coefficients, start.duration)
-        solution = minimise(programme, begun, options, Trust(repair, 0.02))  # of rows only what is near
+        solution = minimise(programme, begun, options, Trust(repair, 0.02))  # only rows near their limit
         done += solution.iterations
     status = _status(solution, worst, objective.sought, fine, point, how)
     return Checked(problem, point.coefficients, point.duration, point.margin, status, worst, binding, done)
@@ -167,10 +168,10 @@ def optimise(
 def _repair(
     problem: TransportProblem, how: ExchangeOptions, exchange: int, iterations: int, gain: float, watch: Watch
 ) -> tuple[SqpOptions, float]:
-    """Options of solving a programme once more with added nodes, and the damping of its first step: ever more
-    repair, ever less search."""
+    """Options of solving a programme again with added nodes, and the damping of its first step, which grows with each
+    round."""
     damping = how.repair * 4.0**exchange
-    if problem.cases and exchange == 0:  # what was loose is now sought in earnest
+    if problem.cases and exchange == 0:  # the first optimum was a loose one
         return SqpOptions(iterations, watch, gain=0.5 * gain), damping
     kept = SqpOptions(how.repairs, watch, gain=gain, violation=how.left, least_damping=damping, mending=True)
     return kept, damping
@@ -186,9 +187,9 @@ def rough(
     iterations: int = 25,
     beat: float = np.inf,
 ) -> SqpSolution:
-    """A rough optimum with few pieces, unchecked between its nodes: an initial guess for one with more.
+    """A rough optimum with few spline pieces, unchecked between its nodes: an initial guess for one with more.
 
-    gain: as of `optimise`. beat: s; given up where it will hardly be shorter than this.
+    gain, beat: as of `optimise`.
     """
     programme = programme_of(problem.roughly, curve_of, start, start.spline.nodes(nodes_per_span), points=1)
     begun = programme.begin(start.coefficients, start.duration)
@@ -216,7 +217,7 @@ def _seen(fine: Curve, point: Point) -> MotionEvaluation:
     """The motion at a point, on the fine grid."""
     z = fine.motion(point.coefficients, point.duration)
     motion = fine.problem.at(fine.grid.s, z, point.duration, fine.grid.nodes, imposed=False)
-    return replace(motion, coarsely=point.margin == 0.0)  # where a margin is sought, rows further away count too
+    return replace(motion, coarsely=point.margin == 0.0)  # with a margin, rows further away count too
 
 
 def _slowed(
@@ -228,8 +229,8 @@ def _slowed(
     slower: float,
     small: float,
 ) -> tuple[dict[str, float], tuple[str, ...], Point]:
-    """A motion that oversteps by less than `small` between the nodes, as much slower as keeps everything: its largest
-    rows, what binds it, the motion; as given where that is not enough. worst, binding, slower: from `_between`."""
+    """A motion with violations below `small` between the nodes, slowed down until it meets all constraints: its largest
+    rows, binding blocks, and the point; unchanged if that is not enough. worst, binding, slower: from `_between`."""
     if 0.0 < max(worst.values()) < small:
         longer = replace(point, duration=point.duration * (1.0 + slower))
         stretched, still, _, _ = _between(fine, objective, longer, _seen(fine, longer))
@@ -241,15 +242,15 @@ def _slowed(
 def _between(
     fine: Curve, objective: Objective, point: Point, motion: MotionEvaluation
 ) -> tuple[dict[str, float], tuple[str, ...], float, Indices]:
-    """Largest row of each block on the fine grid, the blocks that hinder a shorter time, by how much slower,
-    relatively, the motion would keep them all, and the points where some row is broken at its peak."""
+    """Check on the fine grid: largest row of each block, the blocks that prevent a shorter motion, the relative
+    increase of the duration that would meet all rows, and the points of violated peaks."""
     grid, problem = fine.grid, fine.problem
     blocks = objective.demanded(evaluate(problem.constraints, motion), point.margin)
     largest: dict[str, float] = {}
     marked = np.zeros(len(grid.s), dtype=bool)
     for block in blocks:
         most = float(block.values.max())
-        largest[block.name] = max(most, largest.get(block.name, most))  # several may have one name
+        largest[block.name] = max(most, largest.get(block.name, most))  # several blocks may have the same name
         if most <= 0:
             continue
         index = np.flatnonzero((block.peaks & (block.values > 0)).any(axis=1))

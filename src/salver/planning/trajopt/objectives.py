@@ -1,7 +1,7 @@
-"""Objectives: the duration; at a given duration, the contact margin.
+"""Objectives: the duration, or, at a given duration, the contact margin.
 
-An objective sees a motion through its coefficients (size, m) and one number, the scalar, that goes with them: the
-duration where it is free, the margin where that is sought, or nothing. One of your own is a subclass of `Objective`.
+An objective is a function of a motion's coefficients (size, m) and of one scalar: the duration where it is free, the
+margin where that is maximised, or none. Users can add subclasses of `Objective`.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class Scalar(Enum):
 
 @dataclass(frozen=True)
 class Point:
-    """The iterate of a programme: coefficients (size, m), duration in s, and the margin of the counted constraints."""
+    """Variables of a programme: coefficients (size, m), duration in s, and the margin of the counted constraints."""
 
     coefficients: Array
     duration: float
@@ -40,8 +40,8 @@ class Point:
 class QuadraticModel:
     """A quadratic model of an objective.
 
-    slope: gradient by the coefficients (size m,). by_scalar: by the scalar. The Hessian (size m, size m) is by the
-    coefficients.
+    slope: gradient (size m,) by the coefficients. by_scalar: derivative by the scalar. curvature: Hessian
+    (size m, size m) by the coefficients; None for 0.
     """
 
     slope: Array
@@ -50,8 +50,8 @@ class QuadraticModel:
 
 
 class Objective(ABC):
-    """scalar: what is free beside the coefficients. sought: what it is, in words. counts(block): whether the margin is
-    demanded of its rows."""
+    """An objective. scalar: the variable beside the coefficients. sought: adjective for the motion, such as "shortest".
+    counts(block): whether the margin is required of a block's rows."""
 
     scalar: Scalar = Scalar.NONE
     sought: str = "best"
@@ -62,23 +62,23 @@ class Objective(ABC):
 
     @abstractmethod
     def model(self, curve: Curve, at: Point) -> QuadraticModel:
-        """Its quadratic model there."""
+        """Quadratic model of the objective at a point."""
 
     def expected(self, curve: Curve, at: Point, value: float, step: Array) -> float:
-        """Its value after a step (size m + 1,) in the coefficients and the scalar, from `value`, by its model."""
+        """Value after a step (size m + 1,) of coefficients and scalar from a point with `value`, by the model."""
         model, move = self.model(curve, at), step[:-1]
         bent = 0.0 if model.curvature is None else 0.5 * float(move @ model.curvature @ move)
         return value + float(model.slope @ move) + model.by_scalar * float(step[-1]) + bent
 
     def scale(self, at: Point, value: float) -> float:
-        """The size of what tolerances are shares of, in the unit of the objective."""
+        """Scale of the objective, in its unit, to which tolerances are relative."""
         return abs(value)
 
     def counts(self, block: Block) -> bool:
         return False
 
     def demanded(self, blocks: Sequence[Block], margin: float) -> tuple[Block, ...]:
-        """The blocks, with the margin demanded of those that count."""
+        """The blocks, with the margin added to the rows of those that count."""
         if not margin:
             return tuple(blocks)
         return tuple(replace(b, values=b.values + margin) if self.counts(b) else b for b in blocks)
@@ -86,7 +86,7 @@ class Objective(ABC):
 
 @dataclass(frozen=True)
 class Duration(Objective):
-    """T, s."""
+    """The duration T, s."""
 
     scalar = Scalar.DURATION
     sought = "shortest"
@@ -103,8 +103,8 @@ class Duration(Objective):
 
 @dataclass(frozen=True)
 class LeastMargin(Objective):
-    """The least distance of the contact rows from their edge, as a share of the weight, and of what moves inside loads
-    from what it may reach, as a share of their room, made large; T is given."""
+    """The least margin, which is maximised at a given T: of contact rows as a share of the weight, and of load dynamics
+    as a share of their room."""
 
     scalar = Scalar.MARGIN
 

@@ -1,4 +1,4 @@
-"""The problem of the fastest safe transport: what moves, between which ends, under which constraints."""
+"""The transport problem: arm and load, the ends of the motion, and the constraints."""
 
 from __future__ import annotations
 
@@ -102,13 +102,13 @@ class TransportProblem:
 
     @cached_property
     def roughly(self) -> TransportProblem:
-        """For a first guess: without what moves inside loads, which costs most and changes least of the way; nor what a
-        parameter error does to the arm, where there are obstacles and much is to be tried."""
+        """The problem of rough optima: without load dynamics, which cost most and change the path least, and, with
+        obstacles, where many starts are tried, without the tracking error."""
         return replace(self, cases=(), tracking=None if self.scenario.obstacles else self.tracking)
 
     @property
     def start_posture(self) -> Array | None:
-        """(n,) where the motion begins, or None when that is chosen."""
+        """Start posture (n,), or None when it is chosen."""
         return self.start.q if isinstance(self.start, AtPosture) else None
 
     @property
@@ -117,7 +117,7 @@ class TransportProblem:
         return isinstance(self.start, AtPosture) and self.start.moving
 
     def check_still(self, what: str) -> None:
-        """Raise ScenarioError when something moves inside a load, of which `what` knows nothing."""
+        """Raise ScenarioError with load dynamics, which `what` (in words) does not support."""
         for body in self.payload.dynamic:
             raise ScenarioError(
                 f"{self.scenario.name}: {what} is not planned with {body.inside} unless it is known how it moves "
@@ -126,7 +126,7 @@ class TransportProblem:
 
     @cached_property
     def constraints(self) -> tuple[Constraint, ...]:
-        """All that must hold along the motion."""
+        """All constraints along the motion."""
         limits = self.limits
         found: list[Constraint] = [JointLimit(limits), TorqueLimit(limits), TorqueRateLimit(limits)]
         margin = self.scenario.contact.margin
@@ -147,7 +147,7 @@ class TransportProblem:
     def at(
         self, s: Array, z: Array, duration: float, nodes: Indices | None = None, imposed: bool = True
     ) -> MotionEvaluation:
-        """A motion z (4, P, n) of this arm and load at points s (P,) in [0, 1] of its duration."""
+        """Evaluation of a motion z (4, P, n) of this arm and load at points s (P,) in [0, 1] of its duration."""
         nodes = np.arange(len(s)) if nodes is None else nodes
         arm = self.model, self.arm.tray_id, self.tracking
         motion = MotionEvaluation(*arm, s, duration, z, nodes, imposed, self.moving, self.cases, self.past)
@@ -158,8 +158,8 @@ class TransportProblem:
 def with_missed_cases(
     problem: TransportProblem, motion: MotionEvaluation, margin: float = 0.0
 ) -> TransportProblem | None:
-    """The problem with those cases added in which a load comes nearer than a margin, a share of its room, to its
-    limits, with what the arm makes of it; None for none."""
+    """The problem with the cases added in which a load's dynamics come closer to their limits than a margin, a share of
+    their room; None if there are none."""
     if not problem.cases:
         return None
     t, whole = motion.s[motion.nodes] * motion.duration, problem.every_case
@@ -173,8 +173,8 @@ def with_missed_cases(
 
 
 def with_failing_cases(problem: TransportProblem, motion: MotionEvaluation) -> TransportProblem | None:
-    """The problem with those cases added each of which alone, in the place of those of its load, violates a constraint;
-    None for none."""
+    """The problem with the cases added that violate a constraint when each alone replaces the cases of its load; None
+    if there are none."""
     constraints = [c for c in problem.constraints if isinstance(c, ContactConstraint | LoadConstraint | AtRest)]
     motion, found = motion.knowing(terms=motion.terms, response=motion.response), []
     for k, (known, every) in enumerate(zip(problem.cases, problem.every_case, strict=True)):
@@ -188,13 +188,13 @@ def with_failing_cases(problem: TransportProblem, motion: MotionEvaluation) -> T
 
 
 def _others(known: tuple[LoadCase, ...], more: tuple[LoadCase, ...]) -> tuple[LoadCase, ...]:
-    """Cases of a load that are not known yet."""
+    """The cases among `more` that are not in `known`."""
     here = {case.name for case in known}
     return tuple(case for case in more if case.name not in here)
 
 
 def _tracking(scenario: Scenario, payload: Payload) -> JointLoop | None:
-    """The closed loop that a robust plan allows for; friction does not act through it."""
+    """The closed loop whose tracking error a robust plan includes; friction uncertainty has no effect on it."""
     return joint_loop(scenario, payload.with_only([p for p in payload.uncertain.parameters if p.loads]))
 
 
@@ -208,11 +208,11 @@ def transport_problem(
 ) -> TransportProblem:
     """The transport problem of a scenario.
 
-    level: tray level all along (as motion.orientation says); otherwise it may tilt, up to motion.max_tilt_deg.
-    robust: keep the contact for the whole uncertain set, or only for nominal parameters.
-    extra: constraints of one's own. passing: whether whoever asks knows of motion.through.
-    Raises ScenarioError when the scenario has no arm, a start posture of the wrong length or of another pose, or an end
-    that tilts the tray further than the motion may.
+    level: whether the tray stays level or may tilt up to motion.max_tilt_deg; default: as motion.orientation says.
+    robust: keep contact for the whole uncertain set, or only for nominal parameters. extra: additional constraints.
+    passing: whether the caller supports motion.through.
+    Raises ScenarioError: no arm, a start posture of wrong length or for another pose, or an end that tilts the tray
+    more than the motion may.
     """
     if scenario.arm is None:
         raise ScenarioError(f'{scenario.name}: this needs an arm; add an [arm] table, for example model = "panda".')
@@ -264,7 +264,7 @@ def _level_enough(motion: Motion, max_tilt: float) -> None:
     on_the_way = [(f"through[{k}]", pose) for k, pose in enumerate(motion.through)]
     for key, pose in (("start", motion.start), *on_the_way, ("goal", motion.goal)):
         leans = float(lean(pose.rotation))
-        if leans > max(max_tilt, np.sqrt(2) * LEVEL_TOLERANCE):  # about each of two axes: a stop may end so
+        if leans > max(max_tilt, np.sqrt(2) * LEVEL_TOLERANCE):  # the tolerance holds about each of two axes
             raise ScenarioError(
                 f"motion.{key} tilts the tray by {np.rad2deg(leans):.3g} deg, and the motion may tilt it by at most "
                 f'{np.rad2deg(max_tilt):.3g} deg; give motion.orientation = "free" and a max_tilt_deg that allows it.'

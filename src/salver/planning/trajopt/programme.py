@@ -1,11 +1,11 @@
-"""A nonlinear programme over the coefficients of a motion and the scalar of its objective, its iterates, and the
-quadratic programme that each of them poses.
+"""A nonlinear programme over the coefficients of a motion and the scalar of its objective, its iterates, and their
+quadratic subproblems.
 
-The rows near their edge are linearised in the coefficients and in the scalar. The duration goes in as sigma = T^2:
+Rows near their limit are linearised in the coefficients and in the scalar. The duration enters as sigma = T^2:
 multiplied by sigma, contact, torque and acceleration rows are exactly linear in it. A quadratic programme with one
-shared slack (an exact penalty on the largest violation) and a proximal term gives the step; its metric is the size of
-the change in posture and in acceleration, so smooth large changes are cheap and ripples are not. Where rows bend as the
-size of a swing does, their second derivatives join it, at the prices that the programme before put on them.
+shared slack (an exact penalty on the largest violation) and a proximal term gives the step. Its metric measures the
+change in posture and acceleration, so large smooth changes cost little and ripples cost much. For strongly curved rows,
+such as the size of a swing, second derivatives are added, weighted by the multipliers of the last subproblem.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from salver.planning.trajopt.trust import Trust
 
 @dataclass(frozen=True)
 class Iterate:
-    """An iterate of the programme: its motion and its constraints with their margins."""
+    """An iterate of the programme: the motion at a point, and its constraint rows with their margins."""
 
     point: Point
     curve: Curve
@@ -46,8 +46,8 @@ class Iterate:
         return self.point.duration
 
     def unknowns(self, factor: float = 1.0) -> Unknowns:
-        """Derivatives of the tray's motion regressor at the nodes by the coefficients and log T / 2, at a speed
-        factor."""
+        """Derivatives of the tray's motion regressor at the nodes, at a speed factor, by the coefficients and
+        log T / 2."""
         if factor not in self._unknowns:
             motion, point = self.motion, self.point
             slope = motion.terms.w_z if factor == 1.0 else motion.terms.w_z_at(factor**2, 0.0)
@@ -62,7 +62,7 @@ class Iterate:
 
     @cached_property
     def slower(self) -> Array:
-        """(4, P, n) derivative of the motion by log T, the coefficients unchanged."""
+        """Derivative (4, P, n) of the motion by log T with fixed coefficients."""
         return self.curve.by_duration(self.point.coefficients, self.point.duration, self.motion.z)
 
     @cached_property
@@ -80,15 +80,15 @@ class Iterate:
 
 @dataclass(frozen=True)
 class Linearised:
-    """Rows A x <= b of x = (coefficients, scalar), and where they came from: (block, node, column)."""
+    """Rows A x <= b in x = (coefficients, scalar), and their origin: (block, nodes, columns)."""
 
     matrix: Array
     bound: Array
     where: tuple[tuple[int, Indices, Indices], ...] = ()
 
     def by_block(self, values: Array, blocks: Sequence[Block]) -> tuple[Array, ...]:
-        """Values of rows (r,), as each block (N, m) has them, 0 elsewhere; none, where none has a curvature that asks
-        for them."""
+        """Values (r,) of the rows sorted into arrays (N, m), one per block, 0 elsewhere; empty if no block has
+        curvature, which is what they are used for."""
         if all(block.curvature is None for block in blocks):
             return ()
         found, begin = tuple(np.zeros(block.values.shape) for block in blocks), 0
@@ -106,8 +106,8 @@ class Linearised:
 class Programme:
     """A nonlinear programme: an objective over the motions of a curve, under constraints at the nodes of its grid.
 
-    given: whether the arm gives way to its load all along as it does where the programme begins. The derivatives leave
-    out that this changes, so steps then bring what they promise; how it does at the end is for a check to see.
+    given: whether the arm's response to load dynamics is frozen at that of the first iterate. The derivatives neglect
+    its change, so predictions of steps are then accurate; the final motion needs a check with the true response.
     """
 
     curve: Curve
@@ -116,7 +116,7 @@ class Programme:
     given: bool = field(default=False, kw_only=True)
 
     def at(self, point: Point, like: MotionEvaluation | None = None) -> Iterate:
-        """All rows at a point. like: a motion of which the arm's giving way is taken."""
+        """The iterate at a point, with all rows. like: a motion whose arm response is used."""
         grid = self.curve.grid
         z = self.curve.motion(point.coefficients, point.duration)
         motion = self.curve.problem.at(grid.s, z, point.duration, grid.nodes)
@@ -126,7 +126,8 @@ class Programme:
         return Iterate(point, self.curve, motion, blocks, self.objective.value(self.curve, point))
 
     def begin(self, coefficients: Array, duration: float) -> Iterate:
-        """The iterate at coefficients (size, m) and a duration; the margin, if it is sought, is what there is."""
+        """The iterate at coefficients (size, m) and a duration, s; a margin that is maximised starts at its value
+        there."""
         first = self.at(Point(coefficients, duration))
         if self.objective.scalar is not Scalar.MARGIN:
             return first
@@ -134,8 +135,8 @@ class Programme:
         return self.at(Point(coefficients, duration, -max(counted)))
 
     def moved(self, path: Iterate, step: Array) -> Iterate | None:
-        """The iterate after a step (coefficients, scalar), put back on what it must satisfy exactly; None if that is
-        impossible."""
+        """The iterate after a step (coefficients, scalar), corrected to satisfy the equalities exactly; None if that
+        failed."""
         coefficients = self.curve.repaired(path.coefficients + step[:-1].reshape(path.coefficients.shape))
         if coefficients is None:
             return None
@@ -149,8 +150,8 @@ class Programme:
         return self.at(Point(coefficients, duration, margin), path.motion if self.given else None)
 
     def derivatives(self, path: Iterate, block: Block, node: Indices, column: Indices) -> Array:
-        """Rows (r, size m + 1) of a block by the coefficients and the scalar; with the duration free, of the rows that
-        scale multiplied by sigma / sigma_0."""
+        """Derivatives (r, size m + 1) of a block's rows by the coefficients and the scalar. With free duration, rows
+        that scale with time are those multiplied by sigma / sigma_0."""
         matrix = self._chained(path, block.gradient(node, column), block.points[node])
         if block.following is not None:
             matrix += self._chained(path, block.following(node, column), block.points[node + 1])
@@ -168,7 +169,7 @@ class Programme:
         return matrix
 
     def _chained(self, path: Iterate, rows: Array, point: Indices) -> Array:
-        """Chain rule from z at points of the grid to the coefficients and, by log T, to sigma / sigma_0."""
+        """Chain rule from derivatives by z at points of the grid to those by the coefficients and sigma / sigma_0."""
         parts = rows.reshape(len(point), 4, -1)
         out = np.empty((len(point), path.coefficients.size + 1))
         out[:, :-1] = self.curve.columns(path.coefficients, path.duration, parts, point)
@@ -176,7 +177,7 @@ class Programme:
         return out
 
     def linearised(self, path: Iterate, masks: Sequence[Mask]) -> Linearised:
-        """The rows that the masks (N, m) of the blocks name."""
+        """The rows selected by masks (N, m), one per block, linearised."""
         size = path.coefficients.size + 1
         matrices, bounds, where = [np.zeros((0, size))], [np.zeros(0)], []
         for k, (block, mask) in enumerate(zip(path.blocks, masks, strict=True)):
@@ -188,8 +189,8 @@ class Programme:
         return Linearised(np.vstack(matrices), np.concatenate(bounds), tuple(where))
 
     def corrected(self, rows: Linearised, trial: Iterate, step: Array) -> Linearised:
-        """The rows with bounds that make the linear model exact at the trial point, which a step led to; without those
-        that are far from their edge there, as a correction is small."""
+        """The rows with bounds that make the linear model exact at the trial point after a step; without rows that are
+        far from their limit there, as a correction is small."""
         values, scales = [np.zeros(0)], [np.zeros(0)]
         free = self.objective.scalar is Scalar.DURATION
         for k, node, column in rows.where:
@@ -197,16 +198,16 @@ class Programme:
             values.append(block.values[node, column])
             scales.append(np.full(len(node), 1 + step[-1] * (free and block.scales)))
         value = np.concatenate(scales) * np.concatenate(values)
-        near = value > -max(0.02, 3.0 * trial.violation)  # what the correction of such a violation may reach
+        near = value > -max(0.02, 3.0 * trial.violation)  # rows that the correction of such a violation may reach
         matrix = rows.matrix[near]
         return Linearised(matrix, matrix @ step - value[near])
 
     def beyond_kinks(self, path: Iterate, trial: Iterate) -> Linearised:
-        """Violated rows of a trial that have kinks, linearised there: beyond one the path's derivative is no help."""
+        """Violated rows of a trial that have kinks, linearised at the trial: derivatives before a kink are useless."""
         kinked = [(block.values > 0) & block.kinked for block in trial.blocks]
         found = self.linearised(trial, kinked)
         matrix, scalar = found.matrix.copy(), trial.point.margin - path.point.margin
-        if self.objective.scalar is Scalar.DURATION:  # sigma is relative to each one's own
+        if self.objective.scalar is Scalar.DURATION:  # sigma is relative to that of each iterate
             ratio = (trial.duration / path.duration) ** 2
             scalar = ratio - 1
             matrix[:, -1] /= ratio
@@ -215,18 +216,18 @@ class Programme:
 
     @cached_property
     def metric(self) -> Array:
-        """(3, size, size): squares of the change in posture, and for T = 1 in acceleration and jerk, of each curve."""
+        """Quadratic forms (3, size, size): mean squares of the change in posture, acceleration and jerk, for T = 1."""
         basis = self.curve.grid.basis[[0, 2, 3]]
         return np.asarray(np.swapaxes(basis, 1, 2) @ basis / basis.shape[1])
 
     def bends(self, path: Iterate, prices: Sequence[Array]) -> Array:
-        """(size m + 1, size m + 1) second derivatives of rows, of those that have any, at the prices (N, m) of each
-        block."""
+        """Sum (size m + 1, size m + 1) of the second derivatives of rows that have any, weighted by the multipliers
+        `prices`, (N, m) of each block."""
         found = np.zeros((path.coefficients.size + 1,) * 2)
         for block, price in zip(path.blocks, prices, strict=True):
             if block.curvature is None:
                 continue
-            node, column = np.nonzero(price > 1e-6)  # what is cheaper bends nothing
+            node, column = np.nonzero(price > 1e-6)  # rows with smaller multipliers are negligible
             if len(node):
                 factors = block.curvature(node, column, path.unknowns(block.factor))
                 factors *= np.sqrt(price[node, column])[:, None, None]
@@ -235,25 +236,25 @@ class Programme:
         return found
 
     def subproblem(self, path: Iterate, trust: Trust, prices: Sequence[Array] = ()) -> Subproblem:
-        """The quadratic programme of an iteration, without its rows."""
+        """The quadratic programme of an iteration, without rows."""
         m, count = self.curve.width, path.coefficients.size
         model = self.objective.model(self.curve, path.point)
-        # A change of acceleration by 1 rad/s^2 counts like 0.055 rad of posture, of jerk by 1000 rad/s^3 like 0.03.
+        # Equal weight: 1 rad/s^2 of acceleration and 0.055 rad of posture; 1000 rad/s^3 of jerk and 0.03 rad.
         weights = trust.damping * np.array([1.0, 3e-3, 1e-9])
         weights /= path.duration ** np.array([0.0, 4.0, 6.0])
         hessian, metric = np.zeros((count + 2, count + 2)), np.tensordot(weights, self.metric, axes=1)
-        for curve in range(m):  # they do not mix
+        for curve in range(m):  # curves are independent in the metric
             hessian[curve:count:m, curve:count:m] = metric
         if model.curvature is not None:
             hessian[:count, :count] += model.curvature
         if prices:
             hessian[: count + 1, : count + 1] += self.bends(path, prices)
         ridge = hessian.ravel()[:: count + 3]
-        ridge[:count] += 1e-9  # where the metric has none
-        ridge[count:] += 1e-6  # scalar and slack have none
+        ridge[:count] += 1e-9  # regularisation where the metric is singular
+        ridge[count:] += 1e-6  # the metric does not contain scalar and slack
         cost = np.concatenate([model.slope, [model.by_scalar, trust.penalty]])
         low, high = -np.ones(count + 2), np.ones(count + 2)  # rad: no coefficient moves further in one iteration
-        low[-2:], high[-2:] = (-trust.largest_shrink, 0.0), (0.5, np.inf)  # T is longer by 22 % at most
+        low[-2:], high[-2:] = (-trust.largest_shrink, 0.0), (0.5, np.inf)  # T grows by 22 % at most
         first, last = self.curve.fixed()
         scalar = [] if self.objective.scalar is Scalar.NONE else [count]
         free = np.array([*range(first, count - last), *scalar, count + 1])
@@ -264,7 +265,7 @@ class Programme:
 
 @dataclass(frozen=True, eq=False)
 class Subproblem:
-    """A quadratic programme over x = (coefficients, scalar, slack), of which only `free` are unknown.
+    """A quadratic programme over x = (coefficients, scalar, slack), of which only the entries `free` are variable.
 
     equal, target: A x = b for the coefficients. extra, extra_bound: A x <= b for them, without slack.
     """
@@ -280,13 +281,13 @@ class Subproblem:
     extra_bound: Array
 
     def solve(self, rows: Linearised) -> tuple[Array, float, Array] | None:
-        """The step (coefficients, scalar), the slack that is left, and the rows' multipliers: what a unit of violation
-        is worth. None when the solver gives up."""
+        """The step (coefficients, scalar), the remaining slack, and the rows' multipliers. None when the solver
+        fails."""
         free, count = self.free, len(rows.bound)
         some = slice(free[0], free[-1] + 1) if free[-1] - free[0] < len(free) else free
-        known = free[free < self.extra.shape[1]]  # of the coefficients, which come first, and without a gap
+        known = free[free < self.extra.shape[1]]  # coefficients, which come first and are contiguous
         inner = slice(known[0], known[-1] + 1)
-        columns = np.empty((len(free), count + len(self.extra)))  # as solvers for what is sparse want them
+        columns = np.empty((len(free), count + len(self.extra)))  # column-major, as sparse solvers need them
         columns[: len(known), :count] = rows.matrix[:, inner].T
         columns[len(known) : -1, :count] = rows.matrix[:, free[len(known) : -1]].T
         columns[-1, :count] = -1.0

@@ -20,9 +20,8 @@ DERIVATIVES = 4  # position, velocity, acceleration, jerk
 class RestSpline:
     """Basis of rest-to-rest motions: rows of coefficients are (start, interior..., goal) postures.
 
-    degree: of the polynomial pieces, at least 4. spans: number of pieces. crowding: in [0, 1): pieces at the ends
-    are shorter than the average by this share, those in the middle longer: at the ends acceleration builds up from
-    zero, and there short pieces buy most.
+    degree: of the polynomial pieces, at least 4. spans: number of pieces. crowding: in [0, 1): share by which pieces at
+    the ends are shorter than the average, because acceleration builds up from zero there.
     """
 
     degree: int
@@ -35,7 +34,7 @@ class RestSpline:
         return self.spans + self.degree - 4
 
     def breaks(self) -> Array:
-        """(spans + 1,) where the pieces meet, 0 and 1 included."""
+        """Breakpoints (spans + 1,) between the pieces, 0 and 1 included."""
         x = np.linspace(0.0, 1.0, self.spans + 1)
         return np.clip(x - self.crowding * np.sin(2 * np.pi * x) / (2 * np.pi), 0.0, 1.0)
 
@@ -43,18 +42,18 @@ class RestSpline:
         return np.concatenate([np.zeros(self.degree), self.breaks(), np.ones(self.degree)])
 
     def nodes(self, per_span: int) -> Array:
-        """(spans * per_span + 5,) points, equally many in each piece, and two more next to each end."""
+        """Points (spans * per_span + 5,): equally many in each piece, and two more next to each end."""
         breaks = self.breaks()
         inner = np.interp(np.arange(self.spans * per_span + 1) / per_span, np.arange(self.spans + 1), breaks)
         first = np.array([0.05, 0.4]) * inner[1]  # torque builds up fastest out of rest
         return np.unique(np.concatenate([inner, first, 1 - first]))
 
     def matrices(self, s: Array) -> Array:
-        """(4, len(s), size): the basis at s in [0, 1] and its first three derivatives with respect to s."""
+        """The basis at s in [0, 1] and its first three derivatives by s, (4, len(s), size)."""
         return _matrices(self, np.asarray(s, dtype=float).tobytes())
 
     def fit(self, s: Array, q: Array) -> Array:
-        """(size, n) coefficients closest, in least squares, to postures q (len(s), n), exact at both ends."""
+        """Coefficients (size, n) of the least-squares fit to postures q (len(s), n), exact at both ends."""
         basis = self.matrices(s)[0]
         ends = np.stack([q[0], q[-1]])
         rest = q - basis[:, [0, -1]] @ ends
@@ -64,7 +63,7 @@ class RestSpline:
 
 @lru_cache(maxsize=16)
 def _matrices(spline: RestSpline, points: bytes) -> Array:
-    """`RestSpline.matrices`: searches ask for the same ones again and again."""
+    """`RestSpline.matrices`, cached because searches need the same ones repeatedly."""
     rows = b_splines(spline.knots(), spline.degree, np.frombuffer(points), DERIVATIVES)
     merged = rows[:, :, 2:-2].copy()
     merged[:, :, 0] += rows[:, :, 0] + rows[:, :, 1]
@@ -74,12 +73,12 @@ def _matrices(spline: RestSpline, points: bytes) -> Array:
 
 
 def b_splines(knots: Array, degree: int, s: Array, derivatives: int) -> Array:
-    """(derivatives, len(s), len(knots) - degree - 1): all B-splines over clamped knots at s within them, and their
-    derivatives up to that order, by the recursions of de Boor (A Practical Guide to Splines, 1978, chapter X).
+    """All B-splines over clamped knots at s within them, and their derivatives below an order, as (derivatives, len(s),
+    len(knots) - degree - 1); by the recursions of de Boor (A Practical Guide to Splines, 1978, chapter X).
 
-    SciPy has the same; to import it takes longer than all else that is done with them.
+    Own code because importing SciPy takes longer than everything that is done with them.
     """
-    last = len(knots) - degree - 2  # of the pieces that are not empty
+    last = len(knots) - degree - 2  # index of the last piece that is not empty
     piece = np.clip(np.searchsorted(knots, s, side="right") - 1, degree, last)
     found = (piece[:, None] == np.arange(len(knots) - 1)).astype(float)
     by_degree = [found]
@@ -90,7 +89,7 @@ def b_splines(knots: Array, degree: int, s: Array, derivatives: int) -> Array:
     rows, slopes = [found], np.eye(found.shape[1])
     for d in range(degree, degree - derivatives + 1, -1):
         each = np.diag(d * _over(knots, d))
-        slopes = (each[:, :-1] - each[:, 1:]) @ slopes  # of degree d by those of degree d - 1
+        slopes = (each[:, :-1] - each[:, 1:]) @ slopes  # degree d from degree d - 1
         rows.append(by_degree[d - 1] @ slopes)
     return np.stack(rows)
 

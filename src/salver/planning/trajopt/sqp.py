@@ -1,8 +1,8 @@
 """Sequential quadratic programming on the coefficients of a motion and the scalar of its objective.
 
 Each iteration takes the step of a quadratic programme (`programme`). A second-order correction (the same rows with
-their true values at the trial point; Fletcher 1982) keeps steps long: rows that were left out as too far away, and the
-far side of kinks, come in with it.
+their true values at the trial point; Fletcher 1982) allows long steps. It includes rows that were left out because
+they were far from their limit, and rows behind kinks.
 """
 
 from __future__ import annotations
@@ -25,17 +25,14 @@ from salver.planning.trajopt.watch import Watch
 class SqpOptions:
     """Options of sequential quadratic programming.
 
-    iterations: at most. watch: may end the search sooner.
-    gain: relative improvement that counts as none; doubled, a search ends with less work, up to twice as far from its
-    optimum.
-    violation: largest violation of a margin-tightened row that counts as converged; doubled, more is left to the rounds
-    of adding nodes.
-    penalty: first price of a unit of violation, in the unit of the objective; it is adapted at every step.
-    least_damping: of the proximal term. mending: to end with the first step that keeps all rows.
-    poor: share of the improvement that was hoped for below which a second-order correction is tried; doubled, at every
-    step. bent: violation of a trial, beyond the programme's own, that is worth one; doubled, there are fewer.
-    kept: a row that joined stays until it is further from its edge than this; doubled, programmes have more rows.
-    beat: the search ends where nothing below this is to be expected.
+    iterations: at most. watch: may end the search early. gain: relative improvement below which the search ends;
+    doubled, it ends up to twice as far from the optimum. violation: largest violation of a row, with its margin, that
+    counts as converged; doubled, more is left to added nodes. penalty: initial penalty on the violation, in the unit of
+    the objective; it is adapted at every step. least_damping: of the proximal term. mending: whether to end with the
+    first step that satisfies all rows. poor, bent: a second-order correction is tried when a step brings less than the
+    share `poor` of the predicted improvement, or violates rows by `bent` more than the subproblem predicts. kept: a row
+    that was added is removed when it is further from its limit than this; doubled, programmes have more rows. beat: the
+    search ends when no objective below this is to be expected.
     """
 
     iterations: int = 60
@@ -51,17 +48,17 @@ class SqpOptions:
     beat: float = np.inf
 
     def beaten(self, path: Iterate, hoped: float) -> bool:
-        """Whether a path that nearly keeps its rows, and of which a step promises so much, will not come below."""
-        if path.violation >= 0.05:  # it mostly becomes longer, but how much is not known yet
+        """Whether an almost feasible iterate, with a predicted improvement `hoped`, is unlikely to get below `beat`."""
+        if path.violation >= 0.05:  # repairing it mostly takes a longer duration, but how long is unknown
             return False
-        striding = hoped > 0.15 * abs(path.cost)  # a step at its longest: no telling yet how far it goes
-        likely = max(hoped, 0.5 * hoped)  # what it is said to become longer by is too much, from afar
+        striding = hoped > 0.15 * abs(path.cost)  # a step of the largest size: the total improvement is still unknown
+        likely = max(hoped, 0.5 * hoped)  # a predicted increase is an overestimate far from the optimum
         return not striding and path.cost - likely > self.beat
 
 
 @dataclass(frozen=True)
 class SqpSolution:
-    """Last accepted iterate, how it ended, iterations and quadratic programmes used, wall time in s."""
+    """Result: last accepted iterate, status, numbers of iterations and of quadratic programmes, wall time in s."""
 
     iterate: Iterate
     status: Status
@@ -74,10 +71,10 @@ class SqpSolution:
 class Attempt:
     """The result of an iteration.
 
-    trial: where it leads, None if nowhere. predicted: improvement of the merit that was hoped for, gained: that it
-    brought, hoped: of the objective alone. slack: violation that was to be left. share: of the step that was taken.
-    unseen: rows that were left out and came near. prices: (N, m) of the rows of each block, if they are asked for.
-    programmes: that were solved. beaten: whether the search ends here (see `SqpOptions`).
+    trial: the new iterate, or None. predicted, gained: predicted and actual improvement of the merit function. hoped:
+    predicted improvement of the objective alone. slack: predicted remaining violation. share: of the step that was
+    taken. unseen: rows that were left out and came near their limit. prices: multipliers (N, m) of each block's rows,
+    where needed. programmes: number solved. beaten: whether the search ends here (see `SqpOptions`).
     """
 
     trial: Iterate | None
@@ -97,7 +94,7 @@ class Attempt:
 
 
 def minimise(programme: Programme, start: Iterate, options: SqpOptions, trust: Trust | None = None) -> SqpSolution:
-    """Local optimum from a start, which may violate conditions. trust: how far the first steps may go."""
+    """Local optimum from a start, which may violate constraints. trust: initial trust region."""
     begun = time.perf_counter()
     trust = replace(trust or Trust(), penalty=options.penalty, least_damping=options.least_damping)
     path, forced = start, tuple(np.zeros(block.values.shape, dtype=bool) for block in start.blocks)
@@ -131,7 +128,7 @@ def minimise(programme: Programme, start: Iterate, options: SqpOptions, trust: T
             trust.rejected()
             idle += attempt.predicted < enough
             mended = False
-        little = (3.0 if path is attempt.trial else 6.0) * enough  # a step that led nowhere says less
+        little = (3.0 if path is attempt.trial else 6.0) * enough  # a rejected step is weaker evidence
         if path.violation <= options.violation and (mended or attempt.hoped < little):
             idle = 2
         if idle >= 2 or trust.hopeless:
@@ -147,7 +144,7 @@ def minimise(programme: Programme, start: Iterate, options: SqpOptions, trust: T
     return SqpSolution(path, _status(code, path, options, sought), done, programmes, time.perf_counter() - begun)
 
 
-@np.errstate(over="ignore", invalid="ignore")  # a trial that went far astray is not taken
+@np.errstate(over="ignore", invalid="ignore")  # a diverging trial is rejected
 def _attempt(
     programme: Programme,
     path: Iterate,
@@ -156,8 +153,8 @@ def _attempt(
     prices: Sequence[Array],
     options: SqpOptions,
 ) -> Attempt | None:
-    """One iteration: the step of the quadratic programme, corrected where the rows bend, if it brings less than a
-    share of what was hoped for; None without a step."""
+    """One iteration: the step of the quadratic programme, with a second-order correction if it brings less than a share
+    of the predicted improvement; None if the programme failed."""
     rows = programme.linearised(path, masks)
     subproblem = programme.subproblem(path, trust, prices)
     solved = subproblem.solve(rows)
@@ -178,7 +175,7 @@ def _attempt(
         and merit - trial.merit(trust.penalty) < options.poor * predicted
         and trial.violation > max(options.bent, 2 * slack)
     ):
-        # Rows that were thought to be far away join, linearised where the others were.
+        # Rows that were left out as far from their limit are added, linearised at the same iterate.
         unseen = tuple(b.joining(m) for b, m in zip(trial.blocks, masks, strict=True))
         rows = rows.and_also(programme.linearised(path, unseen))
         bent = programme.corrected(rows, trial, step).and_also(programme.beyond_kinks(path, trial))
@@ -199,9 +196,9 @@ def _along_arc(
     predicted: float,
     penalty: float,
 ) -> tuple[Iterate, float]:
-    """The best of a step, of the corrected one, and of a point on the way x + a d + a^2 (d_c - d); and its share a.
+    """The best of the step, the corrected step, and a point on the arc x + a d + a^2 (d_c - d); and its share a.
 
-    Along that arc the violation left at its end shrinks like a^3, along a straight line like a^2.
+    Along that arc the violation shrinks like a^3, along a straight line like a^2.
     """
     bend, power = np.zeros_like(step), 2
     corrected = None if second is None else programme.moved(path, second[0])
@@ -219,7 +216,7 @@ def _along_arc(
 
 
 def _change(before: Iterate, after: Iterate) -> Array:
-    """(B,) largest change of a row of each block that was not far from its edge."""
+    """Largest change (B,) of the rows near their limit, in each block."""
     pairs = zip(before.blocks, after.blocks, strict=True)
     return np.array([np.abs(b.values - a.values)[a.values > -min(1.0, a.reach)].max(initial=0.0) for a, b in pairs])
 

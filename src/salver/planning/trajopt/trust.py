@@ -1,4 +1,4 @@
-"""Trust region of an iteration, and the penalty of a violation: rules and numbers."""
+"""Rules for the trust region of an iteration and the penalty on violations."""
 
 from __future__ import annotations
 
@@ -8,13 +8,15 @@ import numpy as np
 
 from salver.geometry import Array
 
-SHRINK = 0.36  # of sigma = T^2 in one iteration at most: 20 % of T
+SHRINK = 0.36  # largest relative reduction of sigma = T^2 in one iteration: 20 % of T
 
 
 @dataclass
 class Trust:
-    """damping: of the proximal term; small for a start that is near the optimum. depth: rows further than this from
-    their edge are left out, for all blocks or for each (B,). penalty: of a unit of violation. largest_shrink: of the
+    """Trust region and penalty.
+
+    damping: of the proximal term; small for a start near the optimum. depth: rows further than this from their limit
+    are left out, for all blocks or for each (B,). penalty: per unit of violation. largest_shrink: reduction of the
     scalar in one iteration.
     """
 
@@ -26,12 +28,12 @@ class Trust:
 
     @property
     def hopeless(self) -> bool:
-        return self.damping > 1e7  # where a step of 1 mrad costs more than any duration
+        return self.damping > 1e7  # a step of 1 mrad then costs more than any duration
 
     def priced(self, slack: float, worth: float) -> None:
-        """After a programme: `slack` it left, `worth` of a unit of violation to it.
+        """Adapt the penalty after a subproblem, from its slack and the sum of its multipliers, `worth`.
 
-        The penalty is kept just above that worth, so that steps are not judged by the violation alone.
+        The penalty is kept just above `worth`, so that the violation alone does not decide on steps.
         """
         if slack > 1e-6:
             self.penalty *= 3
@@ -39,16 +41,16 @@ class Trust:
             self.penalty = max(2 * worth, 0.3 * self.penalty, 1.0)
 
     def dearer(self) -> bool:
-        """After an end with a violation: begin again with ten times its price; False when that is too much."""
+        """After ending with a violation: start again with ten times the penalty; False when it would be too large."""
         if self.penalty >= 1e4 or self.hopeless:
             return False
         self.penalty, self.damping = 10 * self.penalty, 1.0
         return True
 
     def accepted(self, ratio: float, share: float, change: Array) -> None:
-        """After a step that brought `ratio` of what was hoped for, of which a `share` was taken, and which changed
-        rows of each block by `change` (B,) at most."""
-        self.depth = np.clip(2 * change, 0.02, 0.2)  # what the next step may reach
+        """Adapt to an accepted step: `ratio` of actual to predicted improvement, `share` of the step taken, largest
+        change (B,) of the rows of each block."""
+        self.depth = np.clip(2 * change, 0.02, 0.2)  # rows that the next step may reach
         if share < 1.0:
             factor = min(1 / share, 4.0)
         else:
@@ -58,11 +60,11 @@ class Trust:
             self.largest_shrink = min(1.5 * self.largest_shrink, SHRINK)
 
     def rejected(self) -> None:
-        """After a step that was of no use."""
+        """Adapt to a rejected step."""
         self.damping *= 4
         self.largest_shrink *= 0.5
 
     def failed(self) -> None:
-        """After a programme that could not be solved."""
+        """Adapt to a subproblem that could not be solved."""
         self.damping *= 10
         self.largest_shrink *= 0.5

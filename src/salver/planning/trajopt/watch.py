@@ -12,11 +12,11 @@ WHY = {TIME_LIMIT: "the time limit", INTERRUPTED: "an interruption"}
 
 @dataclass
 class Watch:
-    """A search asks it between iterations whether to go on. Without a time limit nothing depends on a clock.
+    """Progress of a search, which calls `over` between iterations. Without a time limit no result depends on a clock.
 
-    time_limit: s from now, or None. tell: called with the watch itself. ended: why the search was ended early, one of
-    `WHY`; "" if not. share: of the work that is done, in [0, 1]. best: the shortest duration found so far, s; None
-    before the first. trying: what is being tried, in words.
+    time_limit: s from now, or None. tell: called with the watch at every report. ended: why the search was ended early,
+    one of `WHY`; "" if not. share: of the work done, in [0, 1]. best: the shortest duration found so far, s; None
+    before the first. trying: the current step, in words.
     """
 
     time_limit: float | None = None
@@ -28,7 +28,7 @@ class Watch:
     _begun: float = field(default_factory=time.perf_counter)
 
     def over(self) -> bool:
-        """Whether to end now with the best so far."""
+        """Whether to end now with the best result so far."""
         if self.tell is not None:
             self.tell(self)
         if not self.ended and self.time_limit is not None and time.perf_counter() - self._begun > self.time_limit:
@@ -36,11 +36,11 @@ class Watch:
         return bool(self.ended)
 
     def interrupt(self) -> None:
-        """End the search at the next question."""
+        """End the search at its next call of `over`."""
         self.ended = self.ended or INTERRUPTED
 
     def part(self, first: float, size: float) -> Watch:
-        """The watch on a part of the search, which is this share of the whole and begins at `first`."""
+        """A watch for a part of the search, which begins at the share `first` of the work and has the share `size`."""
         return _Part(whole=self, first=first, size=size)
 
 

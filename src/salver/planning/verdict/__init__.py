@@ -1,1 +1,1 @@
-"""The verdict on a joint motion: whether it keeps every constraint of its problem, for the whole uncertain set."""
+"""The verdict on a joint motion: whether it meets every constraint of its problem for the whole uncertain set."""

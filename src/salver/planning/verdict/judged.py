@@ -1,5 +1,4 @@
-"""A motion at the instants at which a verdict looks at it, with what the arm, its load and what moves inside do
-there."""
+"""Evaluation of a motion at the instants of a verdict: arm, load and load dynamics."""
 
 from __future__ import annotations
 
@@ -33,32 +32,32 @@ from salver.trajectory import JointMotion, extremes, hulls
 
 @dataclass(frozen=True)
 class VerdictOptions:
-    """What a verdict looks at, and what it keeps for what may happen between the instants that it looks at.
+    """Instants of a verdict, and the margins that it requires there for peaks between them.
 
     Attributes:
-        step: s between instants; every knot of the motion is one. Doubled, a verdict takes 0.7 of the time and contact
-            rows rise by more than `contact` between the instants.
-        instants: of a motion without load dynamics at least, no closer than `period`: stops of 0.2 s change within less
-            time, and were up to 1.8 % beyond a limit of torque rate, 0.2 % of contact, between instants `step` apart.
-        step_with_dynamics: s, as `step`, where something moves inside a load, whose cases cost most.
-        deriving: instants from one at which derivatives of the dynamics are worked out to the next (knots are such);
-            between them they are linear. They are factors of the deviation, which is small: contact rows change by less
-            than 2e-4 (tests/test_live_verdict.py). At 1, a verdict takes 1.04 to 1.1 times as long.
-        contact: share of the normal force at rest that every contact row keeps. Measured: between the instants rows
-            rise by up to 5e-4 (tests/test_live_verdict.py). Doubled, friction is used to 0.1 % less.
-        torque_rate: share of its limit that the rate of torque keeps. Measured: over a period it is up to 1.3e-3 more
-            than is found along a fastest motion (tests/test_live_verdict.py), and was up to 8e-3 more in wild streams.
-        period: s, the shortest of a loop that is told torques.
-        inside: share of its room that what moves inside keeps: its state is known from one motion to the next to a
-            thousandth.
-        at_rest_instants: of the rest after the end, until the deviation has settled; closer together where it begins.
-        spent: of what a planner keeps between its instants (`FINEST`), what a verdict does not ask for once more; of a
-            distance, which it keeps at its instants only, as much may be lacking: 0.01 mm. Live motions, which others
-            go on from, have to keep all of it.
-        forgiven: share of a row's margin, never of the row itself, that may be lacking at first (`beginning`, s), where
-            the jerk has just changed. At 0, bends are refused for a margin that the arm inherits.
-        at_rest: rad/s and rad/s^2 that may be left at the end of a motion: rounding.
-        continuous: rad, rad/s, rad/s^2 by which a motion may begin elsewhere than where the arm is: rounding.
+        step: time between instants, s; every knot of the motion is an instant. With twice the step a verdict takes 0.7
+            of the time, and contact rows rise by more than `contact` between instants.
+        instants: least number for a motion without load dynamics, but no closer than `period`. Stops of 0.2 s change
+            fast: between instants `step` apart they exceeded torque rate limits by up to 1.8 %, contact by 0.2 %.
+        step_with_dynamics: s, instead of `step` with load dynamics, whose cases are expensive.
+        deriving: derivatives of the dynamics are computed at every such instant and at knots, and are linear between.
+            They multiply the small deviation: contact rows change by less than 2e-4 (tests/test_live_verdict.py). With
+            1 a verdict takes 1.04 to 1.1 times as long.
+        contact: margin of every contact row, as a share of the normal force at rest. Measured: rows rise by up to 5e-4
+            between instants (tests/test_live_verdict.py).
+        torque_rate: margin of the torque rate, as a share of its limit. Measured: up to 1.3e-3 more over a period than
+            is found along a fastest motion (tests/test_live_verdict.py), up to 8e-3 more in rapidly changing streams.
+        period: s, shortest control period of a torque interface.
+        inside: margin of load dynamics, as a share of their room: their state is known to a thousandth from one motion
+            to the next.
+        at_rest_instants: of the rest after the end, until the deviation has settled; denser at its beginning.
+        spent: part of the planner's margin between instants (`FINEST`) that the verdict does not require; distances,
+            which the planner keeps at its instants only, may be smaller by as much: 0.01 mm. Live motions, from which
+            others go on, must keep the whole margin.
+        forgiven: share of a row's margin (never of the row itself) that may be missing during the first `beginning`
+            seconds, where the jerk has just changed. With 0, changes of motion are refused for an inherited margin.
+        at_rest: largest velocity and acceleration at the end of a motion, rad/s and rad/s^2: rounding.
+        continuous: largest difference of a motion's start from the arm's state, rad, rad/s, rad/s^2: rounding.
     """
 
     step: float = 2.5e-3
@@ -77,7 +76,7 @@ class VerdictOptions:
     continuous: tuple[float, float, float] = (1e-8, 1e-7, 1e-5)
 
     def margin(self, block: Block, constraint: Constraint | None) -> float:
-        """What a motion keeps from the boundary of a constraint, in the unit of its rows."""
+        """The margin that a constraint's rows must keep, in their unit."""
         margins = {ContactConstraint: self.contact, TorqueRateLimit: self.torque_rate, LoadConstraint: self.inside}
         kept = (x for kind, x in margins.items() if isinstance(constraint, kind))
         least = -self.spent if isinstance(constraint, Clearance) else 0.0
@@ -85,14 +84,14 @@ class VerdictOptions:
 
 
 STANDARD = VerdictOptions()
-# A plan and its stops keep what their scenario asks for: nothing goes on from them that would need more.
+# Plans and stops need no more margin than their scenario's: no other motion goes on from them.
 PLANNED = VerdictOptions(contact=0.0, torque_rate=0.0, inside=0.0, spent=FINEST)
 
 
 @dataclass(frozen=True, eq=False)
 class VerdictEvaluation(MotionEvaluation):
-    """A motion whose jerk jumps at its knots: jerk_before (N, n) is that just before each node, `z` has that after.
-    derived: nodes at which derivatives of the dynamics are worked out; between them they are linear."""
+    """Evaluation of a motion whose jerk jumps at its knots: jerk_before (N, n) is the value just before each node, `z`
+    has the one after. derived: nodes with derivatives of the dynamics, which are linear between."""
 
     jerk_before: Array = field(default_factory=lambda: np.zeros(0))
     derived: Indices = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
@@ -104,7 +103,8 @@ class VerdictEvaluation(MotionEvaluation):
 
     @cached_property
     def response(self) -> Deviation | None:
-        """e'' + kd e' + kp e = M^-1 J^T dF and what late commands are short of, which jumps where the jerk does."""
+        """Response e of e'' + kd e' + kp e = M^-1 J^T dF, with the error of held commands, which jumps with the
+        jerk."""
         if self.tracking is None:
             return None
         rates, before = self.at_nodes[1:], self.jerk_before
@@ -124,7 +124,7 @@ class Judged:
 
     @classmethod
     def of(cls, problem: TransportProblem, motion: JointMotion, options: VerdictOptions = STANDARD) -> Judged:
-        """Every knot is an instant, and between two of them they are evenly spaced."""
+        """The motion with instants at all knots and evenly spaced ones between."""
         closer = max(motion.duration / options.instants, options.period)
         step = options.step_with_dynamics if problem.cases else min(options.step, closer)
         counts = np.maximum(1, np.ceil(np.diff(motion.t) / step - 1e-9)).astype(int)
@@ -144,12 +144,12 @@ class Judged:
         return cls(problem, motion, t, VerdictEvaluation(**(vars(whole) | more)), options)
 
     def of_kind(self, *kinds: type[Constraint]) -> list[Constraint]:
-        """The problem's constraints of exactly these kinds; the rest is left to `others`."""
+        """The problem's constraints of exactly these classes; `others` treats the rest."""
         return [constraint for constraint in self.problem.constraints if type(constraint) in kinds]
 
     def rows(self, constraint: Constraint, blocks: Iterable[Block] | None = None) -> Iterator[Block]:
-        """A constraint's rows along the motion, or those given in their place, with their margins. A row that is no
-        number is violated; a margin that is lacking where the motion begins is forgiven in part."""
+        """A constraint's rows along the motion, or the given ones, with their margins. NaN counts as a violation; a
+        part of the margin may be missing at the beginning (`VerdictOptions.forgiven`)."""
         for block in constraint.blocks(self.along) if blocks is None else blocks:
             margin = self.options.margin(block, constraint)
             values = block.values + margin
@@ -164,9 +164,9 @@ class Judged:
         return hulls(self.t, self.along.z[:3])
 
     def joints(self, order: int) -> Iterator[Block]:
-        """|d^k q / dt^k| at most its limit, at every time: the Bernstein coefficients between two instants bound it
-        there; of acceleration and jerk, for which that bound is wide, the extremes. To position and velocity the
-        deviation of the arm is added, the larger of that at either instant."""
+        """Rows |d^k q / dt^k| <= limit at all times: Bernstein coefficients bound it between two instants; for
+        acceleration and jerk, where that bound is loose, the extremes are used. Position and velocity include the arm's
+        deviation, the larger of both instants."""
         kind = LIMITS[order]
         for constraint in self.of_kind(JointLimit):
             assert isinstance(constraint, JointLimit)
@@ -188,8 +188,8 @@ class Judged:
             yield from self.rows(constraint, rows)
 
     def _velocity_by_position(self, limits: JointLimits) -> Array:
-        """(N - 1, 2 n) dq + its radius <= v(q + its radius) towards either end: v is concave, so v of a motion between
-        two instants is at least what the Bernstein coefficients of v at those of q make."""
+        """Rows (N - 1, 2 n) dq + radius <= v(q + radius) towards either end. v is concave, so between two instants v(q)
+        is at least the polynomial whose Bernstein coefficients are v at those of q."""
         by_position, n = limits.velocity_by_position, self.problem.n
         assert by_position is not None
         stray = extra = np.zeros((len(self.t) - 1, n))
@@ -205,13 +205,13 @@ class Judged:
 
     @property
     def last(self) -> int:
-        """The instant at which the motion ends; those after it are of the rest."""
+        """Index of the instant at which the motion ends; later ones are at rest."""
         return int(np.searchsorted(self.t, self.motion.duration - 1e-9))
 
     @cached_property
     def deviation(self) -> Array | None:
-        """(N, 2, n, k) e and e' of each term until the end of the motion, see `JointLoop.start`; None where nothing is
-        uncertain."""
+        """Deviations e and e' of each term until the end of the motion, (N, 2, n, k), see `JointLoop.start`; None if
+        nothing is uncertain."""
         if self.along.response is None:
             return None
         joints, held = self.along.response.joints, self.along.response.held
@@ -220,15 +220,15 @@ class Judged:
 
     @property
     def stray(self) -> Array:
-        """(n,) rad, the most by which each joint may be off the motion under the uncertain set."""
+        """Largest deviation (n,) of each joint from the motion under the uncertain set, rad."""
         if self.along.response is None:
             return np.zeros(self.problem.n)
         return np.asarray(self.along.joint_radius(0)[: self.last + 1].max(axis=0))
 
     @cached_property
     def off(self) -> Array:
-        """(N,) m by which what stands on the tray may be elsewhere until the end of the motion; at its end, by as much
-        as it will be at rest."""
+        """Largest displacement (N,) of an object on the tray from the plan until the end of the motion, m; at its end
+        that of the rest after it."""
         if self.along.response is None:
             return np.zeros(self.last + 1)
         stray = strayed(*self.along.tray_radius())
@@ -249,8 +249,8 @@ def no_gradient(node: Indices, row: Indices) -> Array:
 
 
 def subsample(parts: ArmGeometry, q: Array) -> Array:
-    """Of postures (N, n) along a motion so many that no pair is near (`ClearanceOptions.near`) at another one only:
-    between two of them none comes nearer by more than half of that."""
+    """A subset of postures (N, n) along a motion, dense enough to find all pairs within `ClearanceOptions.near`:
+    between two of them distances shrink by at most half of that."""
     for every in (8, 4, 2):
         some = q[np.unique(np.append(np.arange(0, len(q), every), len(q) - 1))]
         if (np.abs(np.diff(some, axis=0)) @ parts.levers(q).T).max(initial=0.0) < CLEARANCE.near:

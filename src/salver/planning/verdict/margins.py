@@ -1,4 +1,4 @@
-"""Margins of a committed motion by the name of each constraint, for the state of a live motion."""
+"""Margins of a committed motion by constraint name, for the state of a live motion."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ from salver.planning.trajopt.problem import TransportProblem
 
 @dataclass(frozen=True, eq=False)
 class ConstraintMargins:
-    """Margins of a verified motion from its constraints.
+    """Margins of a verified motion.
 
-    t: (N,) live time, s. row: (N,) the largest row there, as a share of what it limits, 0 at the constraint's
-    boundary; what: (N,) which row, an index into names.
+    t: (N,) live time, s. row: (N,) the largest row there, as a share of its limit, 0 at the limit. what: (N,) its
+    index in `names`.
     """
 
     t: Array
@@ -44,7 +44,7 @@ class ConstraintMargins:
                 continue
             value = block.values.max(axis=1)
             if isinstance(block.of, LevelConstraint) and np.all(value <= 0.0):
-                continue  # a tray that has to stay level is always as near to that, and nothing is limited by it
+                continue  # a level tray is always at this limit, which says nothing
             at = block.points[: len(value)]
             above = np.flatnonzero(value > largest[at])
             above = above[np.argsort(value[above])]  # several rows may be of one point
@@ -58,9 +58,9 @@ class ConstraintMargins:
         return cls(t, largest, what, tuple(names))
 
     def from_(self, t: float) -> tuple[float, str]:
-        """Distance from the constraint that the motion comes nearest to from t on, and whose it is.
+        """The least margin from time t on, and the name of its constraint.
 
-        What limits a motion is seldom what is near now: a joint that will be at its fastest a while ahead, perhaps.
+        Later instants count because what limits a motion, such as a joint's top speed, is often still ahead.
         """
         first = min(int(np.searchsorted(self.t, t)), len(self.t) - 1)
         k = first + int(np.argmax(self.row[first:]))
@@ -68,7 +68,7 @@ class ConstraintMargins:
 
 
 def _labels(block: Block, problem: TransportProblem) -> Sequence[str]:
-    """Names of a block's constraints: by joint if there is one for each, else by the pair that must keep apart."""
+    """Names of a block's rows: by joint if there is one for each, else by pair of parts."""
     if isinstance(block.of, Clearance):
         parts = block.of.keep_out.parts
         return [f"{block.name} of {parts.names[i]} from {parts.names[j]}" for i, j in parts.pairs]
@@ -79,7 +79,7 @@ def _labels(block: Block, problem: TransportProblem) -> Sequence[str]:
 
 @lru_cache(maxsize=64)
 def _by_joint(constraint: JointLimit | TorqueLimit | TorqueRateLimit, name: str, joints: tuple[str, ...]) -> list[str]:
-    """Names of rows either side of a limit."""
+    """Names of the rows of both sides of a limit."""
     kind = next(kind for kind in LIMITS if kind.name == name)
     finite = np.flatnonzero(np.isfinite(constraint.limits.range(kind)[1]))
     return [f"{name} of {joints[j]}" for j in (*finite, *finite)]

@@ -1,9 +1,8 @@
-"""The verdict on which all safety rests: no motion is committed, stored as a stop or sent that did not pass it.
+"""The verdict on which all safety rests: every motion must pass it before it is committed, stored as a stop or sent.
 
-`verify` evaluates the motion at instants `VerdictOptions.step` apart, from the state in which it begins, and goes
-through `CHECKS` in the order of their price; it ends at the first that fails. A check gives rows g <= 0, as constraints
-do (`salver.planning.trajopt.constraints.constraints`). Whatever the planner's nodes were, these instants are the
-verdict's own.
+`verify` evaluates the motion at instants `VerdictOptions.step` apart, independent of the planner's nodes, from the
+state in which it begins. It runs `CHECKS`, cheapest first, up to the first that fails. A check returns rows g <= 0, as
+constraints do (`salver.planning.trajopt.constraints.constraints`).
 """
 
 from __future__ import annotations
@@ -39,10 +38,16 @@ State = tuple[Array, Array, Array]  # q, dq, ddq (n,): rad, rad/s, rad/s^2
 
 @dataclass(frozen=True, eq=False)
 class Verdict:
-    """Whether a motion passes. sentence: why not; empty where it does. excess: of the worst row that was looked at,
-    infinite where no row is; what: which row it is, of a motion that does not pass. slower: by how much longer,
-    relatively, it would pass; infinite when time does not help. judged: the motion as it was looked at; margins: the
-    largest row at each of its instants. Both are None where it is no motion or does not begin in its state."""
+    """Whether a motion passes.
+
+    Attributes:
+        sentence: why not; "" if it passes.
+        excess: value of the worst row that was checked; infinite without rows.
+        what: name of the violated row.
+        slower: relative increase of the duration with which it would pass; infinite if that does not help.
+        judged, margins: the evaluated motion, and its largest row at each instant; None for an invalid motion or one
+            that does not begin in the arm's state.
+    """
 
     sentence: str
     excess: float = np.inf
@@ -60,28 +65,28 @@ Check = Callable[[Judged], Iterable[Block]]
 
 
 def acceleration(judged: Judged) -> Iterable[Block]:
-    """|ddq| <= limit, of the reference, as makers state their limits."""
+    """|ddq| <= limit, of the reference, as in manufacturers' limits."""
     return judged.joints(2)
 
 
 def jerk(judged: Judged) -> Iterable[Block]:
-    """|dddq| <= limit, of the reference; on either side of a knot, where it jumps."""
+    """|dddq| <= limit, of the reference; on both sides of a knot, where it jumps."""
     return judged.joints(3)
 
 
 def tilt(judged: Judged) -> Iterator[Block]:
-    """Tray level, or leaning by no more than motion.max_tilt_deg: e_z . R_SE e_z >= cos(tilt), of the reference."""
+    """Tray level, or tilted by at most motion.max_tilt_deg: e_z . R_SE e_z >= cos(tilt), of the reference."""
     for constraint in judged.of_kind(LevelConstraint, TiltConstraint):
         yield from judged.rows(constraint)
 
 
 def torque_rate(judged: Judged) -> Iterator[Block]:
-    """|tau(t + p) - tau(t)| / p <= limit over every period p of the loop, of the reference: with dtau/dt = dtau/dq dq +
-    dtau/ddq ddq + M dddq on either side of each instant, where the jerk jumps at knots, and linear between two."""
+    """|tau(t + p) - tau(t)| / p <= limit over every control period p, of the reference. dtau/dt = dtau/dq dq +
+    dtau/ddq ddq + M dddq is computed on both sides of each instant, because the jerk jumps, and is linear between."""
     z, slope, n = judged.along.at_nodes, judged.along.terms.torque_z, judged.problem.n
     after = slope @ z[1:].swapaxes(0, 1).reshape(len(slope), 3 * n, 1)
     before = after - slope[:, :, 2 * n :] @ (z[3] - judged.along.jerk_before)[:, :, None]
-    half = np.minimum(judged.options.period / np.diff(judged.t), 1.0)[:, None] / 2  # of a step, from either end
+    half = np.minimum(judged.options.period / np.diff(judged.t), 1.0)[:, None] / 2  # share of a step, from either end
     for constraint in judged.of_kind(TorqueRateLimit):
         assert isinstance(constraint, TorqueRateLimit)
         limit = constraint.limits.torque_rate
@@ -101,7 +106,7 @@ def torque(judged: Judged) -> Iterator[Block]:
 
 
 def position(judged: Judged) -> Iterable[Block]:
-    """q_min <= q - radius, q + radius <= q_max; radius: the most that the arm is off under the uncertain set."""
+    """q_min <= q - radius, q + radius <= q_max; radius: largest deviation of the arm under the uncertain set."""
     return judged.joints(0)
 
 
@@ -111,8 +116,8 @@ def velocity(judged: Judged) -> Iterable[Block]:
 
 
 def contact(judged: Judged) -> Iterator[Block]:
-    """C(p) w <= 0 at full speed for every parameter p of the uncertain set: C are the facets of the contact wrench cone
-    and w is what the tray feels, with the deviation that p itself makes and with what moves inside loads."""
+    """C(p) w <= 0 at full speed for every p in the uncertain set: C has the facets of the contact wrench cone, and w is
+    the tray's motion regressor with the deviation caused by p, plus the contribution of load dynamics."""
     for constraint in judged.of_kind(ContactConstraint):
         assert isinstance(constraint, ContactConstraint)
         if constraint.speed.factor:
@@ -120,8 +125,8 @@ def contact(judged: Judged) -> Iterator[Block]:
 
 
 def contact_standing(judged: Judged) -> Iterator[Block]:
-    """C(p) w_0 <= 0 for every p, w_0 the weight alone in each posture of the arm that sags under p: so contact holds at
-    every lower speed, for w is linear in the speed squared and the cone is convex."""
+    """C(p) w_0 <= 0 for every p, where w_0 is weight alone in each posture, with the arm's static deviation under p.
+    Together with full speed this covers every lower speed: w is linear in the speed squared and the cone is convex."""
     for constraint in judged.of_kind(ContactConstraint):
         assert isinstance(constraint, ContactConstraint)
         if not constraint.speed.factor:
@@ -129,15 +134,15 @@ def contact_standing(judged: Judged) -> Iterator[Block]:
 
 
 def load_limits(judged: Judged) -> Iterator[Block]:
-    """What moves inside loads within its limits (a liquid below its brim), in every case that a verdict
-    looks at, during the motion, and of what is left after it."""
+    """Limits of load dynamics (a liquid below its brim) in every case of the verdict, during the motion, and of the
+    residual swing after it."""
     for constraint in judged.of_kind(LoadConstraint):
         yield from judged.rows(constraint)
 
 
 def at_rest(judged: Judged) -> Iterator[Block]:
-    """`contact` and `load_limits` for a period of the slowest load after the end, in which the arm settles: it leans,
-    and what swings back there pushes more than when the tray stopped."""
+    """`contact` and `load_limits` for a period of the slowest load after the end, while the arm settles: on a tilted
+    tray a load that has swung back pushes more than when the tray stopped."""
     for constraint in judged.of_kind(AtRest):
         assert isinstance(constraint, AtRest)
         yield from judged.rows(constraint.of, constraint.blocks(judged.along))
@@ -154,7 +159,7 @@ def clearance(judged: Judged) -> Iterator[Block]:
 
 
 def others(judged: Judged) -> Iterator[Block]:
-    """Whatever else the problem asks for: what is predicted to pass, and constraints of one's own."""
+    """All other constraints of the problem: predicted obstacles and user-defined ones."""
     limits = JointLimit, LevelConstraint, TiltConstraint, TorqueRateLimit, TorqueLimit
     known = *limits, ContactConstraint, LoadConstraint, AtRest
     for constraint in judged.problem.constraints:
@@ -163,7 +168,7 @@ def others(judged: Judged) -> Iterator[Block]:
             yield from judged.rows(constraint)
 
 
-# In the order of their price: the reference alone, its dynamics, the deviation, everything.
+# Cheapest first: those of the reference alone, its dynamics, the deviation, everything.
 CHECKS: tuple[Check, ...] = (
     *(acceleration, jerk, tilt, torque_rate, torque, position, velocity),
     *(contact_standing, contact, load_limits, at_rest, clearance, others),
@@ -178,11 +183,15 @@ def verify(
     *,
     thoroughly: bool = False,
 ) -> Verdict:
-    """The verdict on a motion to rest under a problem.
+    """The verdict on a motion that ends at rest.
 
-    problem: with the deviation of the arm, and the modal states, that there are when the motion begins. begins: the
-    arm's state then; None: at rest. thoroughly: when a check fails, go through the others too, to say what of all is
-    violated most."""
+    Args:
+        problem: with the arm's deviation and the modal states at the beginning of the motion.
+        motion: of the joints.
+        begins: the arm's state then; None: at rest.
+        options: of the verdict.
+        thoroughly: after a failure run the remaining checks too, to name the largest violation of all.
+    """
     if jolt := joins(motion, begins, options):
         return Verdict(jolt)
     judged = Judged.of(problem, motion, options)
@@ -199,7 +208,8 @@ def verify(
 
 
 def joins(motion: JointMotion, begins: State | None, options: VerdictOptions) -> str:
-    """q, dq, ddq at its beginning are those of the arm then, and dq, ddq = 0 at its end; why not, or nothing."""
+    """Why a motion is invalid: it does not begin in the arm's state q, dq, ddq, or not end with dq = ddq = 0; "" if it
+    is valid."""
     states = motion.q, motion.dq, motion.ddq
     if not all(np.all(np.isfinite(x)) for x in (motion.t, *states)) or not np.all(np.diff(motion.t) > 0):
         return "it is no motion: its knots are not numbers in order"
@@ -213,11 +223,14 @@ def joins(motion: JointMotion, begins: State | None, options: VerdictOptions) ->
 
 
 def touches(judged: Judged, blocks: Sequence[Block]) -> str:
-    """Which parts may touch between two instants: those nearer to each other, at both together, than they may move
-    against one another in between (sum of |dq| times lever). These are swept; what touches, in words, or nothing."""
+    """The parts that collide between two instants, in words; "" for none.
+
+    Pairs that are closer, at both instants together, than they can move relative to each other (sum of |dq| times lever
+    arm) are checked in between.
+    """
     states = judged.along.at_nodes[:3]
     for block in blocks:
-        if type(block.of) is not Clearance:  # of a subclass nobody knows what its rows are
+        if type(block.of) is not Clearance:  # rows of a subclass may be anything
             continue
         out = block.of.keep_out
         low = out.least - (block.values - judged.options.margin(block, block.of)) / PER_METRE
@@ -228,11 +241,11 @@ def touches(judged: Judged, blocks: Sequence[Block]) -> str:
 
 
 def _refused(blocks: Sequence[Block], judged: Judged) -> Verdict:
-    """The verdict on a motion of which some rows are violated."""
+    """The verdict on a motion with violated rows."""
     margins = ConstraintMargins.of(blocks, judged.t, judged.problem)
     worst = int(np.argmax(margins.row))
     excess, name = float(margins.row[worst]), margins.names[int(margins.what[worst])]
-    far = name.startswith("clearance of ")  # in metres, not as a share of anything
+    far = name.startswith("clearance of ")  # in m, not a share of a limit
     beyond = f"{1e3 * excess / PER_METRE:.2g} mm too small" if far else f"exceeded by {100 * excess:.2g} %"
     sentence = f"{name} would be {beyond} {judged.t[worst]:.2f} s after it begins"
     by_time = all(block.by_time and np.isfinite(block.values.max()) for block in blocks)

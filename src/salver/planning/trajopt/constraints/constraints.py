@@ -1,8 +1,7 @@
 """Constraints on a joint motion: each gives blocks of rows g <= 0, sampled along the motion, with derivatives.
 
-A constraint is an object; the optimiser gets a list of them and knows none by name. One of your own is a subclass of
-`Constraint` (docs/extending.md). Rows are scaled so that 0 is the edge and 1 the size of the quantity: the limit
-itself, the weight of what stands there.
+The optimiser gets a list of `Constraint` objects; users can add subclasses (docs/extending.md). Rows are scaled such
+that 0 is the limit and 1 the size of the quantity: the limit itself, or the weight of an object.
 """
 
 from __future__ import annotations
@@ -30,12 +29,12 @@ from salver.planning.trajopt.evaluation import MotionEvaluation
 Gradient = Callable[[Indices, Indices], Array]
 History = Callable[[Indices, Indices, Unknowns], Array]
 
-FINEST = 1e-4  # of a limit, for what may happen between the points of the check
-LEVEL_TOLERANCE = 1e-3  # rad; what "level" means to the planner; contact is judged on the true motion
-LEVEL_SCALE = 1e-3  # rows of "level" in rad, the size at which a tilt matters to contact
-REACH_BEYOND_TRAY = 0.2  # m; lever at which the tray's rotation error moves what stands on it
-UNSEEN = -0.02  # a row left out of a programme is put in when its step brings it nearer than this to its edge
-PER_METRE = 10.0  # rows of distances, in m
+FINEST = 1e-4  # share of a limit kept at the points of the check, for peaks between them
+LEVEL_TOLERANCE = 1e-3  # rad; largest tilt of a level tray in the planner; contact is judged on the true motion
+LEVEL_SCALE = 1e-3  # rad, scale of the rows of "level": a tilt that matters to contact
+REACH_BEYOND_TRAY = 0.2  # m; lever arm that converts the tray's rotation error to a displacement of the load
+UNSEEN = -0.02  # a row that was left out of a programme is added when a step brings it above this
+PER_METRE = 10.0  # 1/m, scale of the rows of distances
 
 
 def of_its_limit(excess: float) -> str:
@@ -47,27 +46,28 @@ def of_its_limit(excess: float) -> str:
 class Block:
     """Constraints of one kind along a motion.
 
-    values (N, m), at most 0 where the row is kept; points: the points of the grid at which they are taken.
-    gradient(node, row): (r, 4 n) derivatives by z = (q, dq, ddq, dddq) at the node, for rows (r,) that are asked for.
-    margins: what the nodes keep from the edge, for what may happen between them, and what is kept in the check there;
-    in the unit of the rows.
-    scales: whether the rows depend on time, and so become nearly linear in T^2 when multiplied by it.
-    following: derivatives by z at the next node, for rows that couple two neighbours. by_duration: (N, m) derivative
-    by log T at fixed z, for rows in which the duration itself occurs.
-    history: of rows that depend on what the tray felt at other nodes too: derivatives (r, c) by c unknowns of the
-    motion, beside the gradient.
-    curvature: of rows whose values are convex in what is linear in the unknowns, as the size of a swing is: factors
-    (r, k, c), whose squares summed over k are the second derivative.
-    remembers: rows further than this from their edge are taken to have none: it is what costs most.
-    slows: by how much longer a motion, relatively, is put right for each unit of excess.
-    reach: rows further than this from their edge are never considered, because their derivatives are expensive.
-    most: rows of one node that are considered; None for all. always: rows are considered however far away.
-    kinked: whether derivatives jump, as those of distances do where the nearest edge becomes another one, or turn
-    quickly, as those of the size of a swing that may come from any side.
-    factor: the speed factor at which the rows are taken: what the unknowns make of the tray's motion regressor is that
-    there.
-    inherits: whether the first node's rows are of the state that the motion begins in, and so cannot be changed.
-    in_words: what a row above 0 exceeds its limit by, with a unit.
+    Attributes:
+        name: in words.
+        values: (N, m), at most 0 where the row is met.
+        gradient: gradient(node, row) returns derivatives (r, 4 n) of rows (r,) by z = (q, dq, ddq, dddq) at the node.
+        points: indices of the grid points of the values.
+        margins: distance from the limit that is kept at nodes, for peaks between them, and in the check; in the unit
+            of the rows.
+        scales: whether the rows depend on time, and so become nearly linear in T^2 when multiplied by it.
+        following: derivatives by z at the next node, for rows that couple two neighbours.
+        by_duration: (N, m) derivative by log T at fixed z, for rows that contain the duration itself.
+        history: for rows that depend on the motion at other nodes too: additional derivatives (r, c) by c unknowns.
+        curvature: for rows that are convex functions of linear ones, such as the size of a swing: factors (r, k, c)
+            whose squares, summed over k, are the second derivative.
+        remembers: history is neglected for rows further than this from their limit, because it is expensive.
+        slows: relative increase of the duration that removes a unit of violation.
+        reach: rows further than this from their limit are never included, because their derivatives are expensive.
+        most: largest number of rows per node that are included; None for all. always: include rows at any distance.
+        kinked: whether derivatives jump, as those of distances between polyhedra, or change quickly.
+        inherits: whether the first node's rows depend on the initial state only, and so cannot be changed.
+        in_words: returns the violation of a row above 0 in words, with a unit.
+        factor: speed factor of the rows.
+        of: the constraint.
     """
 
     name: str
@@ -92,32 +92,32 @@ class Block:
     of: Constraint | None = None
 
     def having(self, **other: Any) -> Block:
-        """A copy of the rows with some fields changed, in a tenth of the time of `replace`."""
+        """A copy with some fields changed, ten times as fast as `replace`."""
         made = object.__new__(Block)
         vars(made).update(vars(self), **other)
         return made
 
     @property
     def by_time(self) -> bool:
-        """Whether the same path in another time has other rows."""
+        """Whether the rows change with the duration of the same path."""
         return self.scales or self.by_duration is not None
 
     @property
     def peaks(self) -> np.ndarray:
-        """(N, m) True where a row is not smaller than at its neighbours in time."""
+        """Mask (N, m) of local maxima of the rows over time."""
         padded = np.pad(self.values, ((1, 1), (0, 0)), constant_values=-np.inf)
         return np.asarray((self.values >= padded[:-2]) & (self.values >= padded[2:]))
 
     def near(self, depth: float) -> np.ndarray:
-        """(N, m) True for rows no further from their edge than `depth` that are to be considered."""
+        """Mask (N, m) of the rows to include: those within `depth` of their limit."""
         return self._foremost(1) & (self.values > -min(np.inf if self.always else depth, self.reach))
 
     def joining(self, known: np.ndarray) -> np.ndarray:
-        """(N, m) True for rows at or beyond their edge that a programme should have known of beside `known`."""
+        """Mask (N, m) of rows close to or beyond their limit that should be added to the `known` ones."""
         return self._foremost(3) & (self.values > UNSEEN) & ~known
 
     def _foremost(self, times: int) -> np.ndarray:
-        """(N, m) or (1, 1), True for the `most` rows of each node, times some, that are furthest out."""
+        """Mask (N, m) or (1, 1) of the largest rows of each node, `times` times `most` of them."""
         if self.most is None or self.values.shape[1] <= times * self.most:
             return np.ones((1, 1), dtype=bool)
         k = times * self.most
@@ -125,19 +125,19 @@ class Block:
 
 
 class Constraint(ABC):
-    """A condition on a motion."""
+    """A constraint on a motion."""
 
     @abstractmethod
     def blocks(self, motion: MotionEvaluation) -> Iterable[Block]:
-        """Its rows along a motion."""
+        """The rows along a motion."""
 
     def near(self, q: Array) -> Constraint:
-        """The same for motions near to postures (N, n), where it may have less to look at."""
+        """The constraint for motions near postures (N, n), which may have fewer rows."""
         return self
 
 
 def evaluate(constraints: Sequence[Constraint], motion: MotionEvaluation, margins: bool = True) -> tuple[Block, ...]:
-    """All constraints of a motion, by default with their margins. A row that is no number is not kept."""
+    """Rows of all constraints along a motion, by default with their margins. NaN counts as a violation."""
     blocks = []
     for constraint in constraints:
         for block in constraint.blocks(motion):
@@ -158,7 +158,7 @@ def worst_of(blocks: Sequence[Block]) -> tuple[float, str]:
 
 
 def violated(blocks: Sequence[Block]) -> str:
-    """The condition that a motion violates most, and by how much, in words."""
+    """The most violated constraint and the amount, in words."""
     worst = max(blocks, key=lambda block: float(block.values.max()))
     return f"{worst.name}, by {worst.in_words(float(worst.values.max()))}"
 
@@ -171,10 +171,9 @@ def padded(rows: Array, n: int) -> Array:
 
 
 def both_sides(scaled: Array, extra: Array | float = -1.0) -> Array:
-    """(N, 2 m) rows that keep shares of a limit (N, m) within -1 and 1; extra: that limit, negative, and with it what
-    is uncertain about the shares.
+    """Rows (N, 2 m) that keep shares of a limit (N, m) within -1 and 1. extra: -1 plus the uncertainty of the shares.
 
-    Column by column in memory: the largest of each row, and of each instant, is found in a sixth of the time."""
+    The memory layout is column by column: maxima over each row and instant are then six times as fast."""
     out = np.empty((2 * scaled.shape[1], len(scaled))).T
     np.add(extra, scaled, out=out[:, : scaled.shape[1]])
     np.subtract(extra, scaled, out=out[:, scaled.shape[1] :])
@@ -183,11 +182,11 @@ def both_sides(scaled: Array, extra: Array | float = -1.0) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class JointLimit(Constraint):
-    """Position, velocity, acceleration, jerk: two rows for each joint with a finite limit; and two of the velocity by
-    position, where the arm has such limits.
+    """Limits of position, velocity, acceleration and jerk: two rows per joint with a finite limit, and two of the
+    position-dependent velocity limit, where the arm has one.
 
-    To position and velocity a parameter error, the zero-order hold and loads add what the arm strays; acceleration
-    and jerk are those of the reference, as makers state their limits. orders: of the derivatives that are checked.
+    Position and velocity include the tracking error by parameter errors, the zero-order hold and load dynamics;
+    acceleration and jerk are those of the reference, as in manufacturers' limits. orders: of the derivatives checked.
     """
 
     limits: JointLimits
@@ -195,7 +194,7 @@ class JointLimit(Constraint):
 
     @cached_property
     def _ranges(self) -> list[tuple[LimitKind, Array, Array, Indices, Indices | slice]]:
-        """Kind, middle and half-width of the joints that have one, and which these are; to take what is theirs."""
+        """Kind, middle and half-width of each limit, and the indices of the joints that have it."""
         ranges = [
             (kind, *self.limits.range(kind)) for kind in LIMITS if kind.of == "position" and kind.order in self.orders
         ]
@@ -224,14 +223,14 @@ class JointLimit(Constraint):
             if order < 2 and motion.response is not None:
                 extra = motion.between_nodes(motion.joint_radius(order)[:, theirs]) / half - 1.0
             values = both_sides((motion.z[order][:, theirs] - middle) / half, extra)
-            # A derivative of order k goes with T^-k; a little more, for what else is nonlinear.
+            # A derivative of order k scales with T^-k; the rest allows for other nonlinearity.
             slows = 1.5 if order == 0 else 1.0 / order + 0.02
             yield Block(kind.name, values, gradient, points, scales=order > 0, slows=slows, inherits=order < 3)
         if self.limits.velocity_by_position is not None and 1 in self.orders:
             yield self._velocity_by_position(motion)
 
     def _velocity_by_position(self, motion: MotionEvaluation) -> Block:
-        """dq + its radius <= v(q + its radius) towards the upper end, and likewise towards the lower one."""
+        """Rows dq + radius <= v(q + radius) towards the upper end, and likewise towards the lower one."""
         by_position, whole, n = self.limits.velocity_by_position, self.limits.finite_velocity, motion.n
         assert by_position is not None
         stray: Array | float = 0.0
@@ -253,7 +252,7 @@ class JointLimit(Constraint):
 
 @dataclass(frozen=True, eq=False)
 class TorqueLimit(Constraint):
-    """Torque, to which a parameter error and what loads push add their worst case."""
+    """Torque limits in the worst case of parameter errors and load dynamics."""
 
     limits: JointLimits
 
@@ -275,7 +274,7 @@ class TorqueLimit(Constraint):
 
 @dataclass(frozen=True, eq=False)
 class TorqueRateLimit(Constraint):
-    """Rate of torque between neighbouring nodes."""
+    """Limits of the torque rate between neighbouring nodes."""
 
     limits: JointLimits
 
@@ -298,7 +297,7 @@ class TorqueRateLimit(Constraint):
             motion.nodes,
             following=lambda i, f: side(i, f, 1),
             by_duration=-np.hstack([rate, -rate]),  # the step between the nodes grows with T
-            slows=0.5,  # it goes with T^-3, but for what gravity makes of it
+            slows=0.5,  # it scales with T^-3, except for gravity's part
             inherits=False,
         )
 
@@ -307,10 +306,8 @@ class TorqueRateLimit(Constraint):
 class ContactConstraint(Constraint):
     """Facets of the contact wrench cones of one network of touching objects, at the worst parameters.
 
-    margin: that the scenario asks for, as a share of the normal force at rest. speed: at which. exactly: of an arm that
-    follows exactly, without what the zero-order hold and wrong loads do to it; the verification of a plan asks for that
-    too.
-    coarsely: of rows that are far from their edge a bound is enough.
+    margin: of the scenario, as a share of the normal force at rest. speed: factor. exactly: for an arm without tracking
+    error, which the check of a plan requires too. coarsely: whether a bound is enough for rows far from their limit.
     """
 
     rows: ContactRows
@@ -339,8 +336,8 @@ class ContactConstraint(Constraint):
             slopes = motion.terms.w_z if speed == FULL_SPEED else motion.terms.w_z_at(speed.factor**2, speed.rate)
             rows, n = padded(np.einsum("rk,rkz->rz", slope, slopes[i]), motion.n), motion.n
             if tracking is not None:
-                # A held command is right when it begins, and when it ends behind by what jerk makes of the acceleration
-                # in twice the delay. All else that the drift depends on is history.
+                # A held command is exact at its beginning; at its end its acceleration lags by jerk times twice the
+                # delay. All other dependence of the drift is in the history.
                 rows[:, 3 * n :] = ((side - 1) * tracking.delay * speed.factor)[:, None] * rows[:, 2 * n : 3 * n]
             return rows
 
@@ -363,8 +360,8 @@ class ContactConstraint(Constraint):
         )
 
     def _near(self, loads: dict[str, tuple[LoadResponse, ...]], w: Array, drift: Drift | None) -> WorstCase:
-        """Rows with what loads add to them, exact where they come near their edge; the largest of all always, unless
-        a bound is enough."""
+        """Rows with the contribution of load dynamics: exact near their limit and, unless a bound is enough, for the
+        largest row."""
         rows = self.rows
 
         def added(at: Some, some: Some, coarsely: bool) -> Array:
@@ -412,7 +409,7 @@ class TiltConstraint(Constraint):
         def in_words(excess: float) -> str:
             return _deg(np.arccos(np.clip(np.cos(self.largest) - excess / scale, -1.0, 1.0)) - self.largest)
 
-        margins = (1e-2, 6e-3)  # between two points the tilt of a tray that turns rises by .3 % of its limit
+        margins = (1e-2, 6e-3)  # between two points the tilt of a turning tray rises by up to 0.3 % of its limit
         yield Block("tilt", values, gradient, motion.nodes, margins, scales=False, in_words=in_words)
 
 
@@ -421,19 +418,20 @@ def _deg(angle: float) -> str:
 
 
 def _vertical_q(motion: MotionEvaluation) -> Array:
-    """(N, 3, n) derivative by q of the vertical in E."""
+    """Derivative (N, 3, n) by q of the vertical in E."""
     up = motion.terms.R_SE[:, 2, :]
     return np.asarray(hat(up) @ motion.terms.jacobian[:, 3:])
 
 
 def strayed(position: Array, turn: Array) -> Array:
-    """(...) m by which what stands on the tray may be elsewhere, of errors of the tray: (..., 3) m and (..., 3) rad."""
+    """Largest displacement (...), m, of an object on the tray from the tray's position error (..., 3), m, and rotation
+    error (..., 3), rad."""
     return np.asarray(np.linalg.norm(position, axis=-1) + REACH_BEYOND_TRAY * np.linalg.norm(turn, axis=-1))
 
 
 @dataclass(frozen=True, eq=False)
 class Clearance(Constraint):
-    """Distances of all watched pairs, less what the arm may stray, in units of 0.1 m."""
+    """Distances of all pairs of `keep_out` minus the tracking error, in units of 0.1 m."""
 
     keep_out: KeepOut
 

@@ -1,4 +1,4 @@
-"""What a motion must keep for the sake of what moves inside its loads: that a liquid stays below its brim."""
+"""Constraints by load dynamics, for example that a liquid stays below its brim."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from salver.planning.trajopt.evaluation import MotionEvaluation
 
 @dataclass(frozen=True, eq=False)
 class LoadConstraint(Constraint):
-    """What moves inside a body keeps its limits (`LoadResponse.limits`), during the motion and after it, in all its
-    cases. In units of the room that it has. speed: at which, above 0."""
+    """Limits of a body's inner dynamics (`LoadResponse.limits`), during the motion and after it, in all cases; rows are
+    in units of the room up to the limit. speed: factor above 0."""
 
     body: Body
     speed: Speed = FULL_SPEED
@@ -32,7 +32,7 @@ class LoadConstraint(Constraint):
             yield self._block(motion, each)
 
     def _block(self, motion: MotionEvaluation, each: Sequence[LoadLimit]) -> Block:
-        """Rows of one kind of limit, the cases of its parts one after the other."""
+        """Rows of one kind of limit, for all cases one after the other."""
         name, counts = each[0].name, [len(part.most) for part in each]
         most = np.concatenate([part.most for part in each])
 
@@ -52,24 +52,24 @@ class LoadConstraint(Constraint):
             (np.concatenate([part.values for part in each]) / most[:, None] - 1).T,
             lambda i, f: np.zeros((len(i), 4 * motion.n)),
             motion.nodes,
-            margins=(5e-3, FINEST),  # between nodes modes are driven by what was interpolated
+            margins=(5e-3, FINEST),  # the modes' excitation is interpolated between nodes
             history=history,
             curvature=curvature,
             kinked=True,
-            most=2 if len(motion.loads) < 2 else 1,  # those of a value and a damping are alike
+            most=2 if len(motion.loads) < 2 else 1,  # rows of similar cases are similar
             reach=0.1,
             factor=self.speed.factor,
         )
         if len(block.values) > 1:
             return block
-        # All of the motion adds up to what is left after it.
+        # The whole motion contributes to the residual swing.
         return block.having(points=motion.nodes[-1:], margins=(0.03, FINEST), most=None, reach=np.inf)
 
 
 @dataclass(frozen=True, eq=False)
 class AtRest(Constraint):
-    """A constraint in the rest after a motion, while what moves inside loads and the arm that gives way to it come to
-    rest: of its rows those that are known at each instant. They depend on the states at the end, and on the posture."""
+    """A constraint in the rest after a motion, while load dynamics and the arm settle: its rows with a value at each
+    instant. They depend on the final states and posture of the motion."""
 
     of: ContactConstraint | LoadConstraint
 
@@ -89,7 +89,7 @@ class AtRest(Constraint):
 
 
 def _of_posture(block: Block, i: Indices, f: Indices) -> Array:
-    """Derivatives (r, 4 n) of rows at rest by the last node: nothing moves there."""
+    """Derivatives (r, 4 n) of rows at rest by z of the last node: only the posture counts."""
     rows = block.gradient(i, f)
     rows[:, rows.shape[1] // 4 :] = 0.0
     return rows

@@ -1,7 +1,7 @@
-"""Clearance of arm, tray and load from one another and from obstacles, for the optimiser.
+"""Clearance of arm, tray and load from each other and from obstacles, for the optimiser.
 
-Distances between convex hulls by Coal (`salver.models.arm.arm_geometry`). They are cheap; derivatives are taken only
-for the few pairs and postures that are near.
+Distances of convex hulls are computed by Coal (`salver.models.arm.arm_geometry`); derivatives only for the few pairs
+and postures that are close.
 """
 
 from __future__ import annotations
@@ -18,22 +18,22 @@ from salver.planning.follow import clearance
 
 @dataclass(frozen=True)
 class ClearanceOptions:
-    """Distances that the optimiser keeps, m, and what it looks at.
+    """Distances that the optimiser requires, m.
 
     Attributes:
-        safety: kept free of every pair of parts but the floor's (`Floor.clear`); doubled, narrow passages close.
-        at_nodes: kept beside that at the nodes of a programme, for what may happen between them; doubled, fewer nodes
-            are added, and motions pass further from what they go around.
-        reach: pairs that are further apart than this and what they must be are left out of a programme; doubled, it has
-            more rows, of the kind whose derivatives cost most.
-        near: pairs that are nowhere nearer along a path are left out until they are; doubled, more distances are taken.
-        touching: depth in something from which on a path cannot be gone along; doubled, more searches begin through
-            what is in the way.
-        enough_at_ends: beyond what is required, at which an end posture needs no exception; doubled, more ends do.
-        kept_at_ends: share of the distance at an end that does need one, that is kept; the arm may deviate into the
-            rest. Doubled, motions from narrow places have less room.
-        kept_if_little: share of it that is kept where that is hardly more than a verdict takes for touching.
-        kept_where_given: the same share of a posture that was given, where the arm stands.
+        safety: required between parts, except from the floor (`Floor.clear`); doubled, narrow passages close.
+        at_nodes: additional distance at the nodes of a programme, for the motion between them; doubled, fewer nodes are
+            added, and motions pass further from obstacles.
+        reach: a programme leaves out pairs that are further than this beyond the required distance; doubled, it has
+            more rows, whose derivatives are expensive.
+        near: pairs that are further apart all along a path are left out; doubled, more distances are computed.
+        touching: penetration above which a path counts as colliding; doubled, more searches begin on paths through
+            obstacles.
+        enough_at_ends: distance beyond the required one with which an end posture needs no exception.
+        kept_at_ends: share of the distance in an end posture that is required after an exception; tracking error may
+            use up the rest. Doubled, motions from narrow places have less space.
+        kept_if_little: the same share where the distance is hardly more than a verdict reports as a collision.
+        kept_where_given: the same share for a given start posture.
     """
 
     safety: float = 5e-3
@@ -48,26 +48,26 @@ class ClearanceOptions:
 
     @property
     def exact(self) -> float:
-        """m up to which distances are exact: what comes to within reach from there came far."""
+        """Distance beyond the required one, m, up to which distances are exact."""
         return 1.5 * self.reach + self.at_nodes
 
 
 CLEARANCE = ClearanceOptions()
-APART = 0.5 * clearance.RESOLUTION + 2 * clearance.EXACT  # m beyond which no verdict takes parts for touching
+APART = 0.5 * clearance.RESOLUTION + 2 * clearance.EXACT  # m, least distance that no verdict reports as a collision
 
 
 @dataclass(frozen=True, eq=False)
 class KeepOut:
-    """parts: geometry with the pairs that are watched. required: (pairs,) distance to keep, m; where it is below zero,
-    `least` is kept all the same."""
+    """Pairs of parts that must keep a distance. parts: geometry with these pairs. required: (pairs,) at the nodes of a
+    programme, m; where it is negative, `least` holds at every instant all the same."""
 
     parts: ArmGeometry
     required: Array
 
     @classmethod
     def of(cls, parts: ArmGeometry, q: Array | None) -> KeepOut:
-        """All pairs; one that is nearer than `safety` at some of the postures (N, n) that are given has to keep a share
-        of that distance."""
+        """All pairs, with `safety` as the required distance; less for a pair that is closer in given postures (N, n): a
+        share of that distance."""
         required = safety(parts)
         if q is not None:
             there = np.maximum(parts.clearance(q).min(axis=0), 0.0)
@@ -75,9 +75,9 @@ class KeepOut:
         return cls(parts, required)
 
     def kept_by(self, ends: Array) -> KeepOut:
-        """The pairs with less distance to keep for those that are too near in given end postures (N, n): a tenth of
-        what there is, less what the nodes of a programme keep beside it, because the arm may deviate into the rest.
-        What a given posture keeps is kept: by that motions are judged that begin there."""
+        """The pairs with a smaller required distance where end postures (N, n) are closer than required: a tenth of the
+        distance there, because tracking error may use up the rest. Exceptions for a given start posture stay, because
+        motions that begin there are judged by them."""
         there = self.parts.clearance(ends).min(axis=0)
         share = np.where(self.required < safety(self.parts), CLEARANCE.kept_where_given, CLEARANCE.kept_at_ends)
         there = np.maximum(there, 0.0)
@@ -87,29 +87,29 @@ class KeepOut:
 
     @property
     def least(self) -> Array:
-        """(pairs,) m that is kept at every instant: so much that no verdict takes parts for touching."""
+        """Distance (pairs,), m, that holds at every instant: enough that no verdict reports a collision."""
         return np.where(self.required < 0.0, np.minimum(APART, self.required + CLEARANCE.at_nodes), self.required)
 
     def near(self, q: Array) -> KeepOut:
-        """Only the pairs that come near at one of the postures (N, n)."""
+        """Only the pairs that are close in one of the postures (N, n)."""
         parts = self.parts.near(q, CLEARANCE.near)
         required = dict(zip(self.parts.pairs, self.required, strict=True))
         return KeepOut(parts, np.array([required[pair] for pair in parts.pairs]))
 
     def distances(self, q: Array, stray: float = 0.0) -> Array:
-        """(N, pairs) free distance beyond what is required, m; where it is more than `ClearanceOptions.exact` and what
-        the arm may stray, m, no more than it is."""
+        """Distances (N, pairs) beyond the required ones, m; above `ClearanceOptions.exact` plus the tracking error
+        `stray`, m, only lower bounds."""
         return np.asarray(self.parts.clearance(q, self.required + CLEARANCE.exact + stray) - self.required)
 
     def depth(self, q: Array) -> float:
-        """Deepest penetration of the arm at postures (N, n), m; negative where it is clear."""
+        """Largest violation of a required distance in postures (N, n), m; negative where there is none."""
         return -float(self.distances(q).min())
 
     def gradient(self, q: Array, node: Indices, pair: Indices) -> Array:
-        """(r, n) derivatives of the distances at postures q[node] for pairs (r,)."""
+        """Derivatives (r, n) of the distances in postures q[node] for pairs (r,)."""
         return self.parts.clearance_gradient(q, node, pair)
 
 
 def safety(parts: ArmGeometry) -> Array:
-    """(pairs,) m that are kept free."""
+    """The standard required distance (pairs,), m."""
     return np.where(parts.of_floor, Floor.clear, CLEARANCE.safety)

@@ -1,7 +1,7 @@
-"""Poses that are passed on the way without a stop, at a time that is free.
+"""Via poses: poses that are passed without a stop, at a free time.
 
-Of a motion it counts where it comes nearest to the pose. There the error along the motion is nothing, and what is left
-of it, across the motion, does not change to first order when the time of passing does: rows need no unknown for it.
+Rows are the error at the motion's closest approach to the pose. There the error along the motion is zero, and the rest,
+across the motion, does not change to first order with the time of passing: that time need not be a variable.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from salver.planning.postures import PoseTarget
 from salver.planning.trajopt.constraints.constraints import Block, Constraint
 from salver.planning.trajopt.evaluation import MotionEvaluation
 
-ALLOWED = 4e-4  # m, of each of six rows: all together are near enough for the plan's own check
-SCALE = 1e-2  # m, the size of the rows
+ALLOWED = 4e-4  # m, tolerance of each of six rows: together they pass the plan's check
+SCALE = 1e-2  # m, scale of the rows
 WEIGHTS = np.array([1.0, 1.0, 1.0, LEVER, LEVER, LEVER])
 
 
@@ -27,8 +27,8 @@ WEIGHTS = np.array([1.0, 1.0, 1.0, LEVER, LEVER, LEVER])
 class Closest:
     """The closest approach of a motion, cubic between two nodes, to a pose.
 
-    node: the first of the two. error (r,): weighted, m. across (r, r): takes away what is along the motion. by_q
-    (r, n): derivative of the error. by: of q there by (q, dq) at the first node, and at the second.
+    node: the first of the two. error (r,): weighted, m. across (r, r): projection that removes the part along the
+    motion. by_q (r, n): derivative of the error. by: derivatives of q there by (q, dq) at the first and second node.
     """
 
     node: int
@@ -39,7 +39,7 @@ class Closest:
 
     @classmethod
     def of(cls, arm: ArmModel, target: PoseTarget, t: Array, q: Array, dq: Array) -> Closest:
-        """t (N,), q, dq (N, n): times, s, and states of the nodes."""
+        """The closest approach of a motion with instants t (N,), s, and states q, dq (N, n) at the nodes."""
         sizes = [float(np.linalg.norm(_weighted(arm, target, x)[0])) for x in q]
         best = int(np.argmin(sizes))
         found: list[tuple[float, Closest]] = []
@@ -50,7 +50,7 @@ class Closest:
             ends = np.stack([q[node], dq[node], q[node + 1], dq[node + 1]])
             looks = np.linspace(0.0, 1.0, 9)
             u = float(min(looks, key=lambda x: np.linalg.norm(_weighted(arm, target, _blend(x, step)[0] @ ends)[0])))
-            for _ in range(3):  # steps of Newton's, each of which squares what is left of an eighth of a step
+            for _ in range(3):  # Newton steps from within an eighth of a step, with quadratic convergence
                 value, slope = _blend(u, step)
                 error, jacobian = _weighted(arm, target, value @ ends)
                 along = jacobian @ (slope @ ends)
@@ -66,14 +66,15 @@ class Closest:
 
 
 def _weighted(arm: ArmModel, target: PoseTarget, q: Array) -> tuple[Array, Array]:
-    """Error at a posture, m, and its derivative by q."""
+    """Weighted pose error at a posture, m, and its derivative by q."""
     error, jacobian = target.residual(arm, q)
     weights = WEIGHTS[: len(error)]
     return weights * error, -weights[:, None] * jacobian
 
 
 def _blend(u: float, step: float) -> tuple[Array, Array]:
-    """(4,) of the cubic through two states: its value by q, dq of one, q, dq of the other; and its slope by u."""
+    """Weights (4,) of the cubic through two states: of its value, by q and dq of the first and of the second; and of
+    its slope by u."""
     value = [1 - 3 * u**2 + 2 * u**3, step * (u - 2 * u**2 + u**3), 3 * u**2 - 2 * u**3, step * (u**3 - u**2)]
     slope = [6 * u**2 - 6 * u, step * (1 - 4 * u + 3 * u**2), 6 * u - 6 * u**2, step * (3 * u**2 - 2 * u)]
     return np.array(value), np.array(slope)
