@@ -88,6 +88,7 @@ class LiveOptions:
         longest_gap: s between two commands; a longer one is taken for a jump of the clock.
         strayed: rad or m by which a joint may be elsewhere than it was commanded to be, as measured.
         calming: s after a twist or a chunk has ended in which the motion is still steered, to rest; then it runs out.
+            After hostile twists the tray goes on for 6 cm and 0.84 s (means); at 0, for 11 cm and 0.59 s.
         queued: goals at most.
         attempts: at a goal while the arm moves; once more from rest.
         record: s of the commanded motion that are kept, up to now, for `save`.
