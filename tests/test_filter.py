@@ -125,3 +125,15 @@ def test_between_nodes_what_swings_is_the_cubic_of_both_sides():
     for now in (-0.1, 0.0, 0.03, 0.1, 0.33, 0.42, 0.45):
         found = swinging_at(t, np.stack([x(t), -x(t)], axis=1), np.stack([rate(t), -rate(t)], axis=1), now)
         np.testing.assert_allclose(found, [[x(now), -x(now)], [rate(now), -rate(now)]], rtol=1e-12)
+
+
+@pytest.mark.parametrize("uneven", [0.0, 1e-6, 0.02])
+def test_steps_that_are_nearly_alike_have_each_its_own_length(uneven):
+    """Without anything that stiffens it: the transition over each step, and the answer to a cubic drive."""
+    t, kp, kd = np.linspace(0, 1, 31), np.array([400.0]), np.array([3.0])
+    t[1:-1] += uneven * np.random.default_rng(0).uniform(-1, 1, 29) / 30
+    found = LinearFilter.stiffened(t, kp, kd, np.zeros((1, 31)))
+    np.testing.assert_allclose(found.step[0], transition(400.0, 3.0, np.diff(t)), rtol=1e-9, atol=1e-9)
+    drive = (1 - 5 * t + 3 * t**3)[:, None]
+    expected = LinearFilter.on_nodes(t, 400.0, 3.0, 3).respond(drive)
+    np.testing.assert_allclose(found.respond(drive[None])[0][0], expected[0], atol=1e-10)

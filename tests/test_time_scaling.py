@@ -8,9 +8,12 @@ import pytest
 from recordings import GOAL, START, line
 from salver import scenario as scenarios
 from salver.contact_margins import BrakingOptions, Margins, braking, margin_model, safe_speeds, time_scaling
-from salver.contact_margins.time_scaling import TimeScaled, least_root
+from salver.contact_margins.time_scaling import TimeScaled, lacking_of_few, least_root
 from salver.geometry import exp, log
-from salver.models.tray_motion import motion_vector
+from salver.models.tray_motion import FULL_SPEED, Speed, motion_vector
+from salver.planning.fastest.speeds import _with
+from salver.planning.trajopt.constraints.load_limits import LoadConstraint
+from salver.planning.trajopt.problem import transport_problem
 from salver.trajectory import MotionSamples, min_jerk_line
 
 FRICTION = 0.3
@@ -115,6 +118,52 @@ def test_a_liquid_at_a_part_of_the_speed_is_that_of_the_slower_motion(coffee, fa
     np.testing.assert_allclose(spill.slack, expected.slack, rtol=1e-9)
     assert scaled.slack(factor) == pytest.approx(slower.slack(1.0), rel=1e-9)
     assert scaled.slack(factor) != pytest.approx(scaled.slack(1.0), rel=0.05)
+
+
+def test_of_few_speeds_the_worst_is_found_and_each_resonance_that_fails(coffee_plan, coffee):
+    """Of a plan for full speed only; at other speeds with contact as at rest and at full speed, or less."""
+    tray, model = coffee_plan._tray, margin_model(coffee_plan.scenario)
+    scaled, found = TimeScaled(model, tray, True), lacking_of_few(model, tray)
+    assert len(found) > 1
+    slacks = {factor: scaled.slack(factor) for factor in found}
+    assert max(slacks.values()) < 0
+    assert min(slacks, key=slacks.__getitem__) in safe_speeds(model, tray, worst=True).lacking
+    for factor in found:
+        beside = [scaled.slack(factor * change) for change in (1 / 1.04, 1.04)]
+        assert slacks[factor] < min(scaled.slack(0.0), *beside)
+    for factor in (0.3, 0.8):
+        margins = scaled.margins(factor)
+        assert scaled.contact(factor, margins) == pytest.approx(margins.exact_worst.min(), abs=1e-8)
+        short = margins.exact_worst - scaled.surely(factor, margins)
+        assert -1e-12 < short.min() < 1e-3  # rounding
+        assert short.max() < 0.1
+    level = min_jerk_line(3.0, START, GOAL, np.eye(3), np.eye(3)).sample(np.linspace(0.0, 3.0, 101))
+    assert lacking_of_few(margin_model(coffee), level) == ()
+
+
+def test_where_a_plan_fails_at_a_speed_that_it_was_to_keep_it_is_looked_at_more_closely(coffee):
+    problem = transport_problem(coffee)
+    once = _with(problem, (Speed(0.3),))
+    assert once.speeds == (*problem.speeds, Speed(0.3))
+    assert once.nodes == ()
+    again = _with(_with(once, (Speed(0.4), Speed(0.3))), (Speed(0.3),))
+    assert again.speeds == (*once.speeds, Speed(0.4))
+    assert len(again.nodes) == 201
+    assert len(_with(again, (Speed(0.3),)).nodes) > 400
+
+
+def test_below_full_speed_a_load_keeps_a_little_of_its_room_for_the_speeds_between(coffee):
+    problem = transport_problem(coffee)
+    s = np.linspace(0, 1, 21)
+    z = np.zeros((4, 21, 7))
+    z[0] = problem.start_posture
+    motion, body = problem.at(s, z, 1.0), coffee.payload.first
+    plain, spared = (LoadConstraint(body, Speed(0.5), spare) for spare in (0.0, 0.1))
+    for one, other in zip(plain.blocks(motion), spared.blocks(motion), strict=True):
+        np.testing.assert_allclose(other.values + 1, (one.values + 1) / 0.9, atol=1e-12)
+    full = LoadConstraint(body, FULL_SPEED, 0.1).blocks(motion)
+    for one, other in zip(LoadConstraint(body).blocks(motion), full, strict=True):
+        np.testing.assert_array_equal(one.values, other.values)
 
 
 def test_a_slow_motion_of_a_liquid_can_be_run_faster_until_it_fails(coffee):

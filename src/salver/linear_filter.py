@@ -25,6 +25,7 @@ _GAUSS_WEIGHTS = 0.5 * np.polynomial.legendre.leggauss(3)[1]
 _LARGEST_STEP = 0.35  # largest product of fastest pole and step, with a relative quadrature error below 1e-8
 _FINE_POINTS, _FINE_WEIGHTS = (0.5 * x for x in np.polynomial.legendre.leggauss(6))
 MOST_BANDED_DRIVES = 24  # with more drives, stepping several filters together node by node is faster
+_SAME = 1e-9  # of the longest interval: nodes less apart are computed as one
 _MOST_PIECES = 64  # largest number of pieces of an interval, each as long as the fastest time constant
 
 
@@ -62,23 +63,26 @@ class LinearFilter:
         drive, with x in each step the cubic Hermite polynomial of both its ends; that makes the step implicit:
         (1 + F) X_(k+1) = (step - G) X_k + gain d.
         """
-        h, fastest = np.diff(t), int(np.argmax(kp))
+        samples, kinds, kind = _alike(t, 3)
+        h, fastest = np.diff(t)[kinds], int(np.argmax(kp))
         u, weights = _fine(_pieces(float(kp.flat[fastest]), float(kd.flat[fastest]), h))
-        weights = weights * h[:, None]
-        samples, basis = _lagrange(t, 3, u)
+        basis = (weights * h[:, None])[:, :, None] * _basis(t[samples[kinds]], t[kinds], h, u)  # (S, G, 4)
         sigma = 0.5 * kd[..., None, None]
         omega = np.sqrt(kp[..., None, None] - sigma**2)
         left = h[:, None] * (1 - u)
         fading, angle = np.exp(-sigma * left), omega * left
         pushed = fading * np.sin(angle) / omega
-        after = np.stack([pushed, fading * np.cos(angle) - sigma * pushed], axis=-2)  # (..., T - 1, 2, G)
-        stiffer = weights * np.einsum("tgj,...tj->...tg", basis, extra[..., samples])
+        after = np.stack([pushed, fading * np.cos(angle) - sigma * pushed], axis=-2)  # (..., S, 2, G)
         ends = [[(1 - u) ** 2 * (1 + 2 * u), u * (1 - u) ** 2], [u**2 * (3 - 2 * u), u**2 * (u - 1)]]
-        scale = np.stack([np.ones_like(h), h], axis=1)[:, None, :]  # rates are per second, u per step
-        begin, end = ((after * stiffer[..., None, :]) @ np.stack(pair, axis=1) * scale for pair in ends)
+        scale = np.stack([np.ones_like(h), h], axis=1)[:, None, :, None]  # rates are per second, u per step
+        stiffer = extra[..., samples]
+        begin, end = (
+            np.einsum("...trcj,...tj->...trc", (per * scale)[..., kind, :, :, :], stiffer)
+            for per in ((after[..., None, :] * np.array(pair)) @ basis[:, None] for pair in ends)
+        )
         back = _inverse(np.eye(2) + end)
-        plain = _swinging(sigma, omega, kp[..., None, None], h[:, None])
-        gain = back @ (after @ (weights[:, :, None] * basis))
+        plain = _swinging(sigma, omega, kp[..., None, None], h[:, None])[..., kind, :, :]
+        gain = back @ (after @ basis)[..., kind, :, :]
         return cls(kp[..., None] + extra, kd, back @ (plain - begin), gain, samples)
 
     @classmethod
@@ -204,12 +208,32 @@ def _weighed(shares: bytes, order: int, pieces: int) -> tuple[npt.NDArray[np.int
 def _lagrange(t: Array, order: int, inside: Array) -> tuple[npt.NDArray[np.intp], Array]:
     """Interpolation in each interval of t (T,): its nodes (T - 1, J), and their Lagrange polynomials (T - 1, G, J) at
     fractions `inside` (G,) of the interval."""
-    count, h = len(t), np.diff(t)
-    samples = np.clip(np.arange(count - 1) - order // 2, 0, count - order - 1)[:, None] + np.arange(order + 1)
-    known, at = t[samples], (t[:-1, None] + h[:, None] * inside)[:, :, None, None]
-    own = np.eye(order + 1, dtype=bool)
+    samples = _nearest(len(t), order)
+    return samples, _basis(t[samples], t[:-1], np.diff(t), inside)
+
+
+def _nearest(count: int, order: int) -> npt.NDArray[np.intp]:
+    """(count - 1, order + 1) indices of the nodes that interpolate in each interval."""
+    first = np.clip(np.arange(count - 1) - order // 2, 0, count - order - 1)
+    return np.asarray(first[:, None] + np.arange(order + 1))
+
+
+def _basis(known: Array, t: Array, h: Array, inside: Array) -> Array:
+    """(S, G, J) Lagrange polynomials of nodes `known` (S, J) at fractions `inside` (G,) of the intervals of length h
+    (S,) that begin at t (S,)."""
+    at = (t[:, None] + h[:, None] * inside)[:, :, None, None]
+    own = np.eye(known.shape[1], dtype=bool)
     apart = np.where(own, 1.0, known[:, :, None] - known[:, None, :])
-    return samples, np.where(own, 1.0, (at - known[:, None, None, :]) / apart[:, None]).prod(axis=3)
+    return np.asarray(np.where(own, 1.0, (at - known[:, None, None, :]) / apart[:, None]).prod(axis=3))
+
+
+def _alike(t: Array, order: int) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+    """The nodes that interpolate in each interval of t (T,), as `_nearest`; intervals (S,) of which each has other
+    distances between these, and for each interval the one of these that it is like (T - 1,)."""
+    samples, h = _nearest(len(t), order), np.diff(t)
+    apart = np.round((t[samples] - t[:-1, None]) / (_SAME * h.max())).astype(np.int64)
+    _, kinds, kind = np.unique(apart, axis=0, return_index=True, return_inverse=True)
+    return samples, kinds, kind.reshape(-1)
 
 
 @lru_cache(maxsize=64)

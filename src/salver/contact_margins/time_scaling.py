@@ -15,7 +15,7 @@ The tray is assumed to follow its motion exactly at every speed.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import groupby, pairwise
@@ -32,6 +32,8 @@ from salver.models.tray_motion import motion_vector
 from salver.trajectory import MotionSamples
 
 TRIED = np.append(0.0, 1.04 ** np.arange(-59.0, 1.0))  # factors that are checked with a liquid or pendulum
+FEW = 4  # step through these factors for a quick look
+RIPPLE = 0.02  # share of the limits by which what is left varies at low factors without a resonance
 FINEST = 1e-3  # resolution of the limits of the factor with a liquid or pendulum
 SLOWEST, FASTEST = 0.01, 5.0  # limits of the search for factors
 MOST_RATE = 100.0  # 1/s, limit of the search for a rate
@@ -177,15 +179,48 @@ class TimeScaled:
     def margins(self, factor: float) -> Margins:
         """All margins at a constant factor, over the stretched time; for factor 0 over that of `SLOWEST`."""
         w, t = self.w(factor**2), (self.tray.t - self.tray.t[0]) / (factor or SLOWEST)
-        return Margins(self.model, t, w, PayloadResponse.along(self.model.payload, t, w))
+        return Margins(self.model, t, w, None if self._loads is None else self._loads.elsewhere(t, w))
+
+    @cached_property
+    def _loads(self) -> PayloadResponse | None:
+        """At full speed."""
+        return PayloadResponse.along(self.model.payload, self.tray.t, self.w(1.0))
+
+    @cached_property
+    def _solid(self) -> list[tuple[Array, Array]]:
+        """(T, n) the worst case of the rows of each network at rest and at full speed, without what loads add."""
+        return [(rows.worst(self.static), rows.worst(self.w(1.0))) for rows in self.model.robust]
 
     def slack(self, factor: float) -> float:
         """Least of all contact margins and slacks of liquids and pendulums, as shares."""
         margins = self.margins(factor)
-        swings = min((float(each.slack.min()) for each in margins.load_verdicts(self.worst)), default=np.inf)
-        if swings < 0:
-            return swings
-        return min(swings, float((margins.exact_worst if self.worst else margins.exact).min()) + _TOLERANCE)
+        swings = self.inside(margins)
+        return swings if swings < 0 else min(swings, self.contact(factor, margins))
+
+    def inside(self, margins: Margins) -> float:
+        """The least of what inner dynamics keep of their limits, as a share."""
+        return min((float(each.slack.min()) for each in margins.load_verdicts(self.worst)), default=np.inf)
+
+    def contact(self, factor: float, margins: Margins) -> float:
+        """The least of all contact margins at a factor, as a share. margins: there."""
+        if not self.worst:
+            least = float(margins.exact.min())
+        elif factor > 1 or any(rows.internal.size for rows in self.model.robust):
+            least = float(margins.exact_worst.min())
+        else:
+            surely = self.surely(factor, margins)
+            least = float(margins.at(np.array([np.argmin(surely)])).exact_worst[0])
+            least = float(margins.at(np.flatnonzero(surely <= least)).exact_worst.min(initial=least))
+        return least + _TOLERANCE
+
+    def surely(self, factor: float, margins: Margins) -> Array:
+        """(T,) what no contact margin is below at a factor up to 1: a row is convex in its square, so between rest and
+        full speed it is below the chord. margins: there."""
+        most = [
+            margins.with_loads(rows, still + factor**2 * (full - still)).max(axis=1)
+            for rows, (still, full) in zip(self.model.robust, self._solid, strict=True)
+        ]
+        return np.asarray(-np.max(most, axis=0))
 
     def failure(self, intervals: Intervals) -> tuple[float | None, Status | None]:
         """An unsafe factor beside the uppermost interval, and the status there."""
@@ -309,6 +344,25 @@ def _tried(scaled: TimeScaled) -> tuple[Intervals, float | None, int, tuple[floa
             lacking.append(min(together, key=known.__getitem__))
     fastest = holds[-1][1] if holds else None
     return tuple(holds), _above(scaled) if fastest == 1.0 else fastest, len(known), tuple(lacking)
+
+
+def lacking_of_few(model: MarginModel, tray: MotionSamples) -> tuple[float, ...]:
+    """Factors up to 1 at which a load with inner dynamics is not kept, in the worst case: the worst of all, and every
+    resonance, where less is left than beside it and than at rest. Of few factors that are tried, and all of `TRIED`
+    beside those that fail: that none is found is no proof (see `safe_speeds`).
+    """
+    scaled, known = TimeScaled(model, tray, worst=True), dict[int, float]()
+
+    def look(numbers: Iterable[int]) -> None:
+        known.update({k: scaled.slack(float(TRIED[k])) for k in numbers})
+
+    look(range(0, len(TRIED), FEW))
+    failing = [k for k in known if known[k] < 0]
+    look({j for k in failing for j in range(max(k - FEW, 0), min(k + FEW, len(TRIED)))} - known.keys())
+    most = min(0.0, known[0] - RIPPLE)
+    found = {k for k in known if known[k] < min(most, *(known.get(j, np.inf) for j in (k - 1, k + 1)))}
+    found |= {k for k in known if known[k] == min(known.values()) < 0}
+    return tuple(float(TRIED[k]) for k in sorted(found))
 
 
 def _above(scaled: TimeScaled) -> float:

@@ -50,7 +50,10 @@ class RowValues:
 
     def worst_case(self, rows: ContactRows) -> Array:
         """Worst case of the rows (T, n)."""
-        value = rows.worst(self.w)
+        return self.with_loads(rows, rows.worst(self.w))
+
+    def with_loads(self, rows: ContactRows, value: Array) -> Array:
+        """Values (T, n) of the rows, with what loads add to them in the worst case."""
         if self.loads is not None:  # in pieces of time, because all cases at all instants would need too much memory
             for first in range(0, len(value), AT_ONCE):
                 at = slice(first, first + AT_ONCE)

@@ -156,20 +156,22 @@ class ModalMotion:
         turned = by_rate * self.rate[..., ::-1] + 2 * self.turns[..., None, None] * own * self.r
         return turned, by_place * self.r[..., ::-1]
 
-    def _taken_along(self, drive: Array, begin: Array | None) -> Array:
+    def _taken_along(self, drive: Array, begin: Array | None) -> tuple[Array, tuple[Array, Array] | None]:
         """Drives, from first states, of the filters, with what the walls take along of the waves that they make: by
-        iteration."""
+        iteration. And the answer of the filters, if it is known."""
         if self.walls is None or not drive.size:
-            return drive
+            return drive, None
         found, before = drive, np.zeros(1)
-        by_rate, by_place, own = (x[..., None] for x in self.walls)
+        by_rate, by_place, own = (x.transpose(0, 2, 3, 1)[..., None] for x in self.walls)
         for _ in range(TURNS):
-            r, rate, _ = self._answer(found, begin)
+            r, rate = self.filters.respond(found, begin)
             if np.abs(r - before).max() < SETTLED * np.abs(r).max():
-                break
-            pushed = by_rate * rate[:, :, :, ::-1] + by_place * r[:, :, :, ::-1] + own * r
-            found, before = drive + self._by_filter(pushed), r
-        return found
+                return found, (r, rate)
+            found = drive + by_rate * rate[:, :, ::-1]
+            found += by_place * r[:, :, ::-1]
+            found += own * r
+            before = r
+        return found, None
 
     @cached_property
     def force(self) -> Array:
@@ -184,11 +186,12 @@ class ModalMotion:
         begin = None
         if start is not None:
             begin = self._by_filter(np.stack([start, np.zeros_like(start) if rate is None else rate], axis=1))
-        return self._answer(self._taken_along(self._by_filter(-force), begin), begin)
+        return self._answer(self._by_filter(-force), begin)
 
     def _answer(self, drive: Array, begin: Array | None) -> tuple[Array, Array, Array]:
         """r, r' and r'' (K, T, n_modes, 2, c) to drives, and first states, of the filters."""
-        x, rate = self.filters.respond(drive, begin)
+        drive, known = self._taken_along(drive, begin)
+        x, rate = known or self.filters.respond(drive, begin)
         second = self.filters.acceleration(drive, x, rate)
         return self._by_mode(x), self._by_mode(rate), self._by_mode(second)
 
@@ -224,7 +227,7 @@ class ModalMotion:
         if start is not None:
             places, speeds = (x.reshape(*x.shape[:3], -1) for x in (start.r, start.rate))
             begin = self._by_filter(np.stack([places, speeds], axis=1))
-        return self._answer(self._taken_along(drive, begin), begin)
+        return self._answer(drive, begin)
 
     def swung(self, dw: Array, spun: Array) -> Array:
         """(K, n_modes, axes, 2 + T, 2 c / axes) what moves each mass, as `LinearFilter.answers` has it, to first order:
@@ -232,7 +235,7 @@ class ModalMotion:
         so before the motion too. spun: as `spun` has it."""
         drive = self._driven(dw, spun)
         begin = self._level(drive)
-        return np.concatenate([begin, self._taken_along(drive, begin)], axis=3)
+        return np.concatenate([begin, self._taken_along(drive, begin)[0]], axis=3)
 
     def begun_by(self, r: Array, rate: Array) -> Array:
         """What moves each mass, as `swung` has it, where it begins otherwise by r and r' (K, n_modes, 2, c), and is not

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
-from salver.dynamics.load_cases import VERDICT_APART, load_cases
+from salver.dynamics.load_cases import VERDICT_APART, LoadCase, load_cases
 from salver.dynamics.load_limits import LoadVerdict
 from salver.dynamics.load_response import LoadResponse, response_of
 from salver.geometry import Array, Indices
@@ -32,17 +32,28 @@ class PayloadResponse:
 
     @cached_property
     def nominal(self) -> Mapping[str, tuple[LoadResponse, ...]]:
-        return self._found(NOTHING) if self.whole is None else self._thinned(self.whole.nominal)
+        return self._found(self._cases(NOTHING)) if self.whole is None else self._thinned(self.whole.nominal)
 
     @cached_property
     def worst(self) -> Mapping[str, tuple[LoadResponse, ...]]:
-        return self._found(self.payload.uncertain) if self.whole is None else self._thinned(self.whole.worst)
+        return self._found(self.cases) if self.whole is None else self._thinned(self.whole.worst)
 
-    def _found(self, uncertain: UncertainSet) -> dict[str, tuple[LoadResponse, ...]]:
-        return {
-            body.name: (response_of(load_cases(body, uncertain, VERDICT_APART), self.t, self.w),)
-            for body in self.payload.dynamic
-        }
+    @cached_property
+    def cases(self) -> Mapping[str, tuple[LoadCase, ...]]:
+        """All cases of each load over the uncertain set."""
+        return self._cases(self.payload.uncertain)
+
+    def _cases(self, uncertain: UncertainSet) -> dict[str, tuple[LoadCase, ...]]:
+        return {body.name: load_cases(body, uncertain, VERDICT_APART) for body in self.payload.dynamic}
+
+    def _found(self, cases: Mapping[str, tuple[LoadCase, ...]]) -> dict[str, tuple[LoadResponse, ...]]:
+        return {name: (response_of(several, self.t, self.w),) for name, several in cases.items()}
+
+    def elsewhere(self, t: Array, w: Array) -> PayloadResponse:
+        """The response of the same cases along another motion, which begins at rest."""
+        other = PayloadResponse(self.payload, t, w)
+        vars(other)["cases"] = self.cases  # what is known of cases themselves takes as long as what they do
+        return other
 
     def _thinned(self, found: Mapping[str, tuple[LoadResponse, ...]]) -> dict[str, tuple[LoadResponse, ...]]:
         assert self.kept is not None

@@ -295,10 +295,23 @@ class Plan(Shown, Tabular, Plotted):
         """The constant speed factors at which contact is kept in the worst case."""
         from salver.contact_margins import margin_model, safe_speeds
 
-        first = self.scenario.payload.first
-        tray = self._checked.samples.of_frame(*invert(first.p_EB, first.R_EB))
-        found = safe_speeds(margin_model(self.scenario), tray, worst=True)
+        found = safe_speeds(margin_model(self.scenario), self._tray, worst=True)
         return found if self.joint is None else replace(found, unchecked=self._unchecked_at_other_speeds)
+
+    @property
+    def lacking_speeds(self) -> tuple[float, ...]:
+        """Shares of full speed at which most is missing of a load with inner dynamics: of few, then of all of
+        `speeds`."""
+        from salver.contact_margins import margin_model
+        from salver.contact_margins.time_scaling import lacking_of_few
+
+        return lacking_of_few(margin_model(self.scenario), self._tray) or self.speeds.lacking
+
+    @property
+    def _tray(self) -> MotionSamples:
+        """The motion of the tray's frame, at the verdict's instants."""
+        first = self.scenario.payload.first
+        return self._checked.samples.of_frame(*invert(first.p_EB, first.R_EB))
 
     @property
     def _unchecked_at_other_speeds(self) -> str:

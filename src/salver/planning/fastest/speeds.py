@@ -14,6 +14,7 @@ from salver.planning.trajopt.constraints.constraints import ContactConstraint, e
 
 if TYPE_CHECKING:
     from salver.planning.plan import Plan
+    from salver.planning.trajopt.problem import TransportProblem
 
 Found = TypeVar("Found", bound=Any)  # a motion with its `problem`, as `joint_motion()`
 
@@ -31,8 +32,16 @@ def at_every_speed(found: Found, plan: Plan, again: Callable[[Found], tuple[Foun
         lacking = _lacking(found, plan) if plan.status.ok and plan.scenario.motion.speeds == "any" else ()
         if not lacking:
             break
-        found, plan = again(replace(found, problem=replace(found.problem, speeds=(*found.problem.speeds, *lacking))))
+        found, plan = again(replace(found, problem=_with(found.problem, lacking)))
     return found, plan
+
+
+def _with(problem: TransportProblem, lacking: tuple[Speed, ...]) -> TransportProblem:
+    """The problem at more speeds; where it names all of these already, at more nodes: the check looks at more."""
+    new = tuple(speed for speed in lacking if speed not in problem.speeds)
+    if new:
+        return replace(problem, speeds=(*problem.speeds, *new))
+    return replace(problem, nodes=tuple(np.linspace(0.0, 1.0, 2 * max(len(problem.nodes), 100) + 1)))
 
 
 def _lacking(found: Found, plan: Plan) -> tuple[Speed, ...]:
@@ -40,7 +49,7 @@ def _lacking(found: Found, plan: Plan) -> tuple[Speed, ...]:
     those at which it fails with the arm's tracking error."""
     problem = found.problem
     if problem.cases:
-        return tuple(Speed(max(factor, SLOWEST)) for factor in plan.speeds.lacking)
+        return tuple(Speed(max(factor, SLOWEST)) for factor in plan.lacking_speeds)
     joint = found.joint_motion()
     t = np.linspace(0.0, joint.duration, 401)
     motion = problem.at(t / t[-1], np.stack([*joint.sample(t), joint.jerk(t)]), joint.duration, imposed=False)

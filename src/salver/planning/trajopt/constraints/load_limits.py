@@ -21,10 +21,12 @@ from salver.planning.trajopt.evaluation import MotionEvaluation
 @dataclass(frozen=True, eq=False)
 class LoadConstraint(Constraint):
     """Limits of a body's inner dynamics (`LoadResponse.limits`), during the motion and after it, in all cases; rows are
-    in units of the room up to the limit. speed: factor above 0."""
+    in units of the room up to the limit. speed: factor above 0. spare: share of the room that is kept below full speed,
+    for the speeds between those that are named."""
 
     body: Body
     speed: Speed = FULL_SPEED
+    spare: float = 2e-3
 
     def blocks(self, motion: MotionEvaluation) -> Iterator[Block]:
         parts = motion.at_factor(self.speed.factor).loads[self.body.name]
@@ -34,7 +36,7 @@ class LoadConstraint(Constraint):
     def _block(self, motion: MotionEvaluation, each: Sequence[LoadLimit]) -> Block:
         """Rows of one kind of limit, for all cases one after the other."""
         name, counts = each[0].name, [len(part.most) for part in each]
-        most = np.concatenate([part.most for part in each])
+        most = np.concatenate([part.most for part in each]) * (1.0 if self.speed.factor == 1.0 else 1.0 - self.spare)
 
         def history(i: Indices, f: Indices, unknowns: Unknowns) -> Array:
             found = np.zeros((len(i), unknowns.felt.shape[2]))
