@@ -211,7 +211,7 @@ def test_waves_that_a_hasty_stop_leaves_are_not_steeper_than_is_known():
     plan = sv.plan(scenario, "fastest")
     assert plan.ok, plan.told
     (spill,) = plan.margins.load_verdicts()
-    assert 0.9 < spill.steep[-1] <= 1
+    assert 0.7 < spill.steep[-1] <= 1  # the arm that settles makes them steeper
     run = sv.simulate(plan)
     assert run.outcome == "holds"
     assert run.summary["objects"][0]["peak_wave"] < 0.03
@@ -349,22 +349,17 @@ def to_a_goal_that_leans(coffee, degrees):
 
 
 @pytest.mark.slow
-def test_a_plan_to_a_goal_that_leans_leaves_so_little_of_a_wave_that_contact_lasts_when_it_swings_back(coffee):
-    """At rest on 12 degrees .213 of friction is needed of .27, without a liquid."""
-    plan = to_a_goal_that_leans(coffee, 12.0)
+@pytest.mark.parametrize(("degrees", "needed", "least", "most"), [(12.0, 0.213, 0.75, 0.9), (14.5, 0.259, 1.5, 3.0)])
+def test_a_plan_to_a_goal_that_leans_leaves_so_little_of_a_wave_that_contact_lasts_when_it_swings_back(
+    coffee, degrees, needed, least, most
+):
+    """At rest there so much friction is needed of .27, without a liquid: the nearer, the slower."""
+    assert np.tan(np.deg2rad(degrees)) == pytest.approx(needed, abs=1e-3)
+    plan = to_a_goal_that_leans(coffee, degrees)
     assert plan.ok, plan.status.sentence
+    assert least < plan.duration < most
     run = simulate(plan, parameters={"friction": 0.27})
     assert run.slip.max() < 3e-4
-
-
-@pytest.mark.slow
-def test_no_plan_leads_to_a_goal_that_leans_so_far_that_the_wave_after_it_loses_contact(coffee):
-    """At rest on 14.5 degrees .259 is needed of .27: of a liquid that swings back nothing can be left."""
-    plan = to_a_goal_that_leans(coffee, 14.5)
-    assert not plan.ok
-    assert "the best attempt violates contact of cup after the motion" in plan.status.sentence
-    level = to_a_goal_that_leans(coffee, 0.0)
-    assert level.ok, level.status.sentence
 
 
 def test_what_is_printed_of_a_plan_with_an_open_liquid_says_what_room_is_left(coffee, capsys):
