@@ -18,7 +18,6 @@ from salver.models.arm.arm_limits import JointLimits
 from salver.planning.fastest import transport_problem
 from salver.planning.fastest.retiming import PATH_TOLERANCE, SplinePath
 from salver.planning.postures import INSIDE, PoseTarget
-from salver.planning.seeds.around import STEP, FreeSpace, _cut_short
 from salver.planning.stops import along
 from salver.planning.trajopt.constraints.constraints import PER_METRE, REACH_BEYOND_TRAY, UNSEEN, Block, Clearance
 from salver.planning.trajopt.constraints.obstacles import CLEARANCE, KeepOut
@@ -56,30 +55,6 @@ def test_rows_have_their_peaks_at_the_ends_too_and_of_many_the_foremost_are_look
         assert np.flatnonzero(near).tolist() == sorted(order[:7])
         assert np.flatnonzero(joining).tolist() == sorted(k for k in order[:21] if row[k] > UNSEEN)
     assert block.near(np.inf).sum(axis=1).tolist() == [3] * 9
-
-
-def test_a_way_is_cut_short_where_a_straight_piece_is_free_and_nowhere_else() -> None:
-    """In a plane in which a wall from the origin to (0, 1) is in the way: around its end, the detours cut off."""
-
-    class Plane(FreeSpace):
-        def nearest(self, q: Array) -> Array | None:
-            self.looks -= 1
-            return None if abs(q[0]) < 0.6 * STEP and q[1] < 1.0 else q
-
-    corners = np.array([[-1.0, 0.0], [-1.0, 2.0], [0.0, 2.2], [1.0, 2.0], [1.0, 0.0]])
-    space = Plane(None, None, 0.0, 0)  # type: ignore[arg-type]
-    dense = np.vstack([a + np.linspace(0, 1, 25)[:-1, None] * (b - a) for a, b in pairwise(corners)] + [corners[-1:]])
-    for way in (corners, dense):
-        cut = _cut_short(space, way, np.random.default_rng(0))
-        assert cut[[0, -1]].tolist() == way[[0, -1]].tolist()
-        u = np.linspace(0, 1, 200)[:, None]
-        path = np.vstack([a + u * (b - a) for a, b in pairwise(cut)])
-        assert not np.any((np.abs(path[:, 0]) < 0.1 * STEP) & (path[:, 1] < 0.9))
-        assert 2 * np.sqrt(2) <= np.linalg.norm(np.diff(cut, axis=0), axis=1).sum() < 3.3  # it was six long
-    assert space.looks > 0
-    assert _cut_short(space, corners[:2], np.random.default_rng(0)).tolist() == corners[:2].tolist()
-    bend = np.array([[0.2, 0.0], [0.6, 0.5], [1.0, 0.0]])
-    assert np.abs(_cut_short(space, bend, np.random.default_rng(0))[:, 1]).max() == 0.0
 
 
 def test_a_launch_begins_with_a_speed_or_an_acceleration_and_ends_with_nothing() -> None:

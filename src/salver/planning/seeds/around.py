@@ -2,8 +2,8 @@
 
 Two trees, from the start and from the goal postures, grow in steps towards random postures and then towards each other
 (RRT-Connect: Kuffner and LaValle, ICRA 2000). Each posture is projected to one within the tilt limit of the tray
-(Berenson, Srinivasa, Ferguson, Kuffner, ICRA 2009). The path found is then shortened. Effort is limited by the number
-of postures checked, not by time, so the same random generator gives the same path on any computer.
+(Berenson, Srinivasa, Ferguson, Kuffner, ICRA 2009). Effort is limited by the number of postures checked, not
+by time, so the same random generator gives the same path on any computer.
 """
 
 from __future__ import annotations
@@ -166,27 +166,4 @@ def way_around(
         target = rng.uniform(low, high)
     if meeting is None:
         return None
-    way = np.array(trees[0].way(meeting[0]) + trees[1].way(meeting[1])[-2::-1])
-    return _cut_short(space, way, rng)
-
-
-def _cut_short(space: FreeSpace, way: Array, rng: np.random.Generator) -> Array:
-    """The path with detours replaced by straight pieces."""
-    space.looks = 12_000
-    for _ in range(60):  # random pieces
-        if len(way) < 3:
-            break
-        i, j = np.sort(rng.choice(len(way), 2, replace=False))
-        if j - i < 2:
-            continue
-        piece = space.towards(way[i], way[j])
-        if not piece or np.linalg.norm(piece[-1] - way[j]) > 1e-9:
-            continue
-        straight = np.array([way[i], *piece])
-        if _length(straight) < _length(way[i : j + 1]) - 1e-9:
-            way = np.vstack([way[:i], straight, way[j + 1 :]])
-    return way
-
-
-def _length(way: Array) -> float:
-    return float(np.linalg.norm(np.diff(way, axis=0), axis=1).sum())
+    return np.array(trees[0].way(meeting[0]) + trees[1].way(meeting[1])[-2::-1])
