@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
 from salver import scenario
@@ -103,6 +104,30 @@ def test_ends_that_touch_something_are_slid_free_where_the_arm_can():
         assert problem.keep_out.parts.first_touch(np.stack([pair.start, pair.goal])) is None
         for end, q in ((problem.start, pair.start), (problem.goal, pair.goal)):
             assert np.abs(end.residual(problem.arm, q)[0]).max() < 1e-9
+
+
+@pytest.mark.slow
+def test_in_no_two_pairs_of_ends_the_arm_stands_and_moves_alike():
+    """An arm with a spherical shoulder and wrist: each posture has three twins with the same elbow. The elbow and the
+    wrist, or the time that the joints need, tell the pairs apart."""
+    case = scenario.load("panda-cube").with_changes(
+        arm__model="gen3", arm__start_posture=None, arm__gains=None, motion__duration=None, objects__0__uncertainty={}
+    )
+    problem = transport_problem(case)
+    pairs = ends(problem, np.random.default_rng(0))
+    model, data = problem.arm.pin_model, problem.arm.data
+
+    def joints(q: np.ndarray) -> np.ndarray:
+        pin.forwardKinematics(model, data, q)
+        return np.array([placement.translation for placement in data.oMi.tolist()])
+
+    assert len(pairs) > 1
+    for k, one in enumerate(pairs):
+        for other in pairs[:k]:
+            apart = max(
+                np.abs(joints(a) - joints(b)).max() for a, b in ((one.start, other.start), (one.goal, other.goal))
+            )
+            assert apart > 0.02 or abs(one.cost - other.cost) > 0.02 * one.cost
 
 
 def test_a_path_that_tips_the_load_off_is_not_open_and_nor_is_one_through_a_post(behind_a_post, pair):

@@ -22,7 +22,9 @@ from salver.planning.seeds.starts import (
     _apart,
     _cost,
     _Found,
+    _shape,
     _slid_free,
+    _sought,
     _unwound,
     between,
     braking_time,
@@ -133,6 +135,21 @@ def test_goals_are_sought_from_where_a_moving_arm_would_coast_to_and_from_furthe
     assert asked[0] == pytest.approx(coasted)
 
 
+def test_of_postures_in_which_an_arm_stands_and_moves_alike_one_is_kept() -> None:
+    """An arm with a spherical shoulder and wrist, of which each posture has twins."""
+    case = scenario.load("gen3-cup").with_changes(arm__start_posture=None, arm__gains=None)
+    problem = transport_problem(case)
+    found = _sought(problem, np.random.default_rng(0), 0, EndOptions(attempts=20, batches=1))
+    shapes = [np.stack([_shape(problem, q) for q in pair[1:]]) for pair in found]
+    costs = [cost for cost, _, _ in found]
+    assert costs == sorted(costs)
+    for k in range(len(found)):
+        for j in range(k):
+            stands_alike = np.abs(shapes[k] - shapes[j]).max() < 0.03
+            assert not (stands_alike and costs[k] < 1.03 * costs[j])
+    assert 2 < len(found) < 15  # of 20
+
+
 def test_a_posture_that_is_slid_free_has_the_room_that_an_end_needs(behind_a_post) -> None:
     problem = transport_problem(behind_a_post.scenario.with_changes(arm__start_posture=None, motion__goal_yaw="fixed"))
     rng, free = np.random.default_rng(1), 0
@@ -146,6 +163,9 @@ def test_a_posture_that_is_slid_free_has_the_room_that_an_end_needs(behind_a_pos
         assert not -0.01 < left < CLEARANCE.enough_at_ends  # not left as soon as it hardly touches
         free += left >= CLEARANCE.enough_at_ends
     assert free > 0
+
+
+# Past what stands in the way ------------------------------------------------------------------------------------
 
 
 # Which of them are begun, and how long ---------------------------------------------------------------------------

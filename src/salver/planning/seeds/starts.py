@@ -166,7 +166,8 @@ def guess(problem: TransportProblem, rng: np.random.Generator, attempt: int) -> 
 def _sought(
     problem: TransportProblem, rng: np.random.Generator, first: int, options: EndOptions
 ) -> list[tuple[float, Array, Array]]:
-    """Costs (s) and pairs of end postures, goal near start, cheapest first."""
+    """Costs (s) and pairs of end postures, goal near start, cheapest first; of those in which the arm stands and moves
+    alike only the cheapest."""
     arm, limits = problem.arm, problem.limits
     found: list[tuple[float, Array, Array]] = []
     starts: list[Array] = []
@@ -178,7 +179,23 @@ def _sought(
         goal = problem.goal.nearest(arm, limits, start)
         if goal is not None:
             found.append((_cost(problem, start, goal, options), start, goal))
-    return sorted(found, key=lambda pair: pair[0])
+    found.sort(key=lambda pair: pair[0])
+    shapes = [np.stack([_shape(problem, q) for q in pair[1:]]) for pair in found]
+    kept: list[int] = []
+    for k, (cost, _, _) in enumerate(found):
+        # Alike: by 3 % of the cost, and by 3 cm where the joints are.
+        alike = (cost < 1.03 * found[j][0] and np.abs(shapes[k] - shapes[j]).max() < 0.03 for j in kept)
+        if not any(alike):
+            kept.append(k)
+    return [found[k] for k in kept]
+
+
+def _shape(problem: TransportProblem, q: Array) -> Array:
+    """(joints + 1, 3) where the joints are, and which way the tray points at 0.1 m from its middle, m: a posture of
+    which a shoulder or a wrist is flipped over has the same."""
+    arm = problem.arm
+    heading = arm.tray_pose(q)[1][:, 0]
+    return np.array([*(placement.translation for placement in arm.data.oMi.tolist()[1:]), 0.1 * heading])
 
 
 def _cost(problem: TransportProblem, start: Array, goal: Array, options: EndOptions) -> float:
