@@ -1,1 +1,1 @@
-"""What moves inside a load, along a motion: its state, what it pushes, and what it must keep. A liquid, a pendulum."""
+"""Load dynamics (a liquid, a pendulum) along a motion: state, reaction wrench, and limits."""

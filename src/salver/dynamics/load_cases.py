@@ -1,4 +1,4 @@
-"""Cases of a quantity and of damping that stand for all of a load's inner dynamics in their ranges."""
+"""Representative cases (value and damping) of a load's inner dynamics in their ranges."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from salver.models.load_dynamics import APART, GRAVITY, LoadDynamics, Modes
 from salver.models.tray_motion import frame_map
 from salver.models.uncertain.parameters import Parameter, UncertainSet
 
-VERDICT_APART = 0.02  # of frequency, between the values at which a verdict looks
+VERDICT_APART = 0.02  # relative step of frequency between the cases of a verdict
 
 
 @dataclass(frozen=True, eq=False)
 class LoadCase:
-    """What is in one body, at one value (m) of its quantity and one damping (of critical)."""
+    """A body's inner dynamics with one value (m) of its quantity and one damping ratio."""
 
     body: Body
     value: float
@@ -37,16 +37,17 @@ class LoadCase:
 
     @property
     def name(self) -> tuple[str, float, float]:
-        """What tells it from all others of a payload."""
+        """Unique key of the case within a payload."""
         return self.body.name, self.value, self.damping
 
 
 @dataclass(frozen=True, eq=False)
 class ModalCases:
-    """K cases, of one or more bodies whose dynamics are alike (`alike`), as arrays.
+    """K cases, of one or more bodies with `alike` dynamics, as arrays.
 
-    at_O (K, 3, 12), at_mode (K, n_modes, 2, 12): w of the tray's E to the specific force at O, and the lateral one at
-    each mode. to_E (K, 6, 6): wrench at O to that at E, in E. omega, kd, mass, height (K, n_modes, 2): as in `Modes`.
+    at_O (K, 3, 12), at_mode (K, n_modes, 2, 12): maps from the tray's motion regressor w to the specific force at O,
+    and to the lateral one at each mode. to_E (K, 6, 6): map from a wrench at O to that at E, in E. omega, kd, mass,
+    height (K, n_modes, 2): as in `Modes`.
     """
 
     each: tuple[LoadCase, ...]
@@ -94,24 +95,24 @@ class ModalCases:
 
     @cached_property
     def rising(self) -> Array:
-        """(K, n_modes, 2) kg/m: half the square of a mass's place, times this, is what it lifts, kg m: its energy over
-        g."""
+        """Factors (K, n_modes, 2), kg/m: times half the square of a mass's displacement they give its potential energy
+        divided by g, kg m."""
         return np.asarray(self.mass * self.omega**2 / GRAVITY)
 
     @cached_property
     def carried(self) -> tuple[Array, Array, Array]:
-        """(K, 1, n_modes, 2) what a body that takes its masses along as it turns about z pushes them by, for each
-        rad/s, rad/s^2 and (rad/s)^2: see `ModalMotion.walls`. Not asked of `round` ones."""
+        """Forces per mass (K, 1, n_modes, 2) by a body that rotates about z and drags its masses along, per rad/s,
+        rad/s^2 and (rad/s)^2: see `ModalMotion.walls`. Not used for `round` ones."""
         raise NotImplementedError
 
 
 def alike(case: LoadCase) -> tuple[type, bool]:
-    """What cases have in common that are computed side by side: one kind of dynamics, and whether round."""
+    """Key of the cases that can be computed together: kind of dynamics, and whether round."""
     return type(case.dynamics), case.modes.round
 
 
 def load_cases(body: Body, uncertain: UncertainSet, apart: float = APART) -> tuple[LoadCase, ...]:
-    """Values and dampings of what moves in a body that stand for all of an uncertain set; none where nothing does."""
+    """Representative cases of a body's inner dynamics for an uncertain set; none without inner dynamics."""
     inner = body.inner
     if inner is None:
         return ()

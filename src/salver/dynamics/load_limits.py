@@ -1,4 +1,4 @@
-"""What the inner dynamics of a load must keep, and the verdict on it."""
+"""Limits of load dynamics, and the verdict on them."""
 
 from __future__ import annotations
 
@@ -13,16 +13,18 @@ from salver.errors import Status
 from salver.geometry import Array, Indices
 from salver.models.load_dynamics import LEAST_WEIGHT, LoadDynamics
 
-LIGHTEST = 1 - LEAST_WEIGHT  # share of its weight that what moves inside may be relieved of
+LIGHTEST = 1 - LEAST_WEIGHT  # largest share by which the weight of the moving mass may be reduced
 LIGHT = "the weight that may be taken away"  # group of that limit, in words
 
 
 @dataclass(frozen=True, eq=False)
 class LoadLimit:
-    """One thing that a load may not exceed in any of K cases: values (K, T), or (K, 1) of what is left after the
-    motion, are to be no larger than `most` (K,). by, bends: first derivatives (m, c) of values (m,) of cases at nodes
-    by unknowns of the motion, and factors (m, k, c) of second ones: their squares summed over k. group: limits that a
-    verdict names together.
+    """A limit of load dynamics in K cases: values (K, T), or (K, 1) of the residual after the motion, must not exceed
+    `most` (K,).
+
+    by: returns first derivatives (m, c) of values (m,), given by case and node, by unknowns of the motion. bends:
+    returns factors (m, k, c) whose squares, summed over k, are the second derivatives. group: name of the limits that a
+    verdict reports together.
     """
 
     name: str
@@ -33,23 +35,23 @@ class LoadLimit:
     group: str
 
     def left(self, instants: int) -> Array:
-        """(K, T) of what is allowed the shares that are left, at so many instants; infinite where nothing is asked."""
+        """Remaining shares (K, T) of the limit at T = `instants` instants; infinite where there is no limit."""
         left = np.full((len(self.most), instants), np.inf)
         left[:, -self.values.shape[1] :] = 1 - self.values / self.most[:, None]
         return left
 
 
 def of_end(derivative: Callable[[Indices, Unknowns], Array]) -> Callable[[Indices, Indices, Unknowns], Array]:
-    """`LoadLimit.by` of what is left after the motion."""
+    """`LoadLimit.by` for a residual after the motion."""
     return lambda case, node, unknowns: derivative(case, unknowns)
 
 
 @dataclass(frozen=True, eq=False)
 class LoadVerdict:
-    """How near what moves in one body comes to its limits, at its worst case.
+    """Verdict on one body's inner dynamics in the worst case.
 
-    slack: (T,) the least of what is left, as shares of what is allowed; of each group of limits in `kept`. size: (T,)
-    m, as of `LoadDynamics.edge`."""
+    slack: (T,) least remaining share of all limits; kept: that of each group of limits. size: (T,) displacement, m,
+    compared with `LoadDynamics.edge`."""
 
     name: str
     inner: LoadDynamics
@@ -60,7 +62,7 @@ class LoadVerdict:
 
     @classmethod
     def of(cls, name: str, inner: LoadDynamics, t: Array, limits: Sequence[LoadLimit], size: Array) -> LoadVerdict:
-        """limits: of all parts."""
+        """The verdict from the limits of all parts."""
         count, left = len(t), dict[str, Array]()
         for limit in limits:
             own = limit.left(count).min(axis=0)
@@ -70,11 +72,11 @@ class LoadVerdict:
 
     @property
     def room(self) -> float:
-        """m that are left to its edge; infinite where nothing is in the way."""
+        """Remaining distance to its edge, m; infinite without one."""
         return float((self.inner.edge(self.inner.value) - self.size).min())
 
     def status(self, case: str = "") -> Status:
-        """Whether it keeps its limits, in one sentence. case: words for the parameters."""
+        """Whether the limits are met, in one sentence. case: words for the parameters."""
         k, group = int(np.argmin(self.slack)), min(self.kept, key=self.kept.__getitem__)
         first = int(np.argmax(self.slack < 0)) if self.slack[k] < 0 else k
         when: dict[str, Any] = {"interface": self.name, "time": float(self.t[first]), "left": self.kept[group]}

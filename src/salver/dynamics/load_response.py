@@ -1,5 +1,5 @@
-"""What moves inside a load along a motion, with the arm's compliance and what is uncertain: its reaction, and what it
-must keep. Each kind of `LoadDynamics` has its own `LoadResponse`, which says what that is."""
+"""Response of load dynamics along a motion, with the arm's compliance and uncertainty: wrench and limits. Each kind of
+`LoadDynamics` has a subclass of `LoadResponse`."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from salver.models.load_dynamics import GRAVITY
 
 
 class ArmReaction(Protocol):
-    """How an arm complies to the wrenches of K cases (`salver.sensitivity.arm.tracking.Reaction`): w (K, T, 12)."""
+    """Response of an arm to the wrenches of K cases (`salver.sensitivity.arm.tracking.Reaction`): w (K, T, 12)."""
 
     @property
     def w(self) -> Array: ...
@@ -34,10 +34,9 @@ class ArmReaction(Protocol):
 class LoadResponse(ABC):
     """K cases of a load's inner dynamics along a motion of T instants.
 
-    wrench: (K, T, 6) of `ModalMotion`. planned: the modes on a tray that follows its motion exactly; the rest is what
-    comes of a compliant arm. reaction: how it complies. change: of the modes, per half-range of each of n_c terms of
-    what is uncertain. higher: (K, T) m, by which `ModalMotion.height` may be larger for all these; more_left: (K,) m,
-    what is left at the end.
+    modes: with the arm's compliance; planned: on a tray without tracking error. wrench: (K, T, 6), as of `ModalMotion`.
+    reaction: response of the arm. change: of the modes, per half-range of each of n_c uncertain terms. higher: (K, T)
+    m, by which these may raise `ModalMotion.height`; more_left: (K,) m, by which they may raise the residual swing.
     """
 
     motion_type: ClassVar[type[ModalMotion]] = ModalMotion
@@ -52,21 +51,21 @@ class LoadResponse(ABC):
 
     @classmethod
     def of(cls, modes: ModalMotion) -> Self:
-        """On a tray that follows its motion exactly."""
+        """The response on a tray without tracking error."""
         return cls(modes, modes.wrench, modes)
 
     @classmethod
     def compliant(
         cls, modes: ModalMotion, planned: ModalMotion, reaction: ArmReaction, dw: Array, start: ModalState | None = None
     ) -> Self:
-        """dw: (K or 1, T, 12, n_c) change of the tray's motion regressor; start: what it made of the modes till
-        then."""
+        """The response with a compliant arm. dw: (K or 1, T, 12, n_c) changes of the tray's motion regressor by
+        uncertain terms; start: their effect on the modes up to the beginning."""
         change = changed(modes, dw, start)
         return cls(modes, modes.wrench, planned, reaction, change, **cls.widened(modes, change, dw))
 
     @classmethod
     def widened(cls, modes: ModalMotion, change: Change, dw: Array) -> dict[str, Array]:
-        """`higher` and `more_left`, and what else of this kind a change makes larger, by name."""
+        """Values of the fields in `more`, such as `higher`, that follow from a change."""
         higher, left = (np.linalg.norm(x, axis=-2) for x in (change.r, np.hypot(*change.ending)))
         return {"higher": higher.max(axis=2).sum(axis=2), "more_left": left.max(axis=1).sum(axis=1)}
 
@@ -92,7 +91,7 @@ class LoadResponse(ABC):
         return type(self)(modes, self.wrench[some], planned, reaction, change, **self._more(some))
 
     def only(self, k: int) -> Self:
-        """One case, without what the arm and parameter errors do to it."""
+        """The response of one case, without the effects of the arm and of parameter errors."""
         some = slice(k, k + 1)
         modes = self.modes.part(some)
         return type(self)(modes, self.wrench[some], modes, **self._more(some))
@@ -101,21 +100,21 @@ class LoadResponse(ABC):
         own = {name: value for name, value in vars(self).items() if name in self.more}
         return {name: x if np.ndim(x) == 0 else np.asarray(x)[some] for name, x in own.items()}
 
-    more: ClassVar[tuple[str, ...]] = ("higher", "more_left")  # fields of what is uncertain, (K, ...)
+    more: ClassVar[tuple[str, ...]] = ("higher", "more_left")  # fields with the effect of uncertainty, (K, ...)
 
     def unsure(self, away: Array, inclined: Array) -> Self:
-        """The response if each mass may be away by m, (K, T, n_modes, 2), and the force inclined by a slope (K, T,
-        1)."""
+        """The response if positions of the masses are uncertain by `away` (K, T, n_modes, 2), m, and the slope of the
+        force by `inclined` (K, T, 1)."""
         return replace(self, higher=away.max(axis=(2, 3)), more_left=away[:, -1].max(axis=(1, 2)))
 
     @cached_property
     def lightness(self) -> Array:
-        """(K, T) share of its weight that does not press or pull."""
+        """Share (K, T) by which the apparent weight is below the weight."""
         return np.asarray(1 - self.modes.force[..., 2] / GRAVITY)
 
     @property
     def weight_limit(self) -> LoadLimit:
-        """As much of the weight is left as the modes are known to need."""
+        """The limit on `lightness`, beyond which the modes are not valid."""
 
         def by(case: Indices, node: Indices, unknowns: Unknowns) -> Array:
             by_w = -self.modes.cases.at_O[case, 2] / GRAVITY
@@ -129,25 +128,25 @@ class LoadResponse(ABC):
 
     @abstractmethod
     def limits(self) -> list[LoadLimit]:
-        """All that it must keep, during the motion and after it."""
+        """All limits, during the motion and after it."""
 
     @classmethod
     def verdict(cls, name: str, parts: Sequence[Self]) -> LoadVerdict:
-        """How near the load in a body comes to its limits, at its worst case of all parts."""
+        """The verdict on the load in a body, in the worst case of all parts."""
         modes, limits = parts[0].modes, [limit for part in parts for limit in part.limits()]
         size = np.max([(part.modes.height + part.higher).max(axis=0) for part in parts], axis=0)
         return LoadVerdict.of(name, modes.cases.each[0].dynamics, modes.t, limits, size)
 
 
 def response_of(several: Sequence[LoadCase], t: Array, w: Array) -> LoadResponse:
-    """Of cases that are alike, from rest along a motion that the tray follows exactly."""
+    """The response of `alike` cases, from rest, on a tray without tracking error."""
     kind: type[LoadResponse] = several[0].dynamics.response
     return kind.of(kind.motion_type.along(several, t, w))
 
 
 def slacks(part: LoadResponse, *groups: str) -> Array:
-    """(K, T) the least of what each case leaves of its limits, as shares of what is allowed; of some groups only, if
-    any are named. Infinite without any."""
+    """Least remaining share (K, T) of the limits in each case; of some groups of limits if any are named. Infinite
+    without limits."""
     count = len(part.modes.t)
     none = np.full((len(part.wrench), count), np.inf)
     wanted = [limit for limit in part.limits() if not groups or limit.group in groups]

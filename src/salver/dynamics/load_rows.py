@@ -1,5 +1,5 @@
-"""What moves inside loads adds to contact rows, and to whatever else of an arm that carries them: each load at its
-worst case (`salver.dynamics.load_response`)."""
+"""Contributions of load dynamics to contact rows and to the arm's deviation, each load in its worst case
+(`salver.dynamics.load_response`)."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from salver.models.uncertain.worst_case import ALL, Some
 
 @dataclass(frozen=True, eq=False)
 class LoadRows:
-    """What loads add to contact rows (T, n): each at its worst case. loads: of each that is held by one of the
-    rows' bodies which one, its parts, and what these add, (K, T, n) in their cases."""
+    """Contributions of loads to contact rows (T, n), each in its worst case. loads: for each load in one of the rows'
+    bodies, the body's index, the load's parts, and their contributions (K, T, n) in all cases."""
 
     rows: ContactRows
     loads: list[tuple[int, tuple[LoadResponse, ...], list[Array]]]
@@ -28,7 +28,7 @@ class LoadRows:
 
     @classmethod
     def of(cls, rows: ContactRows, responses: Mapping[str, tuple[LoadResponse, ...]]) -> LoadRows:
-        """responses: the cases of each load, in parts, by the name of its body."""
+        """The contributions of responses, given in parts by the name of the load's body."""
         total, loads = np.zeros((1, 1)), []
         for j, parts, added in _each_added(rows, responses):
             total = total + _most(added)
@@ -37,10 +37,8 @@ class LoadRows:
         return cls(rows, loads, total)
 
     def history(self, node: Indices, row: Indices, unknowns: Unknowns) -> Array:
-        """(m, c) derivatives of what loads add to rows at nodes (m,), by unknowns of the motion.
-
-        How the arm gives way is taken as given.
-        """
+        """Derivatives (m, c) of the contributions to rows at nodes (m,), by unknowns of the motion; changes of the
+        arm's response are neglected."""
         found = np.zeros((len(node), unknowns.felt.shape[2]))
         for j, parts, added in self.loads:
             worst = np.concatenate([part[:, node, row] for part in added]).argmax(axis=0)
@@ -51,16 +49,16 @@ class LoadRows:
 
 
 def given_way(responses: Mapping[str, tuple[LoadResponse, ...]], what: Callable[[Any], Array]) -> Array:
-    """(T, m) most by which what moves in all loads changes something of the arm that carries them, `what` (T, m, K) of
-    each reaction: each load at its worst case."""
+    """Largest change (T, m) by all load dynamics, each in its worst case, of a quantity of the arm: `what` returns it
+    (T, m, K) from a reaction."""
     each = [[what(x.reaction) for x in parts if x.reaction is not None] for parts in responses.values()]
     most = [reduce(np.maximum, [np.abs(x).max(axis=-1) for x in parts]) for parts in each if parts]
     return sum(most, np.zeros((1, 1)))
 
 
 def of_parts(counts: Sequence[int], which: Indices) -> Iterator[tuple[int, Indices, Indices]]:
-    """Cases (m,) counted through all parts, of which each has so many, part by part: the part, which of its cases, and
-    where in `which`."""
+    """Split case numbers `which` (m,), counted through all parts with `counts` cases each: yields the part, the numbers
+    within it, and their positions in `which`."""
     before = 0
     for k, count in enumerate(counts):
         mine = np.flatnonzero((which >= before) & (which < before + count))
@@ -72,12 +70,12 @@ def of_parts(counts: Sequence[int], which: Indices) -> Iterator[tuple[int, Indic
 def most_added(
     rows: ContactRows, responses: Mapping[str, tuple[LoadResponse, ...]], at: Some, some: Some, coarsely: bool
 ) -> Array:
-    """What loads add to some rows at some instants, (T, n), each at its worst case. coarsely: no less than that."""
+    """Contributions (T, n) of loads to some rows at some instants, each in its worst case; coarsely: upper bounds."""
     return sum((_most(added) for _, _, added in _each_added(rows, responses, at, some, coarsely)), np.zeros((1, 1)))
 
 
 def _most(added: list[Array]) -> Array:
-    """(T, n) of all cases of all parts."""
+    """Largest contribution (T, n) over all cases of all parts."""
     return np.asarray(reduce(np.maximum, [part.max(axis=0) for part in added]))
 
 
@@ -88,8 +86,8 @@ def _each_added(
     some: Some = ALL,
     coarsely: bool = False,
 ) -> Iterator[tuple[int | None, tuple[LoadResponse, ...], list[Array]]]:
-    """Of each load the body of the network that it is in, None for one that stands elsewhere, its parts, and what
-    each adds to some rows at some instants, (K, T, n) in its cases, or 0 (1, 1, 1)."""
+    """For each load: the index of its body in the network, or None for one elsewhere; its parts; and their
+    contributions (K, T, n) to some rows at some instants, or 0 as (1, 1, 1)."""
     index = {body.name: j for j, body in enumerate(rows.network.bodies)}
     for name, parts in responses.items():
         j = index.get(name)
@@ -98,9 +96,9 @@ def _each_added(
 
 
 def _added(part: LoadResponse, nominal: Array, held: Array | None, at: Some, coarsely: bool) -> Array:
-    """Of a part to rows nominal (12, n), and held (6, n) of the wrench that its container must give."""
+    """Contribution of a part to rows `nominal` (12, n), and to rows `held` (6, n) of the wrench on its container."""
     added = np.zeros((1, 1, 1))
-    if part.reaction is not None:  # of whatever stands on the tray: the arm gives way under all
+    if part.reaction is not None:  # for all objects: the arm's deviation moves the whole tray
         added = part.reaction.w[:, at] @ nominal
     if held is not None:
         added = added + part.wrench[:, at] @ held

@@ -1,4 +1,4 @@
-"""First-order effect of changes of the tray's motion regressor on what moves inside loads and on its wrench."""
+"""First-order effect of changes of the tray's motion regressor on load dynamics and their wrench."""
 
 from __future__ import annotations
 
@@ -36,15 +36,15 @@ class Change:
 
     @property
     def states(self) -> ModalState:
-        """What is made of the modes at each node, (T, K, ..., c)."""
+        """Changes of the modal states at each node, (T, K, ..., c)."""
         K, T, *_, c = self.r.shape
         turned = (np.broadcast_to(x, (K, T, c)) for x in (self.angle, self.turning))
         return ModalState(*(x.swapaxes(0, 1) for x in (self.r, self.rate, *turned, np.zeros((K, T, c)))))
 
 
 def changed(modes: ModalMotion, dw: Array, start: ModalState | None = None) -> Change:
-    """To first order, by changes dw (K or 1, T, 12, c) of the tray's motion regressor, before the motion too. start:
-    what they have made of the modes till then, where these do not begin at rest."""
+    """The first-order effect of changes dw (K or 1, T, 12, c) of the tray's motion regressor, which exist before the
+    motion too. start: their effect on the modes up to then, if these do not begin at rest."""
     which, (angle, turning) = modes.cases, modes.turned_by(dw, start)
     spun = angle if which.round else turning
     r, rate, second = modes.pushed(dw, before=True, start=start, spun=spun)

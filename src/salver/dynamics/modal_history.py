@@ -17,9 +17,11 @@ CaseGroups = tuple[tuple[LoadCase, ...], ...]
 
 @dataclass(frozen=True, eq=False)
 class InitialState:
-    """Modal states of K cases at the beginning of a motion, at rest unless given: as planned; with the
-    arm's compliance, that of each of n_c terms, and e and e' (2, n, K) of the arm. Or all of this at T instants, (T,
-    ...)."""
+    """Modal states of K cases at the beginning of a motion, at rest unless given; or at T instants, (T, ...).
+
+    planned: without the arm's compliance. compliant: with it. change: by each of n_c terms of the uncertain set.
+    reaction: e and e' (2, n, K) of the arm.
+    """
 
     planned: ModalState | None = None
     compliant: ModalState | None = None
@@ -27,7 +29,7 @@ class InitialState:
     reaction: Array | None = None
 
     def at(self, t: Array, now: float, some: Indices) -> InitialState:
-        """Some of the cases at an instant, of all at t (T,)."""
+        """The states of some cases at the instant `now`, from states at t (T,)."""
         first, second, third = (
             x if x is None else x.at(t, now).part(some) for x in (self.planned, self.compliant, self.change)
         )
@@ -39,22 +41,21 @@ class InitialState:
 
 @dataclass(frozen=True, eq=False)
 class Past:
-    """Modal states of loads along a motion that is left at an instant, `now` (s): at its t (T,), for all cases, by what
-    is alike."""
+    """Modal states of all load cases along a motion, at t (T,), which another motion leaves at the instant `now`, s."""
 
     t: Array
     known: tuple[CaseHistory, ...]
     now: float = 0.0
 
     def begun(self, group: CaseGroups) -> InitialState:
-        """Modal states of loads that are alike where the motion is left."""
+        """Modal states of `alike` load cases where the motion is left."""
         history = next(each for each in self.known if group[0][0].name in each.index)
         return history.along.at(self.t, self.now, history.places(group))
 
     @property
     def stray(self) -> Array:
-        """(n,) rad, the most by which each joint gives way to what loads push, each at its worst case; 0 for an arm
-        that follows exactly."""
+        """Largest deviation (n,) of each joint by the wrenches of load dynamics, each load in its worst case, rad; 0
+        for an arm that follows exactly."""
         found: Array = np.zeros(1)
         for history in self.known:
             reaction = history.along.reaction

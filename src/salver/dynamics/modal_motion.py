@@ -1,9 +1,8 @@
-"""Modes of what moves inside a body along a motion of the tray.
+"""Modes of load dynamics along a motion of the tray.
 
-The modes of `salver.models.load_dynamics` are filters with a memory (`salver.linear_filter`), driven by the lateral
-specific force at each mode's height and stiffened by the vertical one. All is linear in the drive: what small changes
-of the motion make of the modes goes through the same filters. All values and dampings of a load are computed side by
-side.
+The modes of `salver.models.load_dynamics` are second-order filters (`salver.linear_filter`), driven by the lateral
+specific force at each mode's height, with a stiffness that depends on the vertical one. They are linear in the drive,
+so the effect of small changes of the motion goes through the same filters. All cases of a load are computed together.
 """
 
 from __future__ import annotations
@@ -22,26 +21,26 @@ from salver.linear_filter import LinearFilter
 from salver.models.load_dynamics import GRAVITY, LEAST_WEIGHT
 from salver.models.tray_motion import N_MOTION
 
-TURNS, SETTLED = 24, 1e-3  # rounds at most in which waves along both sides of a box drive one another, and when to end
+TURNS, SETTLED = 24, 1e-3  # limit and tolerance of the iteration in which waves along both sides of a box interact
 TURNING = np.zeros(N_MOTION)
 TURNING[[6, 8]] = 1.0  # omega_x^2 + omega_y^2: the same in every frame whose z is the tray's
 
 
 def _upward(which: ModalCases, w: Array) -> Array:
-    """(K, T) specific force that stiffens the modes."""
+    """Vertical specific force (K, T), which sets the stiffness of the modes."""
     return np.maximum((w @ which.at_O[:, 2, :, None])[..., 0], LEAST_WEIGHT * GRAVITY)
 
 
 def _spin(which: ModalCases, turning: LinearFilter, w: Array, start: ModalState | None) -> Array:
-    """(K, T) rad by which the container has turned about its axis."""
+    """Rotation (K, T) of the container about its axis since the beginning, rad."""
     if not which.round:
         return np.zeros(w.shape[:2])
     return _turning(turning, w, start)[0]
 
 
 def _turning(turning: LinearFilter, w: Array, start: ModalState | None) -> tuple[Array, Array]:
-    """(K, T) rad by which the container has turned about its axis, and rad/s."""
-    if w.strides[0] == 0 and start is None:  # the same for all
+    """Rotation (K, T) of the container about its axis, rad, and its rate, rad/s."""
+    if w.strides[0] == 0 and start is None:  # the same for all cases
         angle, rate = (np.broadcast_to(x, w.shape[:2]) for x in turning.respond(w[0, :, 5]))
         return angle, rate
     begun = None if start is None else np.stack([start.spin, start.turning])
@@ -50,7 +49,7 @@ def _turning(turning: LinearFilter, w: Array, start: ModalState | None) -> tuple
 
 
 def _at_modes(which: ModalCases, w: Array, spin: Array) -> Array:
-    """(K, T, n_modes, 2) lateral specific force at each mode, along axes that stand still."""
+    """Lateral specific force (K, T, n_modes, 2) at each mode, along axes that do not rotate with the container."""
     K, n = which.at_mode.shape[:2]
     felt = (w @ np.swapaxes(which.at_mode.reshape(K, 2 * n, N_MOTION), 1, 2)).reshape(K, -1, n, 2)
     return turned(felt, spin[..., None])
@@ -60,12 +59,13 @@ def _at_modes(which: ModalCases, w: Array, spin: Array) -> Array:
 class ModalMotion:
     """K cases of inner dynamics along a motion of T nodes.
 
-    Vectors across the body have two components. In a round one, which cannot take its masses along, they are along axes
-    that do not turn about the body's own: those that the body had at the beginning.
-    filters: (K, n_modes, axes), of a round body one for both axes. turning: from the angular acceleration about
-    the axis to the angle, `spin` (K, T), rad. w (K, T, 12): the tray's motion regressor. upward (K, T): specific force
-    that stiffens the modes. at_modes: lateral specific force at each mode; r, rate, second: place, m, speed and
-    acceleration of each moving mass; (K, T, n_modes, 2). start: how they begin, None for at rest.
+    Lateral vectors have two components. In a round body, whose walls do not drag the masses along, they are in the axes
+    that the body had at the beginning, which do not rotate with it.
+    filters: (K, n_modes, axes), a single one for both axes of a round body. turning: filter from the angular
+    acceleration about the axis to the angle, `spin` (K, T), rad. w (K, T, 12): the tray's motion regressor. upward
+    (K, T): vertical specific force, which sets the stiffness. at_modes: lateral specific force at each mode; r, rate,
+    second: position (m), velocity and acceleration of each moving mass; (K, T, n_modes, 2). start: initial states, None
+    for rest.
     """
 
     cases_type: ClassVar[type[ModalCases]] = ModalCases
@@ -84,8 +84,8 @@ class ModalMotion:
 
     @classmethod
     def along(cls, several: Sequence[LoadCase], t: Array, w: Array, start: ModalState | None = None) -> Self:
-        """Of cases that are alike, along a motion: the tray's motion regressor, w (T, 12), at t (T,). start: how they
-        begin, at rest unless given."""
+        """The modes of `alike` cases along the tray's motion regressor w (T, 12) at t (T,). start: initial states, at
+        rest unless given."""
         which = cls.cases_type.of(tuple(several))
         felt = np.broadcast_to(w, (len(several), *w.shape))
         upward = _upward(which, felt)
@@ -102,7 +102,7 @@ class ModalMotion:
         return begun.moved(*(x[..., 0] for x in begun.respond(force, *first)))
 
     def moved(self, r: Array, rate: Array, second: Array) -> Self:
-        """The modes with the masses elsewhere."""
+        """The modes with other positions, velocities and accelerations of the masses."""
         return replace(self, r=r, rate=rate, second=second)
 
     def part(self, some: slice) -> Self:
@@ -114,8 +114,8 @@ class ModalMotion:
         return replace(self, cases=which, filters=filters, start=start, **felt)
 
     def shifted(self, dw: Array, start: ModalState | None = None) -> Self:
-        """The modes of w + dw (K, T, 12), to first order in dw, which begins with the motion; start: how they begin, if
-        that is not at rest."""
+        """The modes for w + dw (K, T, 12), to first order in dw, which is zero before the motion. start: initial
+        states, if not at rest."""
         begun = None
         if start is not None:
             assert self.start is not None
@@ -128,20 +128,19 @@ class ModalMotion:
 
     @cached_property
     def turns(self) -> Array:
-        """(K, T) rad/s of the container about its axis."""
+        """Angular velocity (K, T) of the container about its axis, rad/s."""
         return _turning(self.turning, self.w, self.start)[1]
 
     @cached_property
     def walls(self) -> tuple[Array, Array, Array] | None:
-        """What the walls of a box that turns about its upright axis take along of the waves: as factors (K, T, n_modes,
-        2) of r' and r along the other side, and of r along the same one, what pushes each mass like a force; None where
-        nothing turns.
+        """Coupling of the waves in a box that rotates about its vertical axis: force on each mass per mass, as factors
+        (K, T, n_modes, 2) of r' and r along the other side, and of r along the same side. None without rotation.
 
-        Seen from the box a liquid without friction flows backwards along the walls, and carries its waves, at C times
-        the turning rate Omega for the first mode, C = 16 x y / (pi^2 (x^2 + y^2)) with sides x and y: 0.81 in a square
-        one, 1 in a cylinder, for flow and waves then stand still together. The waves along either side so drive those
-        along the other, eta_x'' = ... + C Omega (1 + k_x / k_y) eta_y' + C Omega' eta_y + C^2 Omega^2 k_x / k_y eta_x,
-        k the square of each frequency, and with the other sign along y.
+        Relative to the box, an inviscid liquid flows backwards along the walls and carries its waves at C times the
+        angular velocity Omega for the first mode, C = 16 x y / (pi^2 (x^2 + y^2)) with sides x and y: 0.81 in a square
+        box, 1 in a cylinder, where liquid and waves do not rotate. So waves along one side drive those along the other,
+        eta_x'' = ... + C Omega (1 + k_x / k_y) eta_y' + C Omega' eta_y + C^2 Omega^2 k_x / k_y eta_x, where k is the
+        square of each frequency, and with the other sign along y.
         """
         if self.cases.round or not self.turns.any():
             return None
@@ -151,7 +150,7 @@ class ModalMotion:
 
     @cached_property
     def pushed_by_turning(self) -> tuple[Array, Array]:
-        """(K, T, n_modes, 2) what `walls` push more for each rad/s of `turns`, and for each rad/s^2."""
+        """Derivatives (K, T, n_modes, 2) of the forces of `walls` by the angular velocity `turns` and by its rate."""
         by_rate, by_place, own = self.cases.carried
         turned = by_rate * self.rate[..., ::-1] + 2 * self.turns[..., None, None] * own * self.r
         return turned, by_place * self.r[..., ::-1]
@@ -175,7 +174,7 @@ class ModalMotion:
 
     @cached_property
     def force(self) -> Array:
-        """(K, T, 3) specific force at the centre of the surface, in the container's axes."""
+        """Specific force (K, T, 3) at the centre of the surface, in the container's axes."""
         return self.w @ np.swapaxes(self.cases.at_O, 1, 2)
 
     def respond(
@@ -218,10 +217,9 @@ class ModalMotion:
     def pushed(
         self, dw: Array, before: bool, start: ModalState | None = None, spun: Array | None = None
     ) -> tuple[Array, Array, Array]:
-        """r, r' and r'' (K, T, n_modes, 2, c), to first order, by changes dw (K or 1, T, 12, c) of the tray's motion
-        regressor: pushed aside, stiffened, and turned under the waves. before: whether what changes was so before the
-        motion too. start: what it has made of them till then, where they do not begin at rest. spun: as `spun` has it,
-        if it is known."""
+        """First-order changes of r, r' and r'' (K, T, n_modes, 2, c) by changes dw (K or 1, T, 12, c) of the tray's
+        motion regressor: by lateral force, stiffness and rotation. before: whether the changes exist before the motion
+        too. start: their effect up to then, if the modes do not begin at rest. spun: as of `spun`, if known."""
         drive = self._driven(dw, self.spun(dw, start) if spun is None else spun)
         begin = self._level(drive) if before else None
         if start is not None:
@@ -230,36 +228,35 @@ class ModalMotion:
         return self._answer(drive, begin)
 
     def swung(self, dw: Array, spun: Array) -> Array:
-        """(K, n_modes, axes, 2 + T, 2 c / axes) what moves each mass, as `LinearFilter.answers` has it, to first order:
-        where it begins, and how it is driven, by changes dw (K or 1, T, 12, c) of the tray's motion regressor that were
-        so before the motion too. spun: as `spun` has it."""
+        """First-order changes of the initial state and drive of each mass, (K, n_modes, axes, 2 + T, 2 c / axes) as for
+        `LinearFilter.answers`, by changes dw (K or 1, T, 12, c) of the tray's motion regressor that exist before the
+        motion too. spun: as of `spun`."""
         drive = self._driven(dw, spun)
         begin = self._level(drive)
         return np.concatenate([begin, self._taken_along(drive, begin)[0]], axis=3)
 
     def begun_by(self, r: Array, rate: Array) -> Array:
-        """What moves each mass, as `swung` has it, where it begins otherwise by r and r' (K, n_modes, 2, c), and is not
-        driven otherwise."""
+        """As `swung`, for changes of the initial r and r' (K, n_modes, 2, c) without a change of the drive."""
         begin = self._by_filter(np.stack([r, rate], axis=1))
         return np.pad(begin, [(0, 0)] * 3 + [(0, len(self.t)), (0, 0)])
 
     def swinging(self, order: int, node: Indices, moving: Array) -> Array:
-        """(K, m, n_modes, 2, c) of r (order 0) or r' (1) at nodes (m,) in order, by what moves the masses (see
-        `swung`)."""
+        """Changes (K, m, n_modes, 2, c) of r (order 0) or r' (order 1) at increasing nodes (m,), from the result of
+        `swung`."""
         known = self.filters.known(int(node[-1]))
         return self._by_mode(self.filters.answers[order][:, :, :, node, :known] @ moving[:, :, :, :known])
 
     def _driven(self, dw: Array, spun: Array) -> Array:
-        """(K, n_modes, axes, T, 2 c / axes) by which changes dw (K or 1, T, 12, c) change the drives of the filters;
-        spun: as `spun` has it."""
+        """Changes (K, n_modes, axes, T, 2 c / axes) of the filters' drives by changes dw (K or 1, T, 12, c); spun: as
+        of `spun`."""
         moved = np.concatenate([dw, spun[:, :, None]], axis=2)
         drive = self._drive_map @ moved[:, None, None]
         return np.asarray(drive.reshape(*drive.shape[:4], -1))
 
     @cached_property
     def _drive_map(self) -> Array:
-        """(K, n_modes, axes, T, 2 / axes, 13) from the tray's motion regressor, and `spun`, to the drives of the
-        filters."""
+        """Linear map (K, n_modes, axes, T, 2 / axes, 13) from the tray's motion regressor, and `spun`, to the filters'
+        drives."""
         which, (K, T, n, _) = self.cases, self.r.shape
         c, s = (f(self.spin)[:, :, None, None] for f in (np.cos, np.sin))
         x, y = which.at_mode[:, None, :, 0], which.at_mode[:, None, :, 1]
@@ -277,13 +274,13 @@ class ModalMotion:
         return np.negative(by_filter, order="C")
 
     def spun(self, dw: Array, start: ModalState | None = None) -> Array:
-        """(K or 1, T, c) change of `spin` by changes dw (K or 1, T, 12, c), of a box of `turns`: the same of all
-        that are alike. start: as of `turned_by`."""
+        """Changes (K or 1, T, c) of `spin`, or of `turns` for a box, by changes dw (K or 1, T, 12, c); equal for all
+        `alike` cases. start: as of `turned_by`."""
         return self.turned_by(dw, start)[0 if self.cases.round else 1]
 
     def turned_by(self, dw: Array, start: ModalState | None = None) -> tuple[Array, Array]:
-        """(K or 1, T, c) changes of `spin` and of `turns` by changes dw (K or 1, T, 12, c). start: what they have made
-        of them till then, nothing unless given."""
+        """Changes (K or 1, T, c) of `spin` and of `turns` by changes dw (K or 1, T, 12, c). start: their effect up to
+        the beginning, zero unless given."""
         drive, begun = dw[:, :, 5].swapaxes(0, 1), None
         if start is not None:
             drive = np.broadcast_to(drive, (len(drive), len(start.spin), drive.shape[2]))
@@ -293,19 +290,21 @@ class ModalMotion:
 
     @cached_property
     def ending(self) -> tuple[Array, Array]:
-        """(K, n_modes, 2) how far each mass is from its rest at the end, and its speed over the frequency there, m."""
+        """Displacement of each mass from its equilibrium at the end, and its velocity divided by the frequency, both
+        (K, n_modes, 2), m."""
         omega, softer = self.cases.omega, (GRAVITY / self.upward[:, -1])[:, None, None]
         rest = self.at_modes[:, -1] / omega**2 * softer
         return self.r[:, -1] + rest, self.rate[:, -1] / omega * np.sqrt(softer)
 
     @cached_property
     def slope(self) -> Array:
-        """(K, T, 2) of what is at rest under the force, to which masses hang or a surface lies across: f / f_z."""
+        """Slope f / f_z (K, T, 2): inclination at equilibrium of a hanging mass or a surface under the specific
+        force."""
         return turned(self.force[..., :2] / self.upward[..., None], self.spin)
 
     @property
     def seen(self) -> Array:
-        """(K, T, 3) m, what pictures and charts show, `LoadDynamics.seen`: along the body's own axes."""
+        """Displacements (K, T, 3), m, in the body's axes, that pictures and charts show (`LoadDynamics.seen`)."""
         own, still = turned(self.r, -self.spin[..., None]), np.zeros(len(self.t))
         slope = turned(self.slope, -self.spin)
         lengths = [case.modes.length for case in self.cases.each]
@@ -314,13 +313,13 @@ class ModalMotion:
 
     @property
     def height(self) -> Array:
-        """(K, T) m by which what swings is away at most, to be remembered from one motion to the next."""
+        """Largest displacement (K, T), m, which is carried over from one motion to the next."""
         return np.linalg.norm(self.r, axis=-1).max(axis=2)
 
     @cached_property
     def peak(self) -> tuple[Indices, Array]:
-        """(K,) when `height` is largest during the motion, and how large, m, or was before: how far the phase can have
-        drifted."""
+        """Instant (K,) at which `height` is largest during the motion, and the peak (K,), m, the one before the motion
+        if that was larger: it determines how far the phase can have drifted."""
         heights = self.height
         k = np.argmax(heights, axis=1)
         highest = heights[np.arange(len(k)), k]
@@ -328,18 +327,17 @@ class ModalMotion:
 
     @property
     def peaks_now(self) -> Array:
-        """(K,) 1 where `peak` is of this motion, 0 where it was before."""
+        """(K,) 1 where `peak` occurs in this motion, 0 where it was before."""
         return np.ones(len(self.r)) if self.start is None else (self.peak[1] > self.start.peak).astype(float)
 
     def fading(self, seconds: float) -> Array:
-        """(K, n_modes, 2) share of the swing that is left after so many seconds of rest."""
+        """Share (K, n_modes, 2) of the swing that remains after some seconds of rest."""
         return np.asarray(np.exp(-0.5 * self.cases.kd * seconds))
 
     @cached_property
     def wrench(self) -> Array:
-        """(K, T, 6) what the body must give at E beyond what it would need if nothing moved in it, N and N m: to first
-        order in the swing, and the upward force, which is of second, as its centre of mass rises and
-        falls."""
+        """Additional wrench (K, T, 6) that the moving masses require at E, N and N m: to first order in the swing,
+        except for the vertical force, of second order, from the rise and fall of their centre of mass."""
         which, force = self.cases, self.force
         back = -self.spin[..., None]
         r, second = turned(self.r, back), turned(self.second, back)
@@ -356,10 +354,10 @@ class ModalMotion:
 
     @cached_property
     def slower(self) -> tuple[Array, Array]:
-        """(K, T, n_modes, 2) derivative of r and r' by log T, where the tray's motion regressor is the same in each
-        share of it.
+        """Derivatives (K, T, n_modes, 2) of r and r' by log T, with the tray's motion regressor fixed at each share of
+        T.
 
-        In shares of T the equation reads x'' / T^2 + kd x' / T + kp x = d.
+        In shares of T the equation is x'' / T^2 + kd x' / T + kp x = d.
         """
         more = 2 * self.second + self.cases.kd[:, None] * self.rate
         slower = self.spun_slower[..., None, None]
@@ -369,13 +367,13 @@ class ModalMotion:
             by_rate, _, own = self.cases.carried
             turns = self.turns[..., None, None]
             more = more + 2 * turns * slower * own * self.r - (turns - slower) * by_rate * self.rate[..., ::-1]
-        begun = self.rate[:, 0, ..., None]  # the same r', which is T times as much per share
+        begun = self.rate[:, 0, ..., None]  # r' is fixed, so the derivative per share is T times as large
         r, rate, _ = self.respond(-more[..., None], np.zeros_like(begun), begun)
         return r[..., 0], rate[..., 0] - self.rate
 
     @cached_property
     def spun_slower(self) -> Array:
-        """(K, T) the same of the spin, of a box of `turns`."""
+        """Derivative (K, T) of the spin, or of `turns` for a box, by log T."""
         if not self.cases.round:
             return self.turns - self.turns[:, :1]
         if self.start is None:
@@ -384,7 +382,7 @@ class ModalMotion:
 
     @property
     def states(self) -> ModalState:
-        """How these modes are at each node, (T, K, ...)."""
+        """Modal states at each node, (T, K, ...)."""
         start, peak = self.start, np.maximum.accumulate(self.height, axis=1)
         if start is not None:
             peak = np.maximum(peak, start.peak[:, None])
@@ -393,33 +391,33 @@ class ModalMotion:
 
     @property
     def equilibrium(self) -> Array:
-        """(K, n_modes, 2) m, where each mass rests on the tray as it is at the end."""
+        """Equilibrium positions (K, n_modes, 2) of the masses in the tray's final posture, m."""
         return -self.at_modes[:, -1] / self.stiffness
 
     @property
     def stiffness(self) -> Array:
-        """(K, n_modes, 2) 1/s^2, as of `omega` squared, at the end."""
+        """Stiffness per mass (K, n_modes, 2) at the end, 1/s^2; `omega` squared at rest on a level tray."""
         return np.asarray(self.cases.omega**2 / GRAVITY * self.upward[:, -1, None, None])
 
     def equilibrium_by(self, dw: Array, spun: Array) -> Array:
-        """(K, n_modes, 2, c) its change by changes dw (K or 1, T, 12, c); spun: as `spun` has it."""
+        """Changes (K, n_modes, 2, c) of `equilibrium` by changes dw (K or 1, T, 12, c); spun: as of `spun`."""
         drive, stiffness = self._driven(dw, spun), np.asarray(self.filters.kp)[..., None]
         return self._by_mode(drive[:, :, :, -1:] / stiffness[:, :, :, -1:])[:, 0]
 
 
 def turned(x: Array, angle: Array) -> Array:
-    """Vectors (..., 2) turned by angles (...), rad."""
+    """Vectors (..., 2) rotated by angles (...), rad."""
     c, s, x, y = np.cos(angle), np.sin(angle), x[..., 0], x[..., 1]
     return _pairs(c * x - s * y, s * x + c * y)
 
 
 def across(x: Array) -> Array:
-    """Derivative of `turned` by the angle: turned by a quarter."""
+    """Derivative of `turned` by the angle: the vectors rotated by 90 degrees."""
     return _pairs(-x[..., 1], x[..., 0])
 
 
 def _pairs(x: Array, y: Array) -> Array:
-    """Vectors (..., 2): as `numpy.stack` in a third of the time, which counts here."""
+    """Vectors (..., 2) from their components; three times as fast as `numpy.stack`."""
     found = np.empty((*x.shape, 2))
     found[..., 0], found[..., 1] = x, y
     return found

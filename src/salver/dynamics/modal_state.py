@@ -1,4 +1,4 @@
-"""Modal states of what moves inside loads: from one motion to the next, and while the tray rests."""
+"""Modal states of load dynamics: from one motion to the next, and while the tray rests."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from salver.linear_filter import at_instant, swinging_at
 
 @dataclass(frozen=True, eq=False)
 class ModalState:
-    """K cases at one instant, or what c changes make of them, (..., c); or at several, (T, ...).
+    """Modal states of K cases at one instant; or at several, (T, ...); or their changes by c changes, (..., c).
 
-    r, rate: (K, n_modes, 2) of each moving mass, m and m/s. spin, turning: (K,) of the body about its axis, rad
-    and rad/s. peak: (K,) m, how far the modes have gone till then (`ModalMotion.height`).
+    r, rate: (K, n_modes, 2) position and velocity of each moving mass, m and m/s. spin, turning: (K,) rotation of the
+    body about its axis, rad and rad/s. peak: (K,) largest `ModalMotion.height` so far, m.
     """
 
     r: Array
@@ -30,26 +30,26 @@ class ModalState:
 
     @property
     def last(self) -> ModalState:
-        """Of states at several instants, those at the last."""
+        """The states at the last of several instants."""
         return ModalState(*(x[-1] for x in vars(self).values()))
 
     def of_terms(self, count: int) -> ModalState:
-        """The states that the first of c changes cause."""
+        """The effect of the first `count` of c changes."""
         return ModalState(*(x[..., :count] for x in vars(self).values()))
 
     def at(self, t: Array, now: float) -> ModalState:
-        """At an instant, of those at nodes t (T,)."""
+        """The states at the instant `now`, from those at nodes t (T,)."""
         swung, spun = (swinging_at(t, *pair, now) for pair in ((self.r, self.rate), (self.spin, self.turning)))
         return ModalState(*swung, *spun, at_instant(t, self.peak, now))
 
     def since(self, before: ModalState) -> ModalState:
-        """The states beyond other ones."""
+        """The difference from other states."""
         return ModalState(*(x - y for x, y in zip(vars(self).values(), vars(before).values(), strict=True)))
 
     def later(self, t: Array, sigma: Array, kp: Array, rest: Array) -> ModalState:
-        """The states at T instants t (T,), s, later, with the tray at rest: of masses that swing about `rest` (like
-        r) with decay rates sigma (1/s) and stiffnesses kp (1/s^2) per mass, (K, n_modes, 2) or with a last axis of
-        1. What is left over of a peak dies away as well."""
+        """The states t (T,) seconds later, with the tray at rest: masses swing about `rest` (shape of r) with decay
+        rates sigma (1/s) and stiffnesses per mass kp (1/s^2), (K, n_modes, 2) or with a last axis of 1. The peak's
+        residual decays as well."""
         after = t.reshape(-1, *(1,) * self.r.ndim)
         omega = np.sqrt(kp - sigma**2)
         fading = np.exp(-sigma * after)

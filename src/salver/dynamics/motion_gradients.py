@@ -1,7 +1,6 @@
-"""Derivatives of what moves inside loads by the unknowns of a motion.
+"""Derivatives of load dynamics by the unknowns of a motion.
 
-Rows (m,) are functions of the modes of one case, `case`, at one node, `node`; c unknowns change what drives the modes.
-Each answer is (m, c).
+Row i is a function of the modes of case `case[i]` at node `node[i]`. For m rows and c unknowns results are (m, c).
 """
 
 from __future__ import annotations
@@ -20,10 +19,10 @@ from salver.models.tray_motion import N_MOTION
 
 @dataclass(frozen=True, eq=False)
 class Swings:
-    """Derivatives of modes by c unknowns: of their masses by their drive, as `ModalMotion.swung` has it, of rotation by
-    spun (K or 1, T, c), and of both by the growth of log T, stretch (c,).
+    """Derivatives of modes by c unknowns: through the excitation of the masses (`ModalMotion.swung`), the rotation spun
+    (K or 1, T, c), and the derivative of log T, stretch (c,).
 
-    Places and speeds are computed at the nodes at which rows read them: near the edge there are few.
+    Positions and velocities are computed only at the nodes of the rows, of which few are near their limit.
     """
 
     modes: ModalMotion
@@ -33,7 +32,7 @@ class Swings:
     _known: dict[int, tuple[Mask, Array]] = field(default_factory=dict)
 
     def at(self, order: int, case: Indices, node: Indices) -> Array:
-        """(m, n_modes, 2, c) of r (order 0) or r' (1)."""
+        """Derivatives (m, n_modes, 2, c) of r (order 0) or r' (order 1)."""
         if order not in self._known:
             shape = (*self.modes.r.shape, len(self.stretch))
             self._known[order] = np.zeros(shape[1], dtype=bool), np.empty(shape)
@@ -50,7 +49,7 @@ class Swings:
         return np.asarray(found[case, node])
 
     def spun_at(self, case: Indices, node: Indices) -> Array:
-        """(m, c) of the spin."""
+        """Derivatives (m, c) of the spin."""
         slower = self.modes.spun_slower
         found = np.broadcast_to(self.spun, (*slower.shape, len(self.stretch)))[case, node]
         for c in np.flatnonzero(self.stretch):
@@ -60,8 +59,8 @@ class Swings:
 
 @dataclass(frozen=True, eq=False)
 class Unknowns:
-    """Ways (c,) in which a motion can change: felt (T, 12, c), what the tray then feels in each share of the time;
-    stretch (c,), by how much log T grows, None for not at all."""
+    """Unknowns (c,) of a motion: felt (T, 12, c), derivatives of the tray's motion regressor at fixed shares of the
+    duration; stretch (c,), derivatives of log T, None for zero."""
 
     felt: Array
     stretch: Array | None = None
@@ -75,7 +74,8 @@ class Unknowns:
         return self._known[id(modes)][1]
 
     def after(self, pairs: Sequence[tuple[ModalMotion, ModalMotion]]) -> Unknowns:
-        """The same of modes at rest, each with those of the motion before it; the tray's posture is taken as given."""
+        """Derivatives for the modes in the rest after the motion, each paired with those of the motion. Changes of the
+        tray's final posture are neglected."""
         count = self.felt.shape[2]
         found = Unknowns(np.zeros((len(pairs[0][0].t), N_MOTION, count)))
         for rest, motion in pairs:
@@ -95,13 +95,13 @@ class Unknowns:
 
 
 def wrench_by(modes: ModalMotion, unknowns: Unknowns, case: Indices, node: Indices, weight: Array) -> Array:
-    """Of weight (m, 6) . wrench."""
+    """Derivatives of weight (m, 6) . wrench."""
     which, m = modes.cases, len(case)
     force, spin = modes.force[case, node], modes.spin[case, node]
     r, second = (turned(x[case, node], -spin[:, None]) for x in (modes.r, modes.second))
     mass = which.mass[case]
     weight = (weight[:, None] @ which.to_E[case])[:, 0]
-    tilting = weight[:, [4, 3]] * [1.0, -1.0]  # what turns along x is a moment about y
+    tilting = weight[:, [4, 3]] * [1.0, -1.0]  # a torque about y acts on motion along x
     rising = which.rising[case] * weight[:, 2, None, None]
     by_second = mass * (weight[:, None, :2] + which.height[case] * tilting[:, None]) + rising * r
     hanging = -tilting * force[:, 2:] + weight[:, 5:] * force[:, [1, 0]] * [1.0, -1.0]
@@ -138,8 +138,8 @@ def at_node(
     by_w: Array | None = None,
     by_spin: Array | None = None,
 ) -> Array:
-    """From derivatives (m, n_modes, 2) by r and r', (m, 12) by w itself and (m,) by `ModalMotion.spun`, at the rows'
-    own nodes."""
+    """Chain rule from derivatives of rows by r and r' (m, n_modes, 2), by w (m, 12) and by `ModalMotion.spun` (m,),
+    each at the row's node."""
     swings = unknowns.of(modes)
 
     def read(by: Array, order: int) -> Array:

@@ -1,4 +1,4 @@
-"""What moves inside all loads of a payload along what its tray feels, followed exactly."""
+"""Load dynamics of a payload along a motion of the tray without tracking error."""
 
 from __future__ import annotations
 
@@ -16,8 +16,9 @@ from salver.models.uncertain.parameters import NOTHING, UncertainSet
 
 @dataclass(frozen=True, eq=False)
 class PayloadResponse:
-    """All inner dynamics of a payload along what its tray feels, w (T, 12) at t (T,), by body: at their nominal value
-    and damping, and at all cases. whole, kept: of which motion these are some instants, and which."""
+    """Responses of all load dynamics of a payload, by body, along the tray's motion regressor w (T, 12) at t (T,): at
+    nominal value and damping, and in all cases. whole, kept: for a subset of instants, the whole motion and their
+    indices."""
 
     payload: Payload
     t: Array
@@ -27,7 +28,7 @@ class PayloadResponse:
 
     @classmethod
     def along(cls, payload: Payload, t: Array, w: Array) -> PayloadResponse | None:
-        """A motion that begins at rest. None where nothing moves inside."""
+        """The response along a motion that begins at rest; None without load dynamics."""
         return cls(payload, t, w) if payload.dynamic else None
 
     @cached_property
@@ -60,15 +61,15 @@ class PayloadResponse:
         return {name: tuple(part.at(self.kept) for part in parts) for name, parts in found.items()}
 
     def at(self, index: Indices) -> PayloadResponse:
-        """Of the wrenches those at some instants; what becomes of the rest stays that of the whole motion."""
+        """The response with wrenches at some instants only; limits stay those of the whole motion."""
         whole, kept = (self, index) if self.whole is None or self.kept is None else (self.whole, self.kept[index])
         return replace(self, whole=whole, kept=kept)
 
     def only(self, payload: Payload) -> PayloadResponse:
-        """The same with another uncertain set."""
+        """The response with another uncertain set."""
         return replace(self, payload=payload, whole=None if self.whole is None else self.whole.only(payload))
 
     def load_verdicts(self, worst: bool) -> list[LoadVerdict]:
-        """What each load comes to."""
+        """The verdict on each load."""
         each = self.worst if worst else self.nominal
         return [type(parts[0]).verdict(name, parts) for name, parts in each.items()]

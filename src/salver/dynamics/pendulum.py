@@ -1,8 +1,8 @@
-"""A mass that hangs in a body on a light rod and swings to every side: a clapper, a lamp on a cord.
+"""A mass that hangs in a body on a light rod and can swing in all directions: a clapper, a lamp on a cord.
 
-Its mode is exact to first order (`salver.models.load_dynamics`). It must not swing further than its room. Beyond first
-order it goes less far: a free swing of angle theta has 2 sin(theta / 2) L by the mode, one that hangs aside tan(theta)
-L."""
+Its mode is exact to first order (`salver.models.load_dynamics`). Its displacement is limited by the room in the body.
+The mode overestimates large displacements: 2 sin(theta / 2) L for a free swing with angle theta, tan(theta) L for a
+static one."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from salver.models.load_dynamics import GRAVITY, Colour, Drawn, LoadDynamics, Mo
 from salver.models.rigid_body import RigidBody
 
 ROOM = "the room there is"  # group of its limits, in words
-AT_REST = 1e-6  # m; smaller swings turn as fast as they like
+AT_REST = 1e-6  # m; smaller swings have no direction
 CORNERS = np.array(
     [
         [a * np.eye(3)[0], b * np.eye(3)[1], c * np.eye(3)[2]][:: a * b * c]
@@ -34,7 +34,7 @@ class PendulumResponse(LoadResponse):
     """Swings of K pendulums along a motion."""
 
     def limits(self) -> list[LoadLimit]:
-        """It keeps its room, during the motion and after it."""
+        """It stays within its room, during the motion and after it."""
         room = self.modes.cases.room
         left = (np.linalg.norm(self._end, axis=1) + self._hangs + self.more_left)[:, None]
         by, bends = of_end(self._left_by), of_end(self._left_bends)
@@ -57,12 +57,13 @@ class PendulumResponse(LoadResponse):
 
     @property
     def _hangs(self) -> Array:
-        """(K,) m aside after the motion, on a tray that leans."""
+        """Static displacement (K,) after the motion, on a tilted tray, m."""
         return np.linalg.norm(self.modes.slope[:, -1], axis=1) * [case.value for case in self.modes.cases.each]
 
     @property
     def _end(self) -> Array:
-        """(K, 4) m from there at the end, along both axes, and the speeds over the frequency."""
+        """Displacement from equilibrium at the end along both axes, and velocities divided by the frequency, (K, 4),
+        m."""
         return np.concatenate(self.modes.ending, axis=2)[:, 0]
 
     def _end_by(self, case: Indices, unknowns: Unknowns) -> tuple[Array, Array]:
@@ -91,8 +92,8 @@ class PendulumResponse(LoadResponse):
 
 @dataclass(frozen=True)
 class Pendulum(LoadDynamics):
-    """mass: kg. length: m, of the rod. pivot: m over the base of the body. widest: rad from the body's axis to which it
-    has room. damping: least and most, of critical."""
+    """A pendulum in a body. mass: kg. length: of the rod, m. pivot: height over the body's base, m. widest: largest
+    angle from the body's axis, rad. damping: least and largest damping ratio."""
 
     mass: float
     length: float
@@ -122,7 +123,7 @@ class Pendulum(LoadDynamics):
         return value * float(np.sin(self.widest))
 
     def seen(self, value: float, incline: Array, slope: Array, turning: Array) -> Array:
-        """(T, 3) m aside along x and y, and in all."""
+        """Displacement (T, 3) along x, along y, and its magnitude, m."""
         place = value * incline[:, 0] / np.sqrt(1 + (incline[:, 0] ** 2).sum(axis=1, keepdims=True))
         return np.column_stack([place, np.linalg.norm(place, axis=1)])
 
@@ -133,7 +134,7 @@ class Pendulum(LoadDynamics):
 
 @dataclass(frozen=True, eq=False)
 class Bob(Drawn):
-    """The mass at places (T, 3) in B, m, of a radius, and the ring with radius `room` that it must stay in."""
+    """A sphere of a radius at places (T, 3) in B, m, and the ring of radius `room` within which it must stay, m."""
 
     places: Array
     radius: float

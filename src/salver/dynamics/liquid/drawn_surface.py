@@ -18,7 +18,7 @@ COLOURS: Mapping[str, Colour] = {"coffee": (0.36, 0.23, 0.12), "oil": (0.78, 0.6
 
 
 def wall(body: Body) -> Array:
-    """(n, 2) corners of the inside of its container, counter-clockwise, from the axis, m."""
+    """Corners (n, 2) of the container's inner wall, counter-clockwise, relative to its axis, m."""
     liquid = cast(Container, body.inner)
     if liquid.round:
         angle = np.linspace(0, 2 * np.pi, ROUND, endpoint=False)
@@ -30,8 +30,8 @@ def wall(body: Body) -> Array:
 class DrawnSurface(Drawn):
     """The plane in which the first two modes stand at the wall, in the frame B of the container, over time.
 
-    body: the container. fill: m, true. slope (T, 2): rise of the surface along the container's x and y for each metre;
-    held to what leaves the bottom wet. beyond: s, when its highest point, crests included, first came over the brim.
+    body: the container. fill: the true one, m. slope (T, 2): of the surface along the container's x and y, limited such
+    that the bottom stays covered. beyond: when its highest point, crests included, first exceeded the brim, s.
     """
 
     body: Body

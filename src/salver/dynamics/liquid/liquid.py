@@ -1,19 +1,18 @@
-"""A liquid in an open container: its sloshing modes, what it weighs, and how high it stands at the wall.
+"""A liquid in an open container: its sloshing modes, inertia, and height at the wall.
 
 Linear potential flow in an upright container (Ibrahim, Liquid Sloshing Dynamics, 2005; Dodge, The New Dynamic Behavior
-of Liquids in Moving Containers, 2000). The first two modes of each lateral axis move, the others follow as if at rest:
-all that is left of the liquid moves as if a lid lay on it. With O the centre of the still surface, z up the container's
-axis, f the specific force at O and f_S that at a mode's own height (0, 0, z_n), the place r_n (2,) of its mass
-obeys the equation of `salver.models.load_dynamics`, and the surface stands at the wall, along either axis, by
+of Liquids in Moving Containers, 2000). The first two modes of each lateral axis are dynamic, the others quasi-static;
+the rest of the liquid moves as under a lid. With O the centre of the surface at rest, z up the container's axis, f the
+specific force at O and f_S that at a mode's height (0, 0, z_n), the position r_n (2,) of its mass obeys the equation of
+`salver.models.load_dynamics`, and along either axis the surface at the wall is
 
     eta = sum gamma_n r_n - (R - sum b_n) f / f_z,        gamma_n = b_n omega_n^2 / g
 
-above its height at rest, R the radius or half the side, b_n what mode n has of a surface that is inclined.
+above its height at rest. R is the radius or half the side, b_n the coefficient of mode n in an inclined surface.
 
-Beyond linear theory: a free wave of amplitude a crests at a + kappa a^2 / R (`SurfaceModes.peaking`), and a container
-that tilts at a rate Omega throws the liquid up by some Omega^2 R^2 / g. Both are added to what must stay below the
-brim. Valid for free waves up to 0.3 R on liquids at least half as deep as the container is wide (R), not for swirling
-ones."""
+Beyond linear theory a free wave of amplitude a has a crest of a + kappa a^2 / R (`SurfaceModes.peaking`), and tilting
+the container at a rate Omega raises the liquid by about Omega^2 R^2 / g; both are included in the height that must stay
+below the brim. Valid for free waves up to 0.3 R in liquids at least R / 2 deep, not for swirling waves."""
 
 from __future__ import annotations
 
@@ -29,17 +28,17 @@ from salver.models.rigid_body import RigidBody
 from salver.models.shapes import shapes
 from salver.models.shapes.shapes import Solid
 
-MODES = 2  # that move, of each lateral axis
-TERMS = 24  # of series that fall off with the fourth power or faster
-SHALLOWEST = 0.5  # depth over R: below, waves break and steepen as these modes do not
-STEEPEST = 0.3  # amplitude of a free wave over R, to which the crests were compared (docs/liquids.md)
-# Height of the whole surface at the wall over R, its incline included. Beyond, masses swing further than is linear:
+MODES = 2  # dynamic modes of each lateral axis
+TERMS = 24  # of series that converge with the fourth power or faster
+SHALLOWEST = 0.5  # least depth over R: shallower waves steepen and break, which the modes do not describe
+STEEPEST = 0.3  # largest amplitude of a free wave over R that was validated (docs/liquids.md)
+# Largest height of the whole surface at the wall over R, its inclination included. Beyond it the linear model is wrong:
 # with 0.5 a random load spills in the physics engine (docs/liquids.md, `--only leaning`).
 LEANING = 0.45
-UNKNOWN_DAMPING = (0.5, 2.0)  # times the damping that the viscosity would have in a clean container
-MOST_OF_WATER = 0.03  # of critical: a dirty surface and the contact line at the wall brake small waves of water too
-LEFT_OVER = 1.8  # times peak^3 / R^2: what nonlinear flow left over after the stop, beyond linear waves
-TILTING = 1.3  # times Omega^2 R^2 / g: what nonlinear potential flow showed of a container that is tilted quickly
+UNKNOWN_DAMPING = (0.5, 2.0)  # range of the damping, relative to that of the viscosity in a clean container
+MOST_OF_WATER = 0.03  # damping ratio: a dirty surface and the contact line at the wall damp small waves of water too
+LEFT_OVER = 1.8  # residual waves beyond linear theory, relative to peak^3 / R^2, in nonlinear flow
+TILTING = 1.3  # rise by fast tilting, relative to Omega^2 R^2 / g, in nonlinear potential flow
 _ROOTS = np.array([1.8411837813, 5.3314427735, 8.5363163663, 11.7060049026])  # of J1'
 # A free wave in a cylinder that is 0.3 R high, by nonlinear potential flow: depth over R, kappa.
 _CYLINDER_DEPTH = np.array([0.35, 0.5, 0.65, 0.8, 1.0, 1.5, 2.0])
@@ -48,7 +47,7 @@ _CYLINDER_PEAKING = np.array([3.6, 3.0, 2.2, 1.75, 1.46, 1.25, 1.22])
 
 @dataclass(frozen=True)
 class Fluid:
-    """density kg/m^3, kinematic viscosity m^2/s, at room temperature (coffee: hot)."""
+    """A liquid: density, kg/m^3, and kinematic viscosity, m^2/s, at room temperature (coffee: hot)."""
 
     density: float
     viscosity: float
@@ -61,8 +60,8 @@ FLUIDS = {"water": Fluid(998.0, 1.0e-6), "coffee": Fluid(975.0, 4.0e-7), "oil": 
 class SurfaceModes(Modes):
     """The modes of one container at one fill. Arrays (n_modes, 2): mode, axis x or y; (2,): axis.
 
-    rise m, b_n. half (2,) R of each axis, m. peaking (2,) kappa. round: whether the wall is a circle; else the highest
-    point is a corner.
+    rise: b_n, m. half (2,): R of each axis, m. peaking (2,): kappa. round: whether the container is a cylinder; in a
+    box the highest point is a corner.
     """
 
     rise: Array
@@ -71,24 +70,24 @@ class SurfaceModes(Modes):
 
     @property
     def gain(self) -> Array:
-        """(n_modes, 2) gamma_n, wave at the wall for each metre that the mass is displaced."""
+        """gamma_n (n_modes, 2): height of the wave at the wall per displacement of the mass."""
         return self.rise / self.length
 
     @property
     def rest_rise(self) -> Array:
-        """(2,) R - sum b_n, what the modes that do not move have of an inclined surface, m."""
+        """R - sum b_n (2,), m: part of the quasi-static modes in an inclined surface."""
         return np.asarray(self.half - self.rise.sum(axis=0))
 
     def highest(self, eta: Array) -> Array:
-        """(...) around the wall, of a surface with heights eta (..., 2) there along x and y."""
+        """Highest point (...) around the wall of a surface with heights eta (..., 2) along x and y."""
         if self.round:
             return np.asarray(np.linalg.norm(eta, axis=-1))
         return np.asarray(np.abs(eta).sum(axis=-1))
 
     def crest(self, eta: Array, slope: Array, turning: Array) -> Array:
-        """(...) height of the highest point over the surface at rest, m, what is not linear included.
+        """Height (...) of the highest point over the surface at rest, m, with the nonlinear terms.
 
-        eta (..., 2): by linear theory, m. slope (..., 2): f / f_z. turning (...): Omega^2 across the axis, 1/s^2.
+        eta (..., 2): heights by linear theory, m. slope (..., 2): f / f_z. turning (...): Omega^2 of tilting, 1/s^2.
         """
         free = eta + self.half * slope
         steep = (self.peaking / self.half * free**2).sum(axis=-1)
@@ -97,12 +96,13 @@ class SurfaceModes(Modes):
 
 @dataclass(frozen=True)
 class Container(LoadDynamics):
-    """A liquid in a container, and its limits: all of a `Liquid` but how it sloshes and is drawn.
+    """A liquid in a container, and its limits: a `Liquid` without its response and picture.
 
-    size: (radius,) of an upright cylinder, or (x, y) of an upright box, inside, m. floor: height of its bottom over the
-    object's base, m. fill, brim: heights over that bottom, m. density kg/m^3. damping: least and most, of critical.
-    margin: m that must be left below the brim. highest: m, largest wave that is wanted, whatever the brim allows.
-    sealed: a lid keeps it in. settled, within: after the motion and so many seconds no wave is higher, m.
+    size: inner (radius,) of an upright cylinder, or (x, y) of an upright box, m. floor: height of its bottom over the
+    object's base, m. fill, brim: heights over that bottom, m. density: kg/m^3. damping: least and largest damping
+    ratio. margin: distance that must be left below the brim, m. highest: largest wave allowed, whatever the brim, m.
+    sealed: whether it has a lid. settled, within: height, m, that no wave exceeds from `within` seconds after the
+    motion.
     """
 
     size: tuple[float] | tuple[float, float]
@@ -137,7 +137,7 @@ class Container(LoadDynamics):
 
     @property
     def half(self) -> Array:
-        """(2,) radius, or half of each side, m."""
+        """Radius, or half of each side, (2,), m."""
         return np.repeat(self.size, 2) if self.round else 0.5 * np.array(self.size)
 
     def unmodelled(self, owner: str) -> str:
@@ -145,7 +145,7 @@ class Container(LoadDynamics):
         return f"swirling or breaking waves in {owner}"
 
     def room(self, value: float) -> float:
-        """m to which waves may rise at a fill."""
+        """Height over the level at rest to which waves may rise at a fill, m."""
         return np.inf if self.sealed else min(self.brim - value - self.margin, self.highest)
 
     @property
@@ -153,14 +153,14 @@ class Container(LoadDynamics):
         return not self.sealed
 
     def edge(self, value: float) -> float:
-        """m from the surface at rest to the brim; infinite under a lid."""
+        """Distance from the surface at rest to the brim, m; infinite under a lid."""
         return np.inf if self.sealed else self.brim - value
 
     def extent(self, value: float, places: Array) -> Array:
         return self.modes(value).highest(places)
 
     def seen(self, value: float, incline: Array, slope: Array, turning: Array) -> Array:
-        """(T, 3) heights at the wall along x and y, and of the highest point, over the level at rest."""
+        """Heights (T, 3) over the level at rest, m: at the wall along x and y, and of the highest point."""
         modes = self.modes(value)
         eta = np.einsum("na,tna->ta", modes.rise, incline) - modes.rest_rise * slope
         return np.column_stack([eta, modes.crest(eta, slope, turning)])
@@ -175,15 +175,15 @@ class Container(LoadDynamics):
         return hollow(solid, self)
 
     def modes(self, value: float) -> SurfaceModes:
-        """Raises ValueError for a fill of nothing."""
+        """The modes at a fill. Raises ValueError for a fill of 0."""
         if value <= 0:
             raise ValueError(f"fill = {value:g} m; it must be above 0")
         return _modes(self.size, value, self.density)
 
 
 def damping_of(size: tuple[float, ...], fill: float, viscosity: float) -> float:
-    """Damping of the first mode, of critical, by the boundary layers of a clean container (Dodge 2000, from Stephens
-    and others; a box counts as the cylinder of its shorter half side)."""
+    """Damping ratio of the first mode by the boundary layers of a clean container (Dodge 2000, from Stephens and
+    others; a box counts as a cylinder with half its shorter side as radius)."""
     R = size[0] if len(size) == 1 else 0.5 * min(size)
     depth = 1.84 * fill / R
     shallow = 0.318 / np.sinh(depth) * (1 + (1 - fill / R) / np.cosh(depth))
@@ -191,8 +191,8 @@ def damping_of(size: tuple[float, ...], fill: float, viscosity: float) -> float:
 
 
 def hollow(solid: Solid, liquid: Container) -> tuple[Array, Array]:
-    """(3,) centre of mass of a uniform container from the centre of the solid it is cut out of, and (3, 3) its inertia
-    about that, per mass."""
+    """Centre of mass (3,) of a uniform container, from the centre of the solid that it is cut out of, m, and its
+    inertia about it per mass (3, 3), m^2."""
     inside = shapes.cylinder(liquid.size[0], liquid.brim) if liquid.round else shapes.box((*liquid.size, liquid.brim))
     corners = solid.base_polygon
     sides = 2 * (np.full(2, np.linalg.norm(corners, axis=1).max()) if liquid.round else corners.max(axis=0))
@@ -235,7 +235,7 @@ def _box(x: float, y: float, h: float, density: float) -> SurfaceModes:
     sides, total = np.array([x, y]), density * x * y * h
     k = (2 * np.arange(1, MODES + 1)[:, None] - 1) * np.pi / sides
     tanh = np.tanh(k * h)
-    # What a lid makes of it: Graham and Rodriguez, J. Applied Mechanics 19 (1952) 381, about the centre.
+    # Inertia under a lid, about the centre: Graham and Rodriguez, J. Applied Mechanics 19 (1952) 381.
     odd = 2 * np.arange(1, TERMS + 1) - 1.0
     ratio = h / sides
     series = np.sum(np.tanh(0.5 * odd[:, None] * np.pi * ratio) / odd[:, None] ** 5, axis=0)
@@ -260,7 +260,7 @@ def _box(x: float, y: float, h: float, density: float) -> SurfaceModes:
 
 
 def _about_axis(x: float, y: float) -> float:
-    """Inertia of a box of liquid about its upright axis, per mass: the same series, seen from above."""
+    """Inertia of a box of liquid about its vertical axis, per mass, m^2: the same series, with the other two sides."""
     odd = 2 * np.arange(1, TERMS + 1) - 1.0
     series = float(np.sum(np.tanh(0.5 * odd * np.pi * y / x) / odd**5))
     return (x**2 + y**2) / 12 - x**2 / 3 + 64 / np.pi**5 * x**3 / y * series

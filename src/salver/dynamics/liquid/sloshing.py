@@ -23,15 +23,15 @@ from salver.geometry import Array, Indices
 from salver.models.load_dynamics import GRAVITY, Drawn
 
 LESS = STEEPEST / LEANING
-LEAST_SIZE = 1e-4  # m; waves smaller than this turn as fast as they like
+LEAST_SIZE = 1e-4  # m; smaller waves have no direction
 
 
 @dataclass(frozen=True, eq=False)
 class SloshingResponse(LoadResponse):
     """Sloshing of K cases of a liquid along a motion of T instants.
 
-    higher: (K, T) m, by which the crest may be higher for all that is uncertain, but for what a steeper free wave makes
-    of it; freer: (K, T, 2) m, by which that may be higher; more_left: (K,) m, what is left at the end.
+    higher: (K, T) m, by which uncertainty may raise the crest, without the effect of a steeper free wave; freer:
+    (K, T, 2) m, by which it may raise the free wave; more_left: (K,) m, by which it may raise residual waves.
     """
 
     motion_type: ClassVar[type[ModalMotion]] = SurfaceMotion
@@ -63,8 +63,8 @@ class SloshingResponse(LoadResponse):
         return replace(self, higher=summed, freer=freer, more_left=left)
 
     def limits(self) -> list[LoadLimit]:
-        """No free wave is steeper than the model is valid for, during the motion or after it, and as much of the weight
-        presses on the surface; in an open container it stays below the brim; and it settles, if that is asked for."""
+        """Limits during the motion and after it: free waves and apparent weight stay within the validity of the model,
+        the crest below the brim of an open container, and residual waves below `settled` if that is given."""
         which = self.modes.cases
         liquid = which.liquid
         left = self.free_left[:, None], which.steepest, of_end(self.free_left_by), of_end(self.free_left_bends)
@@ -102,32 +102,32 @@ class SloshingResponse(LoadResponse):
 
     @cached_property
     def crest(self) -> Array:
-        """(K, T) m, at the worst of what is uncertain."""
+        """Crest (K, T) in the worst case, m."""
         return self.modes.raised(self.higher, self.freer)
 
     @cached_property
     def free_height(self) -> Array:
-        """(K, T) m of the free wave, at the worst of what is uncertain; or of the whole surface, times what it may lean
-        less for its height, where that is nearer to what is known."""
+        """Height (K, T) of the free wave in the worst case, m; or of the whole surface, scaled by the ratio of their
+        limits, where that is closer to the limit of validity."""
         free = self.modes.free_height + self.modes.cases.highest(self.freer + np.zeros((1, 1, 2)))
         return np.maximum(free, LESS * (self.modes.height + self.higher))
 
     @cached_property
     def free_left(self) -> Array:
-        """(K,) m, no free wave is higher after the motion, at the worst of what is uncertain."""
+        """Bound (K,) on free waves after the motion in the worst case, m."""
         return self.modes.cases.highest(self.modes.amplitude(more=self.more_left))
 
     @cached_property
     def left_at_once(self) -> Array:
-        """(K,) m, see `left`."""
+        """Bound (K,) on crests after the motion, m; see `left`."""
         return self.modes.left(None, self.more_left)
 
     def left(self, seconds: float | None = None) -> Array:
-        """(K,) m, see `SurfaceMotion.left`, at the worst of what is uncertain."""
+        """`SurfaceMotion.left` (K,) in the worst case, m."""
         return self.left_at_once if seconds is None else self.modes.left(seconds, self.more_left)
 
-    # Derivatives (m, c) of rows (m,), each of one case at one node, by unknowns of the motion (c,). How the arm gives
-    # way is taken as given, for what it makes of the waves changes little.
+    # Derivatives (m, c) of rows (m,), each for one case and node, by unknowns of the motion (c,). Changes of the arm's
+    # response are neglected, as its effect on the waves changes little.
 
     def crest_by(self, case: Indices, node: Indices, unknowns: Unknowns) -> Array:
         """Derivatives of the crest."""
@@ -146,8 +146,8 @@ class SloshingResponse(LoadResponse):
         by_eta = LESS * leans * waves.cases.steepest_by(waves.eta[case, node])
         return surface_by(self.planned, unknowns, case, node, by_eta, by_free, 0.0)
 
-    # Factors (m, k, c) of second derivatives of rows: what of them is convex in the waves, which are all but linear in
-    # the unknowns. Their squares summed over k are the second derivative.
+    # Factors (m, k, c) whose squares, summed over k, are the convex part of the second derivatives of rows; the waves
+    # are almost linear in the unknowns.
 
     def free_bends(self, case: Indices, node: Indices, unknowns: Unknowns) -> Array:
         """Second derivatives of the height of the free wave, or of the whole surface, whose direction turns."""
@@ -166,12 +166,12 @@ class SloshingResponse(LoadResponse):
         return np.concatenate([turns, self._axes(case, node, unknowns, peaking, free=True)], axis=1)
 
     def _leans(self, case: Indices, node: Indices) -> Array:
-        """(m, 1) 1 where `free_height` is that of the whole surface, 0 where it is not."""
+        """(m, 1) 1 where `free_height` is that of the whole surface, else 0."""
         whole = LESS * (self.modes.height + self.higher)
         return np.asarray((self.free_height <= whole)[case, node, None], dtype=float)
 
     def _turns(self, case: Indices, node: Indices, unknowns: Unknowns, eta: Array, free: bool) -> Array:
-        """The part of the second derivatives by which waves eta (m, 2) turn in a round container."""
+        """The part of the second derivatives from the changing direction of waves eta (m, 2) in a round container."""
         if not self.modes.cases.round:
             return np.zeros((len(case), 0, unknowns.felt.shape[2]))
         size = np.maximum(np.linalg.norm(eta, axis=1), LEAST_SIZE)[:, None]
@@ -181,7 +181,7 @@ class SloshingResponse(LoadResponse):
         return surface_by(self.planned, unknowns, case, node, *by, 0.0)[:, None]
 
     def _axes(self, case: Indices, node: Indices, unknowns: Unknowns, weight: Array, free: bool) -> Array:
-        """Of waves along both axes, times weights (m, 2)."""
+        """Derivatives of waves along both axes, times weights (m, 2)."""
         both = []
         for axis in range(2):
             by = np.zeros_like(weight)
@@ -220,8 +220,9 @@ class SloshingResponse(LoadResponse):
     def _amplitude_bends(
         self, case: Indices, unknowns: Unknowns, fading: Array | float, stands: Array, by_amplitude: Array
     ) -> tuple[list[Array], list[Array]]:
-        """Of amplitudes that count by_amplitude (m, 2) and stand (m, 2) high: each mode's place and speed at the end
-        may turn into one another, and both axes. Then how they grow (m, c), along both axes."""
+        """Second derivatives of amplitudes with derivatives by_amplitude (m, 2) and static heights stands (m, 2), from
+        the rotation between position and velocity of each mode, and between both axes; then the derivatives (m, c) of
+        the amplitudes along both axes."""
         waves, which = self.modes, self.modes.cases
         last = np.full(len(case), len(waves.t) - 1)
         to_speed = np.sqrt(GRAVITY / waves.upward[case, -1])[:, None, None] / which.omega[case]
@@ -247,7 +248,7 @@ class SloshingResponse(LoadResponse):
         return found, larger
 
     def left_by(self, case: Indices, unknowns: Unknowns, seconds: float | None = None) -> Array:
-        """Derivatives of the residual sloshing; the tray's posture at the end is taken as given."""
+        """Derivatives of the residual sloshing, for a fixed final posture of the tray."""
         waves, which, m = self.modes, self.modes.cases, len(case)
         more = np.broadcast_to(self.more_left, len(which.each))[case]
         fading, half = waves.fading(seconds or 0.0)[case], which.half[case]
@@ -261,12 +262,12 @@ class SloshingResponse(LoadResponse):
         return ending + surface_by(self.planned, unknowns, case, k, highest, np.zeros((m, 2)), 0.0)
 
     def free_left_by(self, case: Indices, unknowns: Unknowns) -> Array:
-        """Derivatives of the residual free wave; the tray's posture at the end is taken as given."""
+        """Derivatives of the residual free wave, for a fixed final posture of the tray."""
         by_amplitude = self.modes.cases.steepest_by(self.modes.amplitude(more=self.more_left)[case])
         return self._amplitude_by(case, unknowns, 1.0, by_amplitude)
 
     def _amplitude_by(self, case: Indices, unknowns: Unknowns, fading: Array | float, by_amplitude: Array) -> Array:
-        """Derivatives of amplitudes at the end that count by_amplitude (m, 2)."""
+        """Derivatives of a function of the final amplitudes with derivatives by_amplitude (m, 2)."""
         waves, which = self.modes, self.modes.cases
         last = np.full(len(case), len(waves.t) - 1)
         to_speed = np.sqrt(GRAVITY / waves.upward[case, -1])[:, None, None] / which.omega[case]
@@ -277,7 +278,7 @@ class SloshingResponse(LoadResponse):
 
 @dataclass(frozen=True)
 class Liquid(Container):
-    """A liquid in a container in which it sloshes."""
+    """A liquid that sloshes in its container."""
 
     @property
     def response(self) -> type[SloshingResponse]:

@@ -1,4 +1,4 @@
-"""How near a liquid comes to its brim along a motion."""
+"""The verdict on a liquid along a motion: distance from the brim, and validity of the model."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ STEEP = "the steepness to which they are known"
 
 @dataclass(frozen=True, eq=False)
 class Spill(LoadVerdict):
-    """How near one liquid comes to its brim, at its worst case.
+    """Verdict on one liquid in the worst case.
 
-    size: (T,) m of the crest, the highest of all cases. left: (T,) m of room over it, least of all cases; infinite
-    under a lid. after: the same for good after the motion. steep: (T,) free wave over the largest for which the model
-    is valid, at the end of all that are left. light: (T,) share of its weight that does not press, over the largest for
-    which it is. settled: m that waves are lower than wanted, some time after the motion; infinite if nothing is wanted.
+    size: (T,) highest crest, m. left: (T,) least distance from crest to brim, m; infinite under a lid. after: that
+    distance after the motion, m. steep: (T,) free wave relative to the largest for which the model is valid; the last
+    value includes residual waves. light: (T,) reduction of apparent weight, relative to the largest valid one. settled:
+    distance of residual waves below the requested height, m; infinite without a request.
     """
 
     left: Array
@@ -34,7 +34,7 @@ class Spill(LoadVerdict):
 
     @property
     def room(self) -> float:
-        """m that are left under the brim, during the motion and after it."""
+        """Least distance under the brim, during the motion and after it, m."""
         return min(float(self.left.min()), self.after)
 
     def status(self, case: str = "") -> Status:

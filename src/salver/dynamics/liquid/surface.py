@@ -1,4 +1,4 @@
-"""The surface of a liquid along a motion: at the wall, by linear theory, and its crests beyond that."""
+"""The surface of a liquid along a motion: heights at the wall by linear theory, and crests with nonlinear terms."""
 
 from __future__ import annotations
 
@@ -38,12 +38,12 @@ class SurfaceCases(ModalCases):
 
     @cached_property
     def steepest(self) -> Array:
-        """(K,) m, the largest free wave for which the model is valid."""
+        """Largest free wave (K,) for which the model is valid, m."""
         return np.asarray(STEEPEST * self.half.min(axis=1))
 
     @property
     def wide(self) -> Array:
-        """(K,) m, the larger of `half`."""
+        """The larger of `half`, (K,), m."""
         return np.asarray(self.half.max(axis=1))
 
     def highest(self, eta: Array) -> Array:
@@ -75,7 +75,7 @@ class SurfaceMotion(ModalMotion):
 
     @cached_property
     def eta(self) -> Array:
-        """(K, T, 2) m by which the surface stands at the wall, by linear theory."""
+        """Height (K, T, 2) of the surface at the wall along both axes, by linear theory, m."""
         which = self.cases
         return np.asarray((which.gain[:, None] * self.r).sum(axis=2) - which.rest_rise[:, None] * self.slope)
 
@@ -85,26 +85,26 @@ class SurfaceMotion(ModalMotion):
 
     @cached_property
     def free(self) -> Array:
-        """(K, T, 2) m, the part of it that is a wave, not the incline of a surface at rest."""
+        """The free wave (K, T, 2): `eta` without the inclination at equilibrium, m."""
         return self.eta + self.cases.half[:, None] * self.slope
 
     @cached_property
     def crest(self) -> Array:
-        """(K, T) height of the highest point over the surface at rest, m, what is not linear included."""
+        """Height (K, T) of the highest point over the surface at rest, m, with the nonlinear terms."""
         which, turning = self.cases, self.w @ TURNING
         steep = (which.peaking[:, None] / which.half[:, None] * self.free**2).sum(axis=-1)
         return which.highest(self.eta) + steep + TILTING / GRAVITY * which.wide[:, None] ** 2 * turning
 
     def raised(self, by: Array | float, freer: Array | float) -> Array:
-        """(K, T) the crest, m, of waves that are higher by so much, (K, T), of which the free wave by (K, T, 2) at
-        most."""
+        """Crest (K, T), m, of waves that are higher by `by` (K, T), with free waves higher by at most `freer` (K, T,
+        2)."""
         which = self.cases
         curve = (which.peaking / which.half)[:, None]
         return self.crest + by + (curve * freer * (2 * np.abs(self.free) + freer)).sum(axis=-1)
 
     def changed(self, change: Change, dw: Array) -> tuple[Array, Array, Array]:
-        """What changes dw (K or 1, T, 12, c) of the tray's motion regressor make of the heights along both axes, m, of
-        the surface and of its free wave, (K, T, 2, c), and of what tilting throws up, (K, T, c)."""
+        """Changes by dw (K or 1, T, 12, c) of the tray's motion regressor: of the heights along both axes, m, of the
+        surface and of its free wave, (K, T, 2, c), and of the rise by tilting, (K, T, c)."""
         which = self.cases
         force = which.at_O[:, None] @ dw  # (K, T, 3, c)
         lateral = turned_each(force[:, :, :2], self.spin)
@@ -116,33 +116,33 @@ class SurfaceMotion(ModalMotion):
 
     @property
     def height(self) -> Array:
-        """(K, T) m of the whole surface at the wall, by linear theory."""
+        """Height (K, T) of the whole surface at the wall, by linear theory, m."""
         return self.cases.highest(self.eta)
 
     @property
     def free_height(self) -> Array:
-        """(K, T) height of the free wave, by linear theory."""
+        """Height (K, T) of the free wave, by linear theory, m."""
         return self.cases.highest(self.free)
 
     @cached_property
     def tail(self) -> Array:
-        """(K, n_modes, 2) amplitude at the wall of the waves that are left at the end, when all is at rest, m."""
+        """Amplitude (K, n_modes, 2) at the wall of the residual waves at the end, with the tray at rest, m."""
         return np.asarray(self.cases.gain * np.hypot(*self.ending))
 
     def amplitude(self, seconds: float = 0.0, more: Array | float = 0.0) -> Array:
-        """(K, 2) m, what no free wave exceeds along either axis from so many seconds after the end on, both modes at
-        their best. more: (K,) m by which they may be higher."""
+        """Bound (K, 2) on free waves along either axis from `seconds` after the end on, with both modes in phase, m.
+        more: (K,) m by which they may be higher."""
         higher = np.broadcast_to(more, len(self.r))[:, None]
         return np.asarray((self.tail * self.fading(seconds)).sum(axis=1) + higher)
 
     @cached_property
     def standing(self) -> Array:
-        """(K, 2) m by which the surface stands higher at the wall after the motion, on a tray that leans."""
+        """Static height (K, 2) of the surface at the wall after the motion, on a tilted tray, m."""
         return np.asarray(self.cases.half * np.abs(self.slope[:, -1]))
 
     def left(self, seconds: float | None = None, more: Array | float = 0.0) -> Array:
-        """(K,) m, no crest is higher after the end, the tray at rest: both modes at their best. seconds: no wave is
-        higher from then on, beside how the surface stands. more: (K,) m by which the linear waves may be higher."""
+        """Bound (K,) on crests after the end, with the tray at rest and both modes in phase, m. With `seconds`: bound
+        on waves from then on, without the static height. more: (K,) m by which linear waves may be higher."""
         which, more = self.cases, np.broadcast_to(more, len(self.r))
         amplitude = self.amplitude(seconds or 0.0, more)
         highest = which.highest(amplitude + self.standing * (seconds is None))
@@ -159,7 +159,8 @@ def surface_by(
     by_free: Array,
     thrown: Array | float,
 ) -> Array:
-    """Of by_eta . eta + by_free . free, (m, 2) each, and `thrown` (m,) times the square of the rate of tilting."""
+    """Derivatives of by_eta . eta + by_free . free, (m, 2) each, plus `thrown` (m,) times the squared rate of
+    tilting."""
     which = waves.cases
     both, up = by_eta + by_free, waves.upward[case, node]
     by_slope = (by_free * which.half[case] - both * which.rest_rise[case]) / up[:, None]
