@@ -9,8 +9,10 @@ from live_runs import LEAD, PATIENCE, drive, place
 from salver.cli import app
 from salver.errors import SalverError
 from salver.live import Live, LiveOptions
+from salver.live.record import Record
 from salver.live.requests import KEPT, Requests
 from salver.motion_files import read
+from salver.trajectory import JointMotion
 
 
 def outcomes(live):
@@ -153,3 +155,11 @@ def test_what_cannot_be_written_is_refused_in_a_sentence(session, tmp_path):
         live.save(tmp_path / "a.csv", since=99)
     with pytest.raises(SalverError, match="it must end in"):
         live.save(tmp_path / "a.docx")
+
+
+def test_a_path_that_is_replaced_at_once_leaves_nothing_behind():
+    still = JointMotion(np.array([0.0, 1.0]), np.zeros((2, 7)), np.zeros((2, 7)), np.zeros((2, 7)))
+    record = Record(60.0)
+    for now in (0.0, 0.0, 0.5):
+        record.take(now, still, now)
+    assert record.motion(0.0, 2.0).duration == 2.0

@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from salver.errors import SalverError, Status
+from salver.errors import SalverError, ScenarioError, Status
 from salver.files import provenance
 from salver.geometry import Array
 from salver.live.committed.commit import verified
@@ -130,16 +130,12 @@ class Live:
         """
         scenario = scenario if isinstance(scenario, Scenario) else load(scenario)
         problem, rest = standing(transport_problem(live_scenario(scenario), robust=robust), q)
-        self._problem, self._robust, self._permit = problem, robust, permit
-        self.options = options or LiveOptions()
-        # The same for the loop's thread: planners have work space that two threads must not share.
-        out = problem.keep_out
-        self._beside = replace(problem, keep_out=None if out is None else replace(out, parts=out.parts.apart()))
-        self._planner = Planner(problem)
+        self.options, self._robust, self._permit = options or LiveOptions(), robust, permit
         self._planning = threading.Lock()
+        self._believe(problem)
         # Written by the loop alone.
         self._running = Running.first(rest, problem)
-        self._reader = Reader(with_load(problem.arm, problem.items).pin_model, self._running.pieces)
+        self._reader = self._reader_of(self._running)
         self._record = Record(self.options.record)
         self._record.take(0.0, self._running.path, self._running.since)
         self._now = 0.0  # live time of the last command
@@ -166,16 +162,24 @@ class Live:
         self._refused = ""
         # What is predicted to pass. Nothing but a stop is committed that was not looked at in the newest sighting.
         self._sighting = Sighting()
-        self._lookout = Lookout(problem)
         self._seeing = threading.Lock()  # of whoever reports obstacles
         # From which motion nothing more can be done, as of which news of what passes.
         self._resigned: tuple[Running | None, int] = (None, 0)
-        # What moves inside; and whether how it moves is not known any more.
-        self._inside = " and ".join(body.inside for body in problem.payload.dynamic)
-        self._unknown = False
+        self._unknown = False  # whether how it moves inside is not known any more
         self._lead = Lead(lead, bool(self._inside))
         self._look(self._running)
         self._reader.read(0.0)
+
+    def _believe(self, problem: TransportProblem) -> None:
+        """Plan, verify and look out for the load of a problem from now on."""
+        self._problem, self._planner, self._lookout = problem, Planner(problem), Lookout(problem)
+        # The same for the loop's thread: planners have work space that two threads must not share.
+        out = problem.keep_out
+        self._beside = replace(problem, keep_out=None if out is None else replace(out, parts=out.parts.apart()))
+        self._inside = " and ".join(body.inside for body in problem.payload.dynamic)
+
+    def _reader_of(self, running: Running) -> Reader:
+        return Reader(with_load(self._problem.arm, self._problem.items).pin_model, running.pieces)
 
     # --- the robot's loop
 
@@ -536,19 +540,64 @@ class Live:
         rest = verified(self._beside, resting(posture), self._now, None)
         if rest.committed is None:
             return self._refuse(f"the load is not safe at rest there: {rest.sentence}", "A restart")
-        self._drop("the arm was started again elsewhere")
+        self._begin(rest.committed, "the arm was started again elsewhere")
+        self._record = Record(self._record.longest)
+        self._record.take(self._now, self._running.path, self._running.since)
+        self._reader.take(self._running.pieces)
+        self._reader.read(self._now)
+        return ACCEPTED
+
+    def _begin(self, rest: Committed, why: str) -> None:
+        """Rest, with nothing requested any more but a stop or a hold."""
+        self._drop(why)
         self._wish, self._done, self._refused, self._attempts = None, None, "", 0
         self._unknown, self._astray = False, ""
         if isinstance(self._asked, Halt):  # the stop or the hold that is latched
             self._done = self._asked
         self._heard.clear()
         self._offer = self._offered = None
-        self._running = Running.first(rest.committed, self._problem)
-        self._record = Record(self._record.longest)
-        self._record.take(self._now, self._running.path, self._running.since)
-        self._look(self._running)
-        self._reader.take(self._running.pieces)
-        self._reader.read(self._now)
+        running = Running.first(rest, self._problem)
+        self._look(running)
+        self._running = running
+
+    def load(self, scenario: Scenario | str | Path, *, calm: bool = False) -> Status:
+        """Carry another load from now on, where the arm rests; it is believed only if it is verified to be safe there.
+
+        Call it when something was taken off or put on, and stands still: from any thread but the robot's loop, because
+        it takes about a second. Requests that are pending then are dropped. What is refused changes nothing.
+
+        Args:
+            scenario: the same arm and tray, with what is carried now; as of `Live`.
+            calm: what moves inside it is at rest; required where something does.
+
+        Returns:
+            A Status that says whether it is believed, or why not.
+
+        Raises:
+            ScenarioError: there is no such scenario.
+        """
+        mine, what = self._problem.scenario, "The load"
+        other = live_scenario(scenario if isinstance(scenario, Scenario) else load(scenario))
+        if (other.arm, other.tray) != (mine.arm, mine.tray):
+            return self._refuse("the arm or the tray of the scenario is another one", what)
+        if other.payload.dynamic and not calm:
+            return self._refuse("something moves inside it; say calm=True when it stands still", what)
+        if not self._planning.acquire(blocking=False):
+            return self._refuse("a motion is being planned; it comes after that", what)
+        try:
+            if not self.settled:
+                return self._refuse("the arm moves, or is about to; it comes after that", what)
+            q = self.committed.motion.q[-1]
+            problem, rest = standing(transport_problem(other, robust=self._robust), q, self._now)
+            self._believe(problem)
+            self._begin(rest, "another load is carried")
+            self._reader = self._reader_of(self._running)
+            self._reader.read(self._now)
+            self._record.take(self._now, self._running.path, self._running.since)
+        except ScenarioError as error:
+            return self._refuse(str(error), what)
+        finally:
+            self._planning.release()
         return ACCEPTED
 
     def save(self, path: str | Path, *, since: float = 0.0, rate: float = 1000.0) -> list[Path]:
@@ -642,7 +691,7 @@ class Live:
     def settled(self) -> bool:
         """Whether the arm rests and no request is left."""
         idle = self._asked in (None, self._done) and not self._queue and self._offer is None and self._halt is None
-        return idle and self._now >= self.committed.ends
+        return idle and (self._now >= self.committed.ends or self.committed.at_rest)
 
     @property
     def stray(self) -> Array:

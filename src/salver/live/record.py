@@ -35,7 +35,7 @@ class Record:
                 if until - now > SAME:
                     self._parts.append((now, between(path, now - since, until - since)))
                 self._taken.popleft()
-                while self._parts[0][0] + self._parts[0][1].duration < until - self.longest:
+                while self._parts and self._parts[0][0] + self._parts[0][1].duration < until - self.longest:
                     self._parts.popleft()
 
     def motion(self, since: float, until: float) -> JointMotion | None:

@@ -29,8 +29,11 @@ def live_scenario(scenario: Scenario) -> Scenario:
     return scenario.with_changes(motion__speed_rate=0.0)
 
 
-def standing(problem: TransportProblem, q: npt.ArrayLike | None) -> tuple[TransportProblem, Committed]:
-    """At rest at q (n,), rad; unless given, in the scenario's start posture or one at its start pose.
+def standing(
+    problem: TransportProblem, q: npt.ArrayLike | None, begins: float = 0.0
+) -> tuple[TransportProblem, Committed]:
+    """At rest at q (n,), rad, from live time `begins`, s, on; unless given, in the scenario's start posture or one at
+    its start pose.
 
     And the problem, in which what is too near there has to keep half of that distance, as with a start posture that is
     given.
@@ -44,14 +47,14 @@ def standing(problem: TransportProblem, q: npt.ArrayLike | None) -> tuple[Transp
         if isinstance(posture, Status):
             raise ScenarioError(f"{name}: {posture.sentence}.")
         here = _from(problem, posture)
-        found = verified(here, resting(posture), 0.0, None)
+        found = verified(here, resting(posture), begins, None)
         if found.committed is None:
             raise ScenarioError(f"{name}: the load is not safe at rest at q: {found.sentence}.")
         return here, found.committed
     reasons: list[str] = []
     for posture in islice(standing_at(problem, problem.start, np.random.default_rng(0)), LOOKS):
         here = _from(problem, posture)
-        found = verified(here, resting(posture), 0.0, None)
+        found = verified(here, resting(posture), begins, None)
         if found.committed is not None:
             return here, found.committed
         reasons.append(found.sentence)

@@ -98,8 +98,12 @@ class _Process:
     """A planner in another process. One that died is replaced when the next job comes."""
 
     def __init__(self, live: Live) -> None:
-        self._about = (live.problem.scenario, live.robust, seal.key())
+        self._live, self._about = live, self._of(live)
         self._running: subprocess.Popen[bytes] | None = None
+
+    @staticmethod
+    def _of(live: Live) -> tuple[Scenario, bool, bytes]:
+        return live.problem.scenario, live.robust, seal.key()
 
     def ready(self) -> None:
         """Wait until it can be asked; raises SalverError when it cannot begin."""
@@ -121,7 +125,10 @@ class _Process:
         self._told(self._about, OPTIONS.patience)
 
     def answer(self, job: Job) -> Answer:
-        """Raises SalverError when the process died or hangs."""
+        """Raises SalverError when the process died or hangs. For another load another process is started."""
+        if self._about[0] is not self._live.problem.scenario:
+            self.close()
+            self._about = self._of(self._live)
         self.ready()
         answered = self._told(job, job.budget + OPTIONS.patience)
         if isinstance(answered, Answer):
