@@ -8,7 +8,7 @@ import pytest
 from recordings import AT_B, HEADER, JOINTS, NO_TURN, joint_motion, line, write_csv
 from salver import scenario as scenarios
 from salver.auditing import audit
-from salver.auditing.motion import forward, tray_motion
+from salver.auditing.motion import tray_motion
 from salver.errors import FileFormatError, SalverError
 from salver.geometry import exp, quat_wxyz_from_matrix
 from salver.models.arm.arm import load_arm
@@ -16,6 +16,8 @@ from salver.motion_files import MotionSeries, write
 from salver.motion_files.readers import read, read_path
 from salver.motion_files.samples import tray_samples
 from salver.motion_files.units import Units
+from salver.planning.follow import forward
+from salver.trajectory import JointMotion
 
 
 @pytest.fixture(scope="module")
@@ -159,7 +161,7 @@ def test_waypoints_with_velocities_are_joined_as_the_controller_does(tmp_path, a
     at = np.arange(0, 2001, 250)
     (tmp_path / "a.json").write_text(json.dumps(trajectory_message(t[at], q[at], dq[at], ddq[at])))
     motion = tray_motion(read(tmp_path / "a.json"), arm, AT_B, NO_TURN)
-    expected = forward(arm, t, q, dq, ddq)
+    expected = forward.tray_motion(arm, JointMotion(t, q, dq, ddq))
     k = 777
     nearest = np.argmin(np.abs(motion.samples.t - t[k]))
     found = np.array([np.interp(t[k], motion.samples.t, motion.samples.a_S[:, i]) for i in range(3)])

@@ -131,7 +131,7 @@ def test_what_cannot_be_asked_is_told():
 def test_a_plan_that_the_arm_cannot_follow_says_what_can_be_asked_instead(tmp_path):
     done = CliRunner().invoke(app, ["plan", "panda-cube", "--duration", "1", "-o", str(tmp_path / "cube")])
     assert done.exit_code == 3, done.output
-    assert "--least-sensitive seeks the same within the arm's limits" in done.output
+    assert "--least-sensitive plans the same within the arm's limits" in done.output
 
 
 @pytest.mark.slow

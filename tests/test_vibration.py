@@ -386,8 +386,12 @@ def test_the_simulated_robot_and_the_page_that_is_steered_by_hand_shake_too(care
 def test_the_fastest_bottle_is_lost_on_a_tray_that_shakes_and_kept_where_that_was_counted(
     bottle: Plan, careful: Plan
 ) -> None:
-    """0.05 mm at 15 Hz. The one that is known exactly slides by 2 mm without: it spends the last of its friction."""
+    """0.05 mm at 15 Hz, in four runs. The one that is known exactly slides by 1 mm on a still tray: it spends the last
+    of its friction."""
     still, shaken = (Experiment(replace(bottle, scenario=made)) for made in (bottle.scenario, careful.scenario))
-    slid, lost, kept = (e.run(seed=2).summary["objects"][0]["peak_slip"] for e in (still, shaken, Experiment(careful)))
-    assert lost > 5 * slid
-    assert kept < 1e-4
+    slid, lost, kept = (
+        [e.run(seed=seed).summary["objects"][0]["peak_slip"] for seed in range(1, 5)]
+        for e in (still, shaken, Experiment(careful))
+    )
+    assert np.mean(lost) > 2 * np.max(slid)
+    assert np.max(kept) < 1e-4
