@@ -1,10 +1,10 @@
-"""Random tasks of several legs: as a whole against one leg after the other, and in the engine at corners of the set.
+"""Random tasks of several legs: how long they take, and in the engine at corners of the set.
 
     python benchmarks/legs.py [-n 12] [--seed 0] [--corners 4] [--through] [--only xarm7]
 
 Poses, objects (off-centre, taken and put on) and ranges are drawn; arms take turns. For each task the duration of all
-legs as they are planned, that of legs of which each chooses for itself where it ends, CPU time of the first, and how
-many runs in the engine held on all legs, with true parameters at corners of the set, the same on all legs.
+legs, CPU time, and how many runs in the engine held on all legs, with true parameters at corners of the set, the same
+on all legs.
 """
 
 from __future__ import annotations
@@ -17,10 +17,8 @@ import numpy as np
 
 from salver import sampling
 from salver.errors import SalverError
-from salver.planning.fastest import FastestOptions, transport_problem
-from salver.planning.fastest.legs import in_turn, plan_legs
+from salver.planning.fastest.legs import plan_legs
 from salver.planning.round import MultiLegPlan
-from salver.planning.trajopt.watch import Watch
 from salver.scenario import Scenario, parse
 from salver.simulation.round import RoundExperiment
 
@@ -103,12 +101,8 @@ def row(case: Scenario, corners: int) -> str:
         return f"| {name} | {error} |"
     spent = time.process_time() - began
     if not whole.ok:
-        return f"| {name} | {whole.status} | | | {spent:.1f} |"
-    problems = [transport_problem(leg, passing=True) for leg in case.each_leg]
-    single = in_turn(problems, None, FastestOptions(), Watch())
-    safe = all(leg.ok for leg in single)
-    greedy = f"{sum(leg.duration for leg in single):.4f}" if safe else "not found"
-    return f"| {name} | {whole.duration:.4f} | {greedy} | {held(whole, corners)} of {corners} | {spent:.1f} |"
+        return f"| {name} | {whole.status} | | {spent:.1f} |"
+    return f"| {name} | {whole.duration:.4f} | {held(whole, corners)} of {corners} | {spent:.1f} |"
 
 
 def main() -> None:
@@ -119,8 +113,8 @@ def main() -> None:
     parser.add_argument("--through", action="store_true", help="with a pose to pass on each leg")
     parser.add_argument("--corners", type=int, default=4)
     args = parser.parse_args()
-    print("| task | arm | legs | as a whole, s | in turn, s | corner runs that held | CPU, s |")
-    print("|---|---|---|---|---|---|---|")
+    print("| task | arm | legs | duration, s | corner runs that held | CPU, s |")
+    print("|---|---|---|---|---|---|")
     for number in range(args.n):
         data = task(args.seed, number, args.through)
         if args.only in (None, data["arm"]["model"]):
