@@ -111,7 +111,7 @@ def _sterner(found: FastestMotion, plan: Plan, robust: bool) -> TransportProblem
     not imposed, or else with nodes where it violates a constraint; or with contact for an arm that follows exactly, if
     the plan's own check fails. None if none of these applies."""
     problem = found.problem
-    if not plan.status.ok and problem.cases:
+    if not plan.status.ok:
         verdict = verify(problem, found.joint_motion(), None, PLANNED, thoroughly=True)
         assert verdict.judged is not None
         assert verdict.margins is not None
