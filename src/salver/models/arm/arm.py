@@ -1,9 +1,9 @@
 """The arm: kinematics, dynamics and limits, from a URDF, by Pinocchio (paper, eqs 20 and 21).
 
-The tray is bolted to the flange: its inertia is part of the last link, so that only what lies loose on it is
-uncertain (paper, section V). Two frames matter: F, the flange, and E, the centre of the tray's top surface,
-`tray.height` out along F's z and parallel to F. Every Jacobian here is a *body* Jacobian: it gives the twist
-(v, omega) of a frame in that frame, linear part first; its rate is the plain time derivative of its entries.
+The tray is fixed to the flange: its inertia is part of the last link, so only the loose load is uncertain (paper,
+section V). Frames: F, the flange, and E, the centre of the tray's top surface, `tray.height` out along F's z and
+parallel to F. Every Jacobian here is a *body* Jacobian: it gives the twist (v, omega) of a frame in that frame, linear
+part first; its time derivative is that of its entries.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ if TYPE_CHECKING:
     from salver.models.bodies import Body
 
 TRAY_FRAME = "salver_tray"
-OWN = ("the URDF", "the maker of")  # how sources of limits begin that are the arm's own
-# m, of what one joint moves. No arm's link is so large; some have made-up inertias (the jaws of a Robonaut: 3.2), and
-# those in g mm^2 say 3e4 times what is so, in kg mm^2 1e3 times.
+OWN = ("the URDF", "the maker of")  # beginnings of the sources of the arm's own limits
+# m, of the links that one joint moves. It detects wrong units: inertias in g mm^2 give 3e4 times the true radius of
+# gyration, in kg mm^2 1e3 times. The largest arbitrary value seen in a URDF is 3.2 (the jaws of a Robonaut).
 LARGEST_GYRATION = 10.0
 
 
@@ -41,20 +41,18 @@ class ArmModel:
     name: as in the scenario. pin_model, data: Pinocchio's model (tray included) and work space.
     flange, tray_id: name of the frame F; index of the frame E in `pin_model.frames`.
     joint_names: n names from the base outwards. link_names: links from the root to F, root first.
-    limits: of the joints; planning_limits: the share of them that the scenario lets a plan use; own_limits: those that
-    its maker and its URDF give. rated: kg that its maker rates it for, None where that is not known.
-    limit_sources: for each kind of limit and joint, who gave it; None where nobody did. linear: whether a joint slides
+    limits: of the joints; planning_limits: the part of them that the scenario lets a plan use; own_limits: those of the
+    manufacturer and the URDF. rated: payload rating, kg, None if unknown.
+    limit_sources: source of each kind of limit per joint; None without a limit. linear: whether a joint is prismatic
     (m instead of rad).
-    urdf: the URDF that was loaded, as text: everything beyond the flange left off, joints beside the chain
-    fixed, mesh files that were found by their absolute paths. urdf_path: the file it came from.
-    collisions: what is done about links whose geometry is not known: "meshes" (refuse), "capsules" (fit some),
-    "unchecked" (leave them out). disabled_pairs: links that an SRDF says need not be compared, (first, second) sorted.
-    weightless: links that a joint moves and to which, with all that is fixed to them, the URDF gives no mass. If there
-    are any, torques are not known: the arm has no limits of torque, and counts as one under position control.
-    base_position, base_yaw: pose of the URDF's root in S, m and rad.
-    p_FE, R_FE: (3,) m and (3, 3), pose in F of the middle of the tray's top surface. tray_com_E: (3,) the tray's centre
-    of mass in E.
-    tray_size: its edges along x and y of E, m.
+    urdf: the loaded URDF as text, without links beyond the flange, with joints beside the chain fixed, and with
+    absolute paths of the mesh files that were found. urdf_path: its file. collisions: treatment of links with unknown
+    geometry: "meshes" (refuse), "capsules" (fit some), "unchecked" (leave them out). disabled_pairs: (first, second),
+    sorted: links that the SRDF excludes from comparison. weightless: moving links to which, with everything fixed to
+    them, the URDF gives no mass. If there are any, torques are unknown: the arm has no torque limits, and counts as
+    position-controlled. base_position, base_yaw: pose of the URDF's root in S, m and rad. p_FE, R_FE: (3,) m and (3,
+    3), pose in F of the middle of the tray's top surface. tray_com_E: (3,) the tray's centre of mass in E. tray_size:
+    its edges along x and y of E, m.
     """
 
     name: str
@@ -109,7 +107,7 @@ class ArmModel:
         return placement.translation.copy(), placement.rotation.copy()
 
     def body_jacobian(self, q: Array) -> Array:
-        """J_e (6, n): dq to the twist of E in E; the manipulator body Jacobian of eq (21)."""
+        """J_e (6, n): from dq to the twist of E in E; the manipulator body Jacobian of eq (21)."""
         return pin.computeFrameJacobian(self.pin_model, self.data, q, self.tray_id, pin.LOCAL)
 
     def drift(self, q: Array, dq: Array) -> Array:
@@ -124,8 +122,8 @@ class ArmModel:
         return velocity.vector, pin.getFrameAcceleration(model, data, tray, pin.LOCAL).vector
 
     def contact_jacobian(self, q: Array, contacts: ContactSet, p_EB: Array, R_EB: Array) -> Array:
-        """J_c (3 n_c, n) of eq (21), with the selection B_c^T that it needs: velocities of the tray's material
-        points at the contacts, in the contact frames. While the object sticks, J_c dq = G^T V_b (eq 24).
+        """J_c (3 n_c, n) of eq (21), with its selection B_c^T: from dq to the velocities of the tray's material points
+        at the contacts, in the contact frames. While the object sticks, J_c dq = G^T V_b (eq 24).
         """
         p_EC = p_EB + contacts.p_BC @ R_EB.T
         p_CE, R_CE = invert(p_EC, R_EB @ contacts.R_BC)
@@ -147,12 +145,12 @@ class ArmModel:
         return pin.nonLinearEffects(self.pin_model, self.data, q, dq).copy()
 
     def inverse_dynamics(self, q: Array, dq: Array, ddq: Array) -> Array:
-        """M_r ddq + C_r dq + N_r (n,): torque of arm and tray, nothing on it."""
+        """M_r ddq + C_r dq + N_r (n,), N m: torque of arm and tray without load."""
         return pin.rnea(self.pin_model, self.data, q, dq, ddq).copy()
 
 
 def tray_to_object(p_EB: Array, R_EB: Array) -> Array:
-    """Ad (6, 6) that takes twists of E, in E, to twists of B, in B, for B fixed to the tray."""
+    """Adjoint Ad (6, 6) from twists of E, in E, to twists of B, in B, for B fixed to the tray."""
     return adjoint(*invert(p_EB, R_EB))
 
 
@@ -225,7 +223,7 @@ def load_arm(arm: ArmDescription, tray: TrayDescription) -> ArmModel:
 
 
 def with_load(arm: ArmModel, bodies: Sequence[Body]) -> ArmModel:
-    """The arm with bodies fixed to its tray: the load of its motors while nothing slides."""
+    """The arm with bodies fixed to its tray: its dynamics while nothing slides."""
     model = arm.pin_model.copy()
     frame = model.frames[arm.tray_id]
     for body in bodies:
@@ -332,7 +330,7 @@ def _velocity_by_position(model: Any, given: Mapping[str, tuple[float, float]]) 
 
 
 def _scenario_limits(arm: ArmDescription, name: str, n: int) -> dict[str, Array]:
-    """The table arm.limits; one number stands for all joints."""
+    """Limits from the table arm.limits, in which one number applies to all joints."""
     found = {}
     for key, value in arm.given_limits.items():
         values = np.atleast_1d(np.array(value, dtype=float))

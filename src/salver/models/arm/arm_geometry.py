@@ -1,7 +1,7 @@
-"""Geometry of the arm: shapes of links, tray and load; whether they touch one another or an obstacle.
+"""Geometry of the arm: shapes of links, tray and load, and their collisions with each other and with obstacles.
 
-All shapes are convex (`salver.models.arm.link_shapes`), compared by Coal. A hull is larger than its link, so a posture
-that is found free is free, as far as it was checked. What is not checked is told by `ArmGeometry.unchecked`.
+All shapes are convex (`salver.models.arm.link_shapes`) and compared by Coal. A hull contains its link, so a posture
+without collision is safe, except for the parts that `ArmGeometry.unchecked` names.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ from salver.models.shapes.obstacle_shapes import obstacle_shapes
 from salver.wording import listed
 
 TRAY = "tray"
-_TOUCHING = 1e-3  # m into a link by which a load that stands on it may seem to reach
-_STILL = 1e-6  # m: a distance that changes by less does not change
-_REMEMBERED = 4  # paths of different numbers of postures of which distances are remembered
+_TOUCHING = 1e-3  # m, largest penetration of a load and the link on which it stands
+_STILL = 1e-6  # m: smaller changes of a distance count as none
+_REMEMBERED = 4  # cached paths, each with another number of postures
 
 
 @dataclass(frozen=True)
@@ -43,14 +43,12 @@ class Touch:
 
 @dataclass(frozen=True, eq=False)
 class ArmGeometry:
-    """The arm's hulls, its tray and its load. Not for use by several threads at once.
+    """Hulls of the arm, its tray and its load, and obstacles. Not for use by several threads at once.
 
-    names: of the parts: links of the URDF, "tray", carried objects, obstacles.
-    pairs: (index, index) into names; those that are compared.
-    tray: index of the tray; what it carries follows. obstacles: how many of the parts, the last ones, stand around in
-    the world.
-    unchecked: what is not checked, in words: links without geometry, pairs that are left out.
-    left_out: pairs of names that could touch and are not compared, by reason.
+    names: of the parts: links of the URDF, "tray", carried objects, obstacles. pairs: (index, index) into names, of the
+    parts that are compared. tray: index of the tray; carried objects follow. obstacles: number of obstacles, the last
+    parts. unchecked: what is not checked, in words: links without geometry, pairs that are left out. left_out: pairs of
+    names that could touch and are not compared, by reason.
     """
 
     arm: ArmModel
@@ -78,11 +76,11 @@ class ArmGeometry:
         return None
 
     def clearance(self, q: Array, within: float | Array = np.inf) -> Array:
-        """(N, pairs) distance of each pair at postures (N, n), m; negative where they overlap.
+        """Distances (N, pairs) in postures (N, n), m; negative where parts overlap.
 
-        within: distances larger than this (m), of all or of each pair, need not be exact, only no larger than the true
-        ones: a pair that was far away when as many postures were asked for last is not checked again before the joints
-        have turned far enough to bring it near.
+        within: above this distance, m, of all or of each pair, lower bounds are enough. They are derived from the last
+        call with the same number of postures: a pair is computed again only if the joints moved far enough to bring it
+        within that distance.
         """
         low = np.full((len(q), len(self.pairs)), -np.inf)
         if not np.isfinite(within).all():
@@ -101,7 +99,7 @@ class ArmGeometry:
             del self._last[next(iter(self._last))]
 
     def _measure(self, q: Array, low: Array, within: float | Array) -> None:
-        """Put exact distances where those in `low` (N, pairs) are below `within`, at postures (N, n)."""
+        """Replace values in `low` (N, pairs) that are below `within` by exact distances in postures (N, n)."""
         arm, data, place, results = self.arm.pin_model, self.arm.data, (self.model, self.data), self._results
         postures, pairs = np.nonzero(low < within)
         found, last = [], -1
@@ -115,19 +113,19 @@ class ArmGeometry:
 
     @cached_property
     def _results(self) -> list[Any]:
-        """Of each pair, views of what is filled when it is compared; to make them takes longer than that."""
+        """Views of the work space of each pair's comparison, cached because making them takes longer than comparing."""
         return list(self.data.distanceResults)
 
     @cached_property
     def _last(self) -> dict[int, tuple[Array, Array]]:
-        """By their number N: postures (N, n) that were asked for last, and what is known of them, (N, pairs)."""
+        """Cache by number N: the last postures (N, n), and known distances (N, pairs)."""
         return {}
 
     def levers(self, q: Array) -> Array:
-        """(pairs, n) at most how far a pair moves against one another when a joint moves by 1 (rad, or m), at postures
-        (N, n).
+        """Bounds (pairs, n) on the relative motion of a pair per rad, or m, of a joint, in postures (N, n).
 
-        For a joint that turns: the way from its origin along the links to the farthest point of the part it carries.
+        For a revolute joint: the length from its origin along the links to the farthest point of the part that it
+        moves.
         """
         if not any(self.arm.linear):
             return self._levers
@@ -138,14 +136,14 @@ class ArmGeometry:
         return self._levers_with(np.zeros(self.arm.n))
 
     def _levers_with(self, stroke: Array) -> Array:
-        """`levers` of joints that slide by `stroke` (n,) m at most."""
+        """`levers`, with prismatic joints displaced by at most `stroke` (n,), m."""
         model, linear = self.arm.pin_model, self.arm.linear
         links = np.array([np.linalg.norm(placement.translation) for placement in model.jointPlacements])
         links[1:] += stroke  # joints have one coordinate each
         radius = []
         for part in self.model.geometryObjects:
             centre, half = part.geometry.aabb_center, float(part.geometry.aabb_radius)
-            # Of what stands in the world nothing is carried; a floor has no end.
+            # Parts in the world are not moved by joints; a floor is infinite.
             radius.append(half + float(np.linalg.norm(part.placement.act(centre))) if part.parentJoint else 0.0)
         levers = np.zeros((len(self.pairs), self.arm.n))
         for row, pair in enumerate(self.pairs):
@@ -158,14 +156,16 @@ class ArmGeometry:
         return levers
 
     def clearance_gradient(self, q: Array, node: Indices, pair: Indices) -> Array:
-        """(r, n) derivatives of `clearance` by the joints, at postures q[node] (q: (N, n)) for pairs (r,).
+        """Derivatives (r, n) of `clearance` by the joints in postures q[node] (q: (N, n)) for pairs (r,).
 
-        By the velocities of the two nearest points along the normal between them; where those jump (a face
-        meets a face) it is one of the one-sided derivatives.
+        From the velocities of the two nearest points along the normal between them; where these points jump (parallel
+        faces) it is one of the one-sided derivatives.
         """
         model, data, results = self.arm.pin_model, self.arm.data, self._results
         normal, points = np.empty((len(node), 1, 3)), np.empty((len(node), 2, 3))
-        velocity = np.empty((len(node), 6, self.arm.n))  # of each joint: of the point at the world's origin, and turn
+        velocity = np.empty(
+            (len(node), 6, self.arm.n)
+        )  # by each joint: of the point at the world's origin, and angular velocity
         last = -1
         for r, (k, one) in enumerate(zip(node.tolist(), pair.tolist(), strict=True)):
             if k != last:
@@ -182,7 +182,7 @@ class ArmGeometry:
 
     @cached_property
     def of_floor(self) -> Mask:
-        """(pairs,) whether a pair is of a part and the floor."""
+        """Mask (pairs,) of pairs with the floor."""
         shapes = [part.geometry for part in self.model.geometryObjects]
         return np.array([isinstance(shapes[j], coal.Halfspace) for _, j in self.pairs], dtype=bool)
 
@@ -197,10 +197,10 @@ class ArmGeometry:
         return carried
 
     def near(self, q: Array, distance: float) -> ArmGeometry:
-        """The geometry with only those pairs that come within a distance (m) at one of the postures (N, n)."""
+        """The geometry with only the pairs that are within a distance, m, in one of the postures (N, n)."""
         low = self.clearance(q, distance)
         pairs = np.flatnonzero(low.min(axis=0) < distance)
-        found = self.only(pairs)  # made anew: where Coal begins to look hangs on what a shape was asked before
+        found = self.only(pairs)  # a new copy: Coal's starting point depends on earlier queries of a shape
         found._remember(q, low[:, pairs])
         return found
 
@@ -208,12 +208,12 @@ class ArmGeometry:
         """The geometry with some of the pairs, by their indices."""
         chosen = list(pairs)
         found = _with_pairs(self, tuple(self.pairs[k] for k in chosen))
-        # Asked for again and again, along every motion that is looked at.
+        # Cached, because every motion that is checked needs it.
         vars(found).update(_levers=self._levers[chosen], _carried=self._carried[chosen])
         return found
 
     def in_the_way(self, p_SE: Array, R_SE: Array) -> tuple[str, str] | None:
-        """Overlaps of tray or load with obstacles when the tray is at a pose, whatever the arm does."""
+        """Overlaps of tray or load with obstacles when the tray is at a pose, whatever the arm's posture."""
         frame, placed = self.arm.pin_model.frames[self.arm.tray_id], self.model.geometryObjects
         joint = pin.SE3(R_SE, p_SE) * frame.placement.inverse()
         around = len(self.names) - self.obstacles
@@ -231,15 +231,15 @@ class ArmGeometry:
 def arm_geometry(
     arm: ArmModel, bodies: Sequence[Body] = (), obstacles: Sequence[ObstacleDescription] = ()
 ) -> ArmGeometry:
-    """Shapes of an arm's links, its tray, the boxes around what it carries, and what stands around it in the world.
+    """Shapes of an arm's links, its tray, the boxes around its load, and obstacles.
 
-    Compared are the hulls of all pairs that move against one another, of links that are far from convex a few pieces
-    where the hulls touch too often (`salver.models.arm.link_pairs`), except: links that share a joint, pairs that the
-    arm's SRDF disables, pairs of the arm's own parts whose hulls overlap in every posture, and links that stand on the
-    floor; two links of which any shapes do are not compared at all.
+    All pairs that move relative to each other are compared by their hulls, or by a few convex pieces of strongly
+    nonconvex links whose hulls touch too often (`salver.models.arm.link_pairs`). Exceptions: links that share a joint,
+    pairs that the arm's SRDF disables, links with any shapes that overlap in every posture, and links that stand on the
+    floor.
 
     Raises ScenarioError when the geometry of a link is not known and `arm.collisions` does not say what to do about
-    it, when what is carried lies inside a link whatever the posture is, or when an obstacle's mesh cannot be used.
+    it, when the load lies inside a link in every posture, or when an obstacle's mesh cannot be used.
     """
     known = link_shapes(arm.urdf, capsules=arm.collisions == "capsules")
     if known.missing and arm.collisions != "unchecked":
@@ -276,12 +276,12 @@ def arm_geometry(
     pairs = [part for pair in pairs for part in in_pieces.get(pair, [pair])]
     compared = ArmGeometry(arm, parts, None, tuple(names), (), tray, len(names) - fixed, (), {})
     overlap = _always(_with_pairs(compared, tuple(pair for pair in pairs if pair[1] < fixed)))
-    # Of two links in several shapes each, one pair that always overlaps says of all of them that they are drawn so.
+    # If one pair of shapes of two links always overlaps, the links are modelled as overlapping: none is compared.
     linked = {(names[i], names[j]) for i, j in overlap if j < tray}
     left_out["always"] = [
         (i, j) for i, j in pairs if (i, j) in overlap or (j < tray and (names[i], names[j]) in linked)
     ]
-    # With the links on the load's own joint no posture changes anything.
+    # Links on the same joint as the load do not move relative to it.
     same = [(i, j) for i, j in itertools.product(range(links), range(tray + 1, fixed)) if _fixed_in(known, parts, i, j)]
     for link, load in [*((i, j) for i, j in left_out["always"] if j > tray), *same]:
         raise ScenarioError(
@@ -300,7 +300,7 @@ def arm_geometry(
 
 
 def _always(parts: ArmGeometry) -> list[Pair]:
-    """Pairs of the arm's own parts that overlap whatever the posture is."""
+    """Pairs of the arm's own parts that overlap in every posture."""
     for q in postures_of(parts.arm):
         if not parts.pairs:
             break
@@ -311,8 +311,8 @@ def _always(parts: ArmGeometry) -> list[Pair]:
 
 
 def _fixed_in(known: LinkShapes, parts: Any, link: int, load: int) -> bool:
-    """Whether a load reaches further than `_TOUCHING` into a link that the same joint moves: into its mesh, not the
-    mesh's hull, which would fill a tray with a rim that is a link of the URDF."""
+    """Whether a load penetrates a link on the same joint by more than `_TOUCHING`: its mesh, not the hull, which would
+    fill a tray with a rim that is a link of the URDF."""
     one, other = (parts.geometryObjects[k] for k in (link, load))
     if one.parentJoint != other.parentJoint:
         return False
@@ -326,8 +326,8 @@ def _fixed_in(known: LinkShapes, parts: Any, link: int, load: int) -> bool:
 
 
 def _on_floor(parts: ArmGeometry) -> tuple[list[Pair], list[Pair]]:
-    """Pairs of a link and the floor of which no posture changes anything, as of what turns about the vertical; and of
-    links that are nearer to it in every posture than plans may come."""
+    """Pairs of the floor and a link whose distance is the same in every posture, as for rotation about the vertical, or
+    always below the required distance."""
     parts = parts.only(np.flatnonzero(parts.of_floor))
     distance = parts.clearance(postures_of(parts.arm))
     still, sunk = np.ptp(distance, axis=0) <= _STILL, distance.max(axis=0, initial=-np.inf) < Floor.clear

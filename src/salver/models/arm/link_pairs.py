@@ -1,4 +1,4 @@
-"""Pairs of an arm's parts to be compared, and links that need convex pieces instead of hulls."""
+"""Selection of the pairs of parts to compare, and of links that need convex pieces instead of hulls."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from salver.geometry import Array, Mask
 from salver.models.arm.arm import ArmModel
 from salver.models.arm.link_shapes import LinkShapes
 
-POSTURES = 200  # drawn at random, at which parts are looked at
-BULKY = 0.05  # share of them in which hulls touch and pieces do not, from which the pieces are compared
-_LOOKS = 16  # of these, at which meshes are compared
+POSTURES = 200  # random postures in which parts are compared
+BULKY = 0.05  # pieces replace hulls that touch in at least this share of the postures in which pieces do not
+_LOOKS = 16  # of these postures, in which meshes are compared
 
 Pair = tuple[int, int]
 
@@ -40,8 +40,8 @@ def add(parts: Any, names: list[str], name: str, joint: int, placement: Any, sha
 def comparable(
     arm: ArmModel, parts: Any, names: Sequence[str], whole: Sequence[int], links: int, fixed: int
 ) -> tuple[list[Pair], dict[str, list[Pair]]]:
-    """Pairs of some of the parts (their indices) that move against one another, of which one is a link (before
-    `links`), the tray or what it carries (before `fixed`); and those that are left out, by reason."""
+    """Pairs of the given parts (indices) that move relative to each other and of which one is a link (below `links`),
+    the tray or a carried object (below `fixed`); and the pairs that are left out, by reason."""
     model, joints = arm.pin_model, [part.parentJoint for part in parts.geometryObjects]
     pairs: list[Pair] = []
     left_out: dict[str, list[Pair]] = {"neighbours": [], "srdf": [], "always": []}
@@ -61,7 +61,7 @@ def comparable(
 
 @dataclass(frozen=True)
 class Links:
-    """The links of an arm, equal where those of another are: shapes, joint limits, pairs that its SRDF disables."""
+    """Cache key of an arm's links: shapes, joint limits, pairs that its SRDF disables."""
 
     known: LinkShapes
     low: tuple[float, ...]
@@ -85,7 +85,7 @@ def bulky(links: Links) -> tuple[Pair, ...]:
         if len(there) < often:
             continue
         hulls = [parts.geometryObjects[k] for k in pair]
-        # The meshes themselves tell at some of these postures whether pieces, which take time to make, can help.
+        # Meshes are compared in some of these postures first: they show whether pieces, which are expensive, can help.
         some = there[:: -(-len(there) // _LOOKS)]
         if _apart(arm, hulls, [(shapes[k].itself,) for k in pair], some) * len(there) < often * len(some):
             continue
@@ -95,7 +95,7 @@ def bulky(links: Links) -> tuple[Pair, ...]:
 
 
 def _apart(arm: ArmModel, hulls: Sequence[Any], shapes: Sequence[Sequence[Any]], postures: Array) -> int:
-    """At how many postures (N, n) none of some shapes in the place of one hull overlaps one in the place of another."""
+    """Number of postures (N, n) in which no shape that replaces one hull overlaps a shape that replaces the other."""
     two, of = pin.GeometryModel(), []
     for hull, some in zip(hulls, shapes, strict=True):
         of.append([two.addGeometryObject(_like(hull, shape, len(two.geometryObjects))) for shape in some])
@@ -103,12 +103,12 @@ def _apart(arm: ArmModel, hulls: Sequence[Any], shapes: Sequence[Sequence[Any]],
 
 
 def _like(hull: Any, shape: Any, number: int) -> Any:
-    """A shape in the place of a link's hull."""
+    """A shape that replaces a link's hull."""
     return pin.GeometryObject(f"{number}", hull.parentJoint, hull.placement, shape)
 
 
 def _overlaps(arm: ArmModel, parts: Any, pairs: Sequence[Pair], postures: Array) -> Mask:
-    """(N, pairs) which pairs of parts overlap at postures (N, n)."""
+    """Mask (N, pairs) of the pairs that overlap in postures (N, n)."""
     some = parts.copy()
     some.removeAllCollisionPairs()
     for i, j in pairs:
@@ -121,6 +121,6 @@ def _overlaps(arm: ArmModel, parts: Any, pairs: Sequence[Pair], postures: Array)
 
 
 def postures_of(arm: ArmModel) -> Array:
-    """(N, n) of an arm, drawn at random within its limits."""
+    """Random postures (N, n) of an arm within its limits."""
     low, high = np.maximum(arm.limits.q_min, -np.pi), np.minimum(arm.limits.q_max, np.pi)
     return np.random.default_rng(0).uniform(low, high, (POSTURES, arm.n))

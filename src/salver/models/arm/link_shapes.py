@@ -1,8 +1,8 @@
 """Convex shapes of an arm's links for collision checks: from the URDF's geometry, or estimated.
 
-A mesh becomes its convex hull, which is larger than the link, or the hulls of a few slabs of it
-(`salver.models.shapes.convex_shapes`). Of a link without collision geometry the visual one is taken. Of a link whose
-geometry cannot be read, capsules can be fitted: they are an estimate.
+A mesh is replaced by its convex hull, which contains the link, or by the hulls of a few slabs of it
+(`salver.models.shapes.convex_shapes`). A link without collision geometry uses its visual one. For a link whose geometry
+cannot be read, capsules can be fitted as an estimate.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from salver.models.shapes.convex_shapes import Triangles, convex, convex_pieces
 
 DENSITIES = (2700.0, 700.0)  # kg/m^3: solid aluminium; light shells with little inside
 LARGEST_LINK = 10.0  # m
-FRAME_MASS = 0.02  # kg: a lighter link without geometry is a frame that somebody gave a mass, not a body
+FRAME_MASS = 0.02  # kg: a lighter link without geometry counts as a frame, not a body
 SIZES = {"box": ("size",), "sphere": ("radius",), "cylinder": ("radius", "length"), "capsule": ("radius", "length")}
 _NOUGHT = re.compile(r"0*\.?0*")
 _SAME_DIRECTION = 1e-9
@@ -43,7 +43,7 @@ class LinkShape:
 
     @property
     def itself(self) -> Any:
-        """Coal's shape of the link's mesh, not of its hull; for telling whether it touches, not how far away it is."""
+        """Coal's shape of the link's mesh instead of its hull: for collision checks, not for distances."""
         return self.shape if self.mesh is None else _mesh(*self.mesh)
 
     def holds(self, point: Array) -> bool:
@@ -62,7 +62,7 @@ class LinkShape:
 
     @property
     def pieces(self) -> tuple[Any, ...]:
-        """Convex shapes, at the same placement, that hold the link as well, and less beside it where that pays."""
+        """Convex pieces, at the same placement, that contain the link more tightly where that is worthwhile."""
         return (self.shape,) if self.mesh is None else _pieces(*self.mesh)
 
 
@@ -71,7 +71,7 @@ class LinkShapes:
     """Shapes of all links of a URDF.
 
     shapes: those that are known. missing: link -> why its geometry, or a part of it, is not known.
-    fitted: links that stand as capsules fitted to their inertia.
+    fitted: links that are approximated by capsules fitted to their inertia.
     """
 
     shapes: tuple[LinkShape, ...]
@@ -85,7 +85,7 @@ def link_shapes(urdf: str, capsules: bool = False) -> LinkShapes:
 
     capsules: fit capsules to links whose geometry cannot be read. They run from the link's own joint, and from each of
     the next ones, to its centre of mass. Their radius is that of the solid cylinder of the same mass and least moment
-    of inertia, kept to where the link is as dense as `DENSITIES`: URDFs are full of moments that nobody computed.
+    of inertia, limited to densities within `DENSITIES`, because many URDFs have arbitrary moments of inertia.
     """
     root = ElementTree.fromstring(urdf)
     shapes: list[LinkShape] = []
@@ -118,20 +118,20 @@ def link_shapes(urdf: str, capsules: bool = False) -> LinkShapes:
 
 @lru_cache(maxsize=1)
 def _loader() -> Any:
-    """Meshes stay in memory: every plan of a session asks for the same ones."""
+    """A mesh, cached because every plan of a session needs the same ones."""
     return coal.CachedMeshLoader()
 
 
 def _empty(element: ElementTree.Element) -> bool:
-    """Whether all sizes of an element's geometry are 0, by which some URDFs say that a link has none."""
+    """Whether all sizes of an element's geometry are 0, which some URDFs use for no geometry."""
     kinds = element.findall("geometry/*")
     sizes = [size for kind in kinds for key in SIZES.get(kind.tag, ()) for size in kind.get(key, "").split()]
     return bool(sizes) and all(_NOUGHT.fullmatch(size) for size in sizes)
 
 
 def _shape(geometry: ElementTree.Element | None) -> tuple[Any, tuple[str, tuple[float, ...]] | None]:
-    """Coal's shape of a URDF's geometry, and the mesh's file and scale if it is one's hull. Raises ValueError with the
-    reason when it is not to be had."""
+    """Coal's shape of a URDF's geometry, and the mesh's file and scale if it is the hull of one. Raises ValueError with
+    the reason when it is not available."""
     kind = geometry[0] if geometry is not None and len(geometry) else None
     if kind is None:
         raise ValueError("its geometry is empty")

@@ -52,20 +52,17 @@ from salver.sensitivity.arm.tracking import JointLoop, joint_loop
 class TransportProblem:
     """A transport problem as the optimiser needs it.
 
-    arm: the arm with its tray. model: its Pinocchio model with all objects bolted on at nominal parameters.
-    payload: what is carried, with what is uncertain about it. start, goal: how the motion begins and ends
-    (`salver.planning.trajopt.ends`).
-    limits: the share of the arm's limits that may be used. max_tilt: rad from vertical; 0 means level.
-    contacts: rows for each network of touching objects. uncertain: what is not known (empty for a nominal plan).
-    tracking: what a parameter error and the zero-order hold do to the arm; None for a nominal plan, and for an arm
-    without masses.
-    keep_out: what must not touch: parts of the arm, tray, load, obstacles; None for nothing.
-    speeds: at which contact must hold. extra: constraints beside those that follow from all this.
-    cases: of what moves inside each load, those that stand for all there are; every_case: those that a verdict looks
-    at; past: what they come from where the motion begins moving. through: poses that are passed on the way. nodes:
-    shares of the time at which constraints are imposed beside where they usually are. at_rest: whether contact and
-    loads are constrained in the rest after the motion too; stops and live motions are sought without, in half the time,
-    and judged with it."""
+    arm: the arm with its tray. model: its Pinocchio model with all objects fixed to the tray at nominal parameters.
+    payload: the carried objects with their uncertainty. start, goal: ends of the motion
+    (`salver.planning.trajopt.ends`). limits: the part of the arm's limits that may be used. max_tilt: of the tray from
+    level, rad; 0 means level. contacts: contact rows of each network of touching objects. uncertain: the uncertain set,
+    empty for a nominal plan. tracking: closed loop that determines the tracking error under parameter errors and the
+    zero-order hold; None for a nominal plan and for an arm without masses. keep_out: pairs of arm, tray, load and
+    obstacles that must not collide; None for no check. speeds: speed factors at which contact must hold. extra:
+    additional constraints. cases: representative cases of each load's dynamics; every_case: all that a verdict checks;
+    past: their initial states where the motion begins moving. through: via poses. nodes: additional nodes, as shares of
+    the duration. at_rest: whether contact and load dynamics are constrained in the rest after the motion too; stops and
+    live motions are planned without, in half the time, but judged with it."""
 
     scenario: Scenario
     arm: ArmModel

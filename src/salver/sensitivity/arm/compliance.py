@@ -1,4 +1,4 @@
-"""What moves inside loads on a tray whose arm is compliant to the load's reaction and to theirs."""
+"""Load dynamics on a compliant arm, which deviates under parameter errors and under the reaction of load dynamics."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from salver.models.uncertain.parameters import Parameter
 from salver.sensitivity.arm.load import LoadChange
 from salver.sensitivity.arm.tracking import Deviation, Reaction
 
-# In which modes, and the arm that gives way to them, are known to half a hundredth; and to half a thousandth, where
-# motions go on from one another again and again.
+# Iterations of modes and arm deviation: relative error of 5e-3; of 5e-4 for motions that go on from each other
+# repeatedly.
 ROUNDS, MORE_ROUNDS = 2, 3
 
 
 @dataclass(frozen=True, eq=False)
 class LoadResponses:
-    """What moves inside all loads along a tray's motion, with the cases of those that are alike side by side.
+    """Responses of all load dynamics along a tray's motion; `alike` cases are computed together.
 
-    together: loads that are alike, and of all their cases, one after the other, the response as planned and, of an arm
-    that gives way, with what it makes of it. given: what these come from.
+    together: groups of `alike` loads, and the responses of all their cases one after the other: as planned and, for a
+    compliant arm, with its deviation. given: the group responses from which these were made.
     """
 
     together: tuple[tuple[CaseGroups, tuple[LoadResponse, ...]], ...]
@@ -44,8 +44,8 @@ class LoadResponses:
         past: Past | None = None,
         rounds: int | None = None,
     ) -> LoadResponses:
-        """Along w (T, 12) at t (T,), which begins at rest, or where the past is left. rounds: see
-        `GroupResponse.along`; more where there is a past unless given."""
+        """The responses along w (T, 12) at t (T,), from rest or from the states in `past`. rounds: see
+        `GroupResponse.along`; by default more with a past."""
         rounds = rounds or (ROUNDS if past is None else MORE_ROUNDS)
         found, given = [], list[GroupResponse]()
         for group in _alike(loads):
@@ -55,8 +55,8 @@ class LoadResponses:
         return cls(tuple(found), tuple(given))
 
     def along(self, t: Array, w: Array, after: LoadResponses | None = None) -> LoadResponses:
-        """The loads along another motion, with the arm's compliance of this one. after: the loads along the motion that
-        it continues, if it is another one too."""
+        """The responses along another motion, with the arm's deviation of this one. after: responses along the motion
+        that it continues, if that differs too."""
         found = []
         for k, (group, (old, *given)) in enumerate(self.together):
             start = old.modes.start if after is None else after.together[k][1][0].modes.states.last
@@ -76,7 +76,7 @@ class LoadResponses:
 
     @property
     def each(self) -> dict[str, tuple[LoadResponse, ...]]:
-        """By the name of its body, the cases of each load, in parts."""
+        """The cases of each load, in parts, by the name of its body."""
         found = {}
         for group, parts in self.together:
             planned, *given = parts
@@ -90,7 +90,7 @@ class LoadResponses:
 
 
 def _alike(loads: CaseGroups) -> list[CaseGroups]:
-    """Those that are alike together, round ones first."""
+    """Groups of `alike` cases, round ones first."""
     kinds = dict.fromkeys(alike(each[0]) for each in loads if each)
     first = sorted(kinds, key=lambda kind: not kind[1])
     return [tuple(each for each in loads if each and alike(each[0]) == kind) for kind in first]
@@ -98,10 +98,10 @@ def _alike(loads: CaseGroups) -> list[CaseGroups]:
 
 @dataclass(frozen=True, eq=False)
 class GroupResponse:
-    """All cases of a group of loads that are alike, along a motion.
+    """All cases of a group of `alike` loads along a motion.
 
-    planned: modes on a tray that follows its motion exactly. Of an arm that gives way: modes with what it makes of
-    that, its reaction to them, and changes (K, T, 12, n_c) of the tray's motion regressor that are uncertain.
+    planned: modes on a tray without tracking error. For a compliant arm: modes with its deviation, its reaction to
+    them, and uncertain changes (K, T, 12, n_c) of the tray's motion regressor.
     """
 
     kind: type[LoadResponse]
@@ -121,8 +121,8 @@ class GroupResponse:
         begun: InitialState,
         rounds: int = ROUNDS,
     ) -> GroupResponse:
-        """Along the tray's motion regressor, w (T, 12), at t (T,). rounds: in which the arm gives way to what the modes
-        push, and these are then others, by an eighth as much each time."""
+        """The response along the tray's motion regressor w (T, 12) at t (T,). rounds: iterations of the arm's deviation
+        under the modes' reaction and of the modes under that deviation; each changes them by an eighth of the last."""
         kind: type[LoadResponse] = group[0][0].dynamics.response
         planned = kind.motion_type.along(all_cases(group), t, w, begun.planned)
         if response is None:
@@ -143,7 +143,7 @@ class GroupResponse:
 
     @cached_property
     def responses(self) -> tuple[LoadResponse, ...]:
-        """As planned, and with the compliance of the arm."""
+        """The responses as planned, and with the arm's compliance."""
         if self.modes is None or self.reaction is None or self.unknown is None:
             return (self.kind.of(self.planned),)
         change = self.begun.change
@@ -156,7 +156,7 @@ class GroupResponse:
 
     @property
     def states(self) -> InitialState:
-        """All of it at the instants of the motion."""
+        """All modal states at the instants of the motion."""
         if self.modes is None or self.reaction is None:
             return InitialState(self.planned.states)
         joints, change = self.reaction.joints, self.responses[1].change
@@ -165,7 +165,7 @@ class GroupResponse:
         return InitialState(self.planned.states, self.modes.states, change.states, reaction)
 
     def rested(self, t: Array) -> InitialState:
-        """All of it t (T,), s, after the motion, the arm taken for still."""
+        """All modal states t (T,) seconds after the motion, with the arm taken as at rest."""
 
         def later(modes: ModalMotion, states: ModalState, rest: Array) -> ModalState:
             shape = (*modes.cases.omega.shape, *(1,) * (rest.ndim - 3))
@@ -185,11 +185,11 @@ class GroupResponse:
 
 
 def of_cases(several: Sequence[LoadCase], load: LoadChange, dw: Array) -> tuple[Array, Array]:
-    """Change of dw (T, 12, n_c), per half-range of each term of a load, at the values of K cases: (K, T, 12) the sure
-    part, and (K, T, 12, n) the uncertain part.
+    """The change of w by terms, dw (T, 12, n_c) per half-range, in K cases of a load: the part (K, T, 12) that a case
+    determines, and the uncertain part (K, T, 12, n).
 
-    A case knows its own value, and with it what that weighs. Products of two others are left out: they are a
-    hundredth of what single ones do.
+    A case has a value of its own, and with it a mass. Products of two other parameters are neglected: their effect is a
+    hundredth of that of single ones.
     """
     inner = several[0].dynamics
     own, half = Parameter(several[0].body.name, inner.quantity), load.uncertain.ranges
