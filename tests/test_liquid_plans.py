@@ -104,7 +104,7 @@ def test_what_does_not_know_liquids_says_so(coffee):
 
     with pytest.raises(ScenarioError, match="plan with --fastest"):
         sv.plan(coffee.with_changes(motion__duration=2.0), "robust")
-    with pytest.raises(ScenarioError, match="knows nothing of the liquid in cup"):
+    with pytest.raises(ScenarioError, match="does not support the liquid in cup"):
         sv.plan(coffee.with_changes(motion__duration=2.0, contact__condition="paper"), "baseline").verify()
     problem = transport_problem(coffee)
     q = problem.start_posture

@@ -239,7 +239,7 @@ def test_a_plan_in_a_given_time_keeps_more_of_it() -> None:
 
 
 def test_the_papers_condition_refuses_it() -> None:
-    with pytest.raises(ScenarioError, match=r'condition = "paper" knows no tray that shakes \(uncertainty.shake\)'):
+    with pytest.raises(ScenarioError, match=r"does not support a shaking tray \(uncertainty.shake\)"):
         make_plan(shaking(sv.load_scenario("panda-cube"), SHAKE), "robust")
 
 

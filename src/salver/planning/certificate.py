@@ -48,8 +48,8 @@ def check(
     again = f"plan again with `salver plan {quote(f'{directory}/scenario.toml')}{asked} -o ANOTHER_DIRECTORY`"
     if not isinstance(certified, dict):
         raise FileFormatError(
-            f"{directory / stem}.json has no certificate: it was written before plans had one, or it was edited, and "
-            f"nothing tells whether {stem}.npz is what was judged; {again}."
+            f"{directory / stem}.json has no certificate: it was written before plans had one, or it was edited, so "
+            f"{stem}.npz may differ from what was judged; {again}."
         )
     found = certificate(scenario, arrays, record)
     where = {

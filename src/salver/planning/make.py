@@ -34,8 +34,8 @@ def plan_object(scenario: Scenario) -> Plan:
     _need_duration(scenario)
     if scenario.payload.dynamic and scenario.motion.may_turn:
         raise ScenarioError(
-            f"{scenario.name}: the robust plan of a given duration knows {scenario.payload.dynamic[0].inside} on a "
-            'tray that keeps its orientation; plan with --fastest, or give motion.orientation = "fixed".'
+            f"{scenario.name}: the robust plan of a given duration supports {scenario.payload.dynamic[0].inside} only "
+            'on a tray that keeps its orientation; plan with --fastest, or give motion.orientation = "fixed".'
         )
     began, z = time.perf_counter(), None
     for nodes in (scenario.motion.nodes, FINER * (scenario.motion.nodes - 1) + 1):

@@ -215,7 +215,7 @@ def friction(
     scenario = plan.scenario
     body = lone_load(scenario)
     if plan.joint is None:
-        raise ScenarioError(f"{scenario.name}: this plan has no arm that moves; friction is shown by the arm's motion.")
+        raise ScenarioError(f"{scenario.name}: this plan has no motion of an arm, from which friction is identified.")
     short = plan.method == SHORT
     _can_be_seen(plan, held, slid, moved)
     level = level if level is not None else options.levelled if short else options.level
@@ -287,7 +287,7 @@ def leaning(scenario: Scenario, level: float) -> float:
 def lone_load(scenario: Scenario) -> Body:
     """The only object of the scenario. Raises ScenarioError without an arm, or for other loads."""
     if scenario.arm is None:
-        raise ScenarioError(f"{scenario.name} has no arm; friction is shown by an arm that carries the load.")
+        raise ScenarioError(f"{scenario.name} has no arm; friction is identified from an arm's motion.")
     if len(scenario.objects) > 1 or scenario.payload.dynamic:
         raise ScenarioError(
             f"{scenario.name} carries several objects or something that moves inside, and what one "

@@ -159,7 +159,7 @@ def track(plan: Plan, samples: JointSamples, judge: Judge | None = None, seed: i
     Raises ScenarioError for a plan without a joint motion, FileFormatError for a log that is not of it.
     """
     if plan.joint is None:
-        raise ScenarioError(f"{plan.scenario.name}: this plan has no arm that moves; what is compared are its joints.")
+        raise ScenarioError(f"{plan.scenario.name}: this plan has no motion of an arm; tracking compares joints.")
     judge = judge or Judge.of(plan.scenario)
     torque = judge.scenario.physics.robot.control == "torque"
     fitted = under_torque(judge.scenario, judge.model, judge.arm.tray_id) if torque else of_lags

@@ -161,12 +161,10 @@ def _bought(number: int, seen: Tracking, best: Tracking, replans: int, options: 
 def _tunable(plan: Plan) -> None:
     scenario = plan.scenario
     if plan.joint is None:
-        raise ScenarioError(
-            f"{scenario.name}: this plan has no arm that moves; a robot is tuned by the joints it moves."
-        )
+        raise ScenarioError(f"{scenario.name}: this plan has no motion of an arm; tuning corrects joint commands.")
     if plan.stops is not None:
         raise ScenarioError(
-            f"{scenario.name}: this plan has stops, which know nothing of a corrected command; plan without --stops."
+            f"{scenario.name}: this plan has stops, which do not support a corrected command; plan without --stops."
         )
     if plan.space != "joint" and scenario.physics.robot.control == "torque":
         raise ScenarioError(

@@ -134,15 +134,15 @@ class WrenchRows:
 
 
 def _check_known_to_paper(scenario: Scenario) -> None:
-    payload, knows = scenario.payload, f'{scenario.name}: contact.condition = "paper" knows'
+    payload, unsupported = scenario.payload, f'{scenario.name}: contact.condition = "paper" does not support'
     if payload.uncertain.shake is not None:
-        raise ScenarioError(f'{knows} no tray that shakes (uncertainty.shake); use "exact".')
+        raise ScenarioError(f'{unsupported} a shaking tray (uncertainty.shake); use "exact".')
     if payload.dynamic:
-        raise ScenarioError(f'{knows} nothing of {payload.dynamic[0].inside}; use "exact".')
+        raise ScenarioError(f'{unsupported} {payload.dynamic[0].inside}; use "exact".')
     for body in payload.bodies:
         if body.supports != (TRAY,):
             below = " and ".join(body.supports)
-            raise ScenarioError(f'{knows} objects on the tray only, and {body.name} stands on {below}; use "exact".')
+            raise ScenarioError(f'{unsupported} objects on each other ({body.name} stands on {below}); use "exact".')
 
 
 def _paper(
