@@ -195,6 +195,7 @@ def test_its_verdict_names_what_is_exceeded_and_when_first(body):
     part, other = PendulumResponse.of(swing(body, t, w)), PendulumResponse.of(swing(body, t, gentle))
     found = PendulumResponse.verdict("lamp", (other, part))
     np.testing.assert_allclose(found.size, part.modes.height[0])
+    assert found.room == pytest.approx(LENGTH * np.sin(WIDEST) - part.modes.height.max())
     assert found.slack.min() == pytest.approx(1 - part.modes.height.max() / (LENGTH * np.sin(WIDEST)), abs=1e-3)
     assert min(found.kept, key=found.kept.get) == "the room there is"
     said, first = found.status("at its longest "), t[np.argmax(part.modes.height[0] > LENGTH * np.sin(WIDEST))]
@@ -214,6 +215,21 @@ def test_what_a_recording_leaves_open_is_added_to_its_swing_and_to_what_is_left(
     _, far, left = part.unsure(away, np.zeros((1, 101, 1))).limits()
     np.testing.assert_allclose(far.values[0], away[0, :, 0, 0], atol=1e-12)
     assert left.values[0, 0] == pytest.approx(4e-3)
+
+
+def test_what_is_uncertain_of_the_motion_is_added_to_its_swing(body):
+    """Two pushes of unknown sign, of which each lasts: as far as it swings with both."""
+    t = np.linspace(0.0, 1.0, 201)
+    w, dw = np.tile(at_rest(), (len(t), 1)), np.zeros((1, len(t), 12, 2))
+    w[40:, 0] = 0.4
+    dw[0, 60:, 0, 0], dw[0, 90:, 0, 1] = 0.2, -0.3
+    planned = swing(body, t, w)
+    part = PendulumResponse.compliant(planned, planned, np.zeros(0), dw)
+    each = [swing(body, t, w + a * dw[0, :, :, 0] + b * dw[0, :, :, 1]) for a in (-1, 1) for b in (-1, 1)]
+    furthest = np.max([other.height[0] for other in each], axis=0)
+    np.testing.assert_allclose(part.modes.height[0] + part.higher[0], furthest, atol=2e-4)
+    left = np.max([np.hypot(*other.ending).max() for other in each])
+    assert left <= np.hypot(*planned.ending).max() + part.more_left[0] < 1.2 * left
 
 
 def test_its_mass_is_drawn_on_its_rod_within_its_ring(body):

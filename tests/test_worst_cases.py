@@ -326,7 +326,7 @@ def test_what_is_added_to_rows_is_added_whatever_the_set_is(kind: str) -> None:
     rows, terms = random_rows(rng, kind)
     w, more = rng.normal(size=(3, 12)), rng.uniform(0.1, 0.5, (3, 2))
 
-    def added(instants: Any, some: Any, bound: bool) -> Array:
+    def added(instants: Any, some: Any) -> Array:
         return more[instants][:, some]
 
     for drift in (None, Drift(terms, 0.1 * rng.normal(size=(3, 12, len(terms))))):

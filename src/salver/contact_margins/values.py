@@ -57,7 +57,7 @@ class RowValues:
         if self.loads is not None:  # in pieces of time, because all cases at all instants would need too much memory
             for first in range(0, len(value), AT_ONCE):
                 at = slice(first, first + AT_ONCE)
-                value[at] += most_added(rows, self.loads.worst, at, ALL, coarsely=False)
+                value[at] += most_added(rows, self.loads.worst, at, ALL)
         return value
 
 

@@ -67,11 +67,9 @@ def of_parts(counts: Sequence[int], which: Indices) -> Iterator[tuple[int, Indic
         before += count
 
 
-def most_added(
-    rows: ContactRows, responses: Mapping[str, tuple[LoadResponse, ...]], at: Some, some: Some, coarsely: bool
-) -> Array:
-    """Contributions (T, n) of loads to some rows at some instants, each in its worst case; coarsely: upper bounds."""
-    return sum((_most(added) for _, _, added in _each_added(rows, responses, at, some, coarsely)), np.zeros((1, 1)))
+def most_added(rows: ContactRows, responses: Mapping[str, tuple[LoadResponse, ...]], at: Some, some: Some) -> Array:
+    """Contributions (T, n) of loads to some rows at some instants, each in its worst case."""
+    return sum((_most(added) for _, _, added in _each_added(rows, responses, at, some)), np.zeros((1, 1)))
 
 
 def _most(added: list[Array]) -> Array:
@@ -80,11 +78,7 @@ def _most(added: list[Array]) -> Array:
 
 
 def _each_added(
-    rows: ContactRows,
-    responses: Mapping[str, tuple[LoadResponse, ...]],
-    at: Some = ALL,
-    some: Some = ALL,
-    coarsely: bool = False,
+    rows: ContactRows, responses: Mapping[str, tuple[LoadResponse, ...]], at: Some = ALL, some: Some = ALL
 ) -> Iterator[tuple[int | None, tuple[LoadResponse, ...], list[Array]]]:
     """For each load: the index of its body in the network, or None for one elsewhere; its parts; and their
     contributions (K, T, n) to some rows at some instants, or 0 as (1, 1, 1)."""
@@ -92,19 +86,17 @@ def _each_added(
     for name, parts in responses.items():
         j = index.get(name)
         held = None if j is None else rows.wrench[j][some].T
-        yield j, parts, [_added(part, rows.nominal[some].T, held, at, coarsely) for part in parts]
+        yield j, parts, [_added(part, rows.nominal[some].T, held, at) for part in parts]
 
 
-def _added(part: LoadResponse, nominal: Array, held: Array | None, at: Some, coarsely: bool) -> Array:
+def _added(part: LoadResponse, nominal: Array, held: Array | None, at: Some) -> Array:
     """Contribution of a part to rows `nominal` (12, n), and to rows `held` (6, n) of the wrench on its container."""
     added = np.zeros((1, 1, 1))
     if part.reaction is not None:  # for all objects: the arm's deviation moves the whole tray
         added = part.reaction.w[:, at] @ nominal
     if held is not None:
         added = added + part.wrench[:, at] @ held
-        if part.change is not None and coarsely:
-            added += np.abs(part.change.wrench[:, at]).sum(axis=3) @ np.abs(held)
-        elif part.change is not None:
+        if part.change is not None:
             swings = np.swapaxes(part.change.wrench[:, at], 2, 3)
             swung = (swings.reshape(-1, 6) @ held).reshape(*swings.shape[:3], held.shape[1])  # (K, T, n_c, n)
             added += np.abs(swung, out=swung).sum(axis=2)

@@ -41,7 +41,7 @@ from salver.models.uncertain.worst_contents import SURE, ContentsCase, bounded, 
 
 Some = Indices | slice
 ALL = slice(None)
-Added = Callable[[Some, Some, bool], Array]
+Added = Callable[[Some, Some], Array]
 _CHUNK = 160_000  # terms that are computed at once; they fit into the cache, and are too few for several threads
 
 
@@ -330,15 +330,15 @@ def values_near(
 ) -> Array:
     """Worst case (T, n), or a cheap upper bound of rows whose bound is at most `SURE - margin`.
 
-    added: a function of (instants, rows, whether an upper bound suffices) with further terms to be added to rows.
+    added: a function of (instants, rows) with further terms to be added to rows.
     """
     if rows.fillings or rows.spread is not None:
-        return _values(rows, w, drift) + (0.0 if added is None else added(ALL, ALL, False))
+        return _values(rows, w, drift) + (0.0 if added is None else added(ALL, ALL))
     moved = np.zeros_like(w) if drift is None else np.abs(drift.dw).sum(axis=2)
     swing = np.zeros_like(w) if drift is None or drift.swing is None else np.abs(drift.swing)
     values = np.hstack([w, np.abs(w) + swing, swing + moved]) @ rows.largest.T + rows.shaken
     if added is not None:
-        values += added(ALL, ALL, True)
+        values += added(ALL, ALL)
     due = values > SURE - margin
     instants, some = np.flatnonzero(due.any(axis=1)), np.flatnonzero(due.any(axis=0))
     if len(instants):
@@ -346,7 +346,7 @@ def values_near(
         if drift is not None:
             felt = Drift(drift.terms, drift.dw[instants], None if drift.swing is None else drift.swing[instants])
         exact = _values(rows, w[instants], felt, some)
-        values[np.ix_(instants, some)] = exact if added is None else exact + added(instants, some, False)
+        values[np.ix_(instants, some)] = exact if added is None else exact + added(instants, some)
     return values
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -21,7 +21,7 @@ from salver.geometry import Array, Indices, hat
 from salver.models.arm.arm_limits import LIMITS, JointLimits, LimitKind
 from salver.models.contact_rows import ContactRows
 from salver.models.tray_motion import FULL_SPEED, Speed
-from salver.models.uncertain.worst_case import ALL, Drift, Some, WorstCase, values_near
+from salver.models.uncertain.worst_case import ALL, Drift, WorstCase, values_near
 from salver.models.uncertain.worst_contents import SURE
 from salver.planning.trajopt.constraints.obstacles import CLEARANCE, KeepOut
 from salver.planning.trajopt.evaluation import MotionEvaluation
@@ -362,14 +362,10 @@ class ContactConstraint(Constraint):
     def _near(self, loads: dict[str, tuple[LoadResponse, ...]], w: Array, drift: Drift | None) -> WorstCase:
         """Rows with the contribution of load dynamics: exact near their limit and, unless a bound is enough, for the
         largest row."""
-        rows = self.rows
-
-        def added(at: Some, some: Some, coarsely: bool) -> Array:
-            return most_added(rows, loads, at, some, coarsely)
-
+        rows, added = self.rows, partial(most_added, self.rows, loads)
         values = values_near(rows, w, drift, added if loads else None, self.margin)
         if values.max() <= SURE - self.margin and not self.coarsely:
-            values = WorstCase.of(rows, w, drift).values + added(ALL, ALL, False)
+            values = WorstCase.of(rows, w, drift).values + added(ALL, ALL)
         return WorstCase(rows, w, drift, values)
 
 
