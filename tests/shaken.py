@@ -1,4 +1,4 @@
-"""What tests of waves have in common: a box of water in place of the cup, and what a tray feels that is shaken."""
+"""What tests of waves have in common: a box of water or a lamp in place of the cup, and a tray that is shaken."""
 
 from __future__ import annotations
 
@@ -8,6 +8,14 @@ from salver.models.tray_motion import at_rest
 
 BOX_IN = {"kind": "water", "size": [0.09, 0.06], "fill": 0.05, "brim": 0.08}
 BOX = {"objects__0__shape": {"type": "box", "size": [0.1, 0.07, 0.085]}, "objects__0__liquid": BOX_IN}
+LAMP = {
+    "name": "lamp",
+    "shape": {"type": "cylinder", "radius": 0.04, "height": 0.16},
+    "mass": 0.25,
+    "friction": 0.4,
+    "pendulum": {"mass": 0.15, "length": 0.10, "pivot": 0.14, "widest_deg": 15.0, "damping": [0.0, 0.02]},
+    "uncertainty": {"length": "2%", "mass": "5%", "friction": "5%"},
+}
 
 
 def shaken(t: np.ndarray, yaw: float = 25.0) -> np.ndarray:

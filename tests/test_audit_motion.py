@@ -125,6 +125,7 @@ def test_what_a_curve_misses_near_the_samplings_limit_is_told_of_what_is_fast(tu
     assert share.max() < 0.26
 
 
+@pytest.mark.slow
 def test_where_two_parts_of_a_long_recording_meet_there_is_one_instant():
     """Of two at once waves would be no numbers."""
     t = np.arange(20 * 1000 + 1) / 1000.0

@@ -5,19 +5,11 @@ import pytest
 import trimesh
 from numpy.testing import assert_allclose
 
+from carried import scenario
 from salver.errors import ScenarioError
 from salver.models.shapes.polygons import eroded, inset, intersection, simplified
-from salver.scenario import Scenario, parse
 
 SQUARE = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
-
-
-def scenario(objects: list[dict], **more: object) -> Scenario:
-    ends = {"start": {"position": [0, 0, 0]}, "goal": {"position": [1, 0, 0]}, "duration": 1.0}
-    return parse(
-        {"name": "test", "motion": ends, "objects": [{"uncertainty": "none"} | item for item in objects], **more},
-        "test",
-    )
 
 
 def cube(name: str, side: float = 0.04, **more: object) -> dict:

@@ -92,6 +92,7 @@ def test_every_run_of_every_campaign_has_a_seed_of_its_own_for_its_noise():
     assert len({seed // 2**27 for seed in seeds}) == 16  # all over the range, not one beside the other
 
 
+@pytest.mark.slow
 def test_a_cube_of_another_mass_sags_as_the_step_response_says(finished):
     # With r = m_n / m the vertical error obeys e'' + r kd e' + r kp e = (1 - r) g from rest: its peak is
     # g |m - m_n| / (m_n kp) times one plus the overshoot. The horizontal error adds a little to the norm.
@@ -137,6 +138,7 @@ def test_runs_can_be_added_where_the_first_ones_do_not_depend_on_how_many_there_
         assert not replace(more, **{name: value}).extends(few), name
 
 
+@pytest.mark.slow
 def test_a_finished_campaign_is_not_run_again(finished, monkeypatch):
     from salver.campaigns import workers
 

@@ -64,6 +64,7 @@ def test_the_last_bit_of_any_array_is_seen_and_the_array_named(run: Path) -> Non
     load_plan(run)
 
 
+@pytest.mark.slow
 def test_any_field_of_the_record_is_seen_and_named(run: Path) -> None:
     record = read_json(run / "plan.json")
     for key in [key for key in record if key != CERTIFICATE]:

@@ -8,6 +8,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from arm_motions import REST, make, still, turn
 from salver import scenario
 from salver.errors import Status
 from salver.geometry import Array, exp
@@ -17,7 +18,6 @@ from salver.models.arm.arm_limits import LIMITS
 from salver.planning.follow.limits import peaks, verdict
 from salver.planning.plan import Plan
 from salver.trajectory import JointMotion, Reference, SampledReference, min_jerk_line
-from test_unchecked import REST, make, still, turn
 
 
 @pytest.mark.parametrize("kind", LIMITS, ids=lambda kind: kind.key)

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from arm_motions import REST, turn
 from salver import scenario
 from salver.errors import ScenarioError, UnreachableError
-from salver.geometry import Array
 from salver.models.arm.arm import load_arm
 from salver.models.arm.arm_geometry import arm_geometry
 from salver.models.shapes.obstacle_shapes import obstacle_shapes
@@ -28,15 +28,7 @@ from salver.simulation.scene.loads import true_world
 from salver.simulation.scene.scene import build
 from salver.trajectory import JointMotion
 
-REST = np.array([0.0, -1.2, 1.5, -0.3, 1.6, 0.0])
 TRAY = scenario.Tray()
-
-
-def turn(q: Array, joint: int, to: float, duration: float = 1.0) -> JointMotion:
-    """A min-jerk turn of one joint, in one polynomial piece."""
-    ends = np.stack([q, q])
-    ends[1, joint] = to
-    return JointMotion(np.array([0.0, duration]), ends, np.zeros_like(ends), np.zeros_like(ends))
 
 
 # ---- between samples ------------------------------------------------------------------------------------------
@@ -316,6 +308,7 @@ def test_a_load_that_does_not_stay_even_at_rest_is_told_at_once() -> None:
             assert fastest(problem).status.sentence.startswith(told)
 
 
+@pytest.mark.slow
 def test_what_touches_in_every_posture_at_an_end_is_told() -> None:
     """A ball under the tray at the goal, where the arm's last link must be."""
     cube = scenario.load("panda-cube").with_changes(motion__goal_yaw="fixed", arm__start_posture=None)

@@ -8,6 +8,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.optimize import linprog
 
+from carried import scenario
 from salver.geometry import GRAVITY_S, Array, exp
 from salver.models.bodies import Body
 from salver.models.contact.internal_wrench import internal_wrenches
@@ -17,7 +18,6 @@ from salver.models.interfaces import networks, sure_contacts, to_tray
 from salver.models.rigid_body import RigidBody, inertia_matrix, wrench
 from salver.models.tray_motion import motion_vector
 from salver.models.uncertain.parameters import INERTIAL, inertial_vector
-from salver.scenario import Scenario, parse
 from salver.trajectory import MotionSamples
 
 BOX = {
@@ -36,14 +36,6 @@ EVERYTHING = {
     "friction": 0.05,
     "position": [0.004, 0.006],
 }
-
-
-def scenario(objects: list[dict], **more: object) -> Scenario:
-    ends = {"start": {"position": [0, 0, 0]}, "goal": {"position": [1, 0, 0]}, "duration": 1.0}
-    return parse(
-        {"name": "test", "motion": ends, "objects": [{"uncertainty": "none"} | item for item in objects], **more},
-        "test",
-    )
 
 
 def tray_motions(count: int, seed: int, turning: float) -> MotionSamples:

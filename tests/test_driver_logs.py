@@ -26,6 +26,7 @@ from salver.models.arm.arm import load_arm
 from salver.planning.make import make_plan
 
 
+@pytest.mark.slow
 def test_checks_are_demanded_before_the_arm_is_connected(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of the plan, and of what a Franka asks for: neither may be found out with the arm already in hand."""
     library = Library(rig.plan)
@@ -38,6 +39,7 @@ def test_checks_are_demanded_before_the_arm_is_connected(rig: Rig, monkeypatch: 
     assert library.calls == []
 
 
+@pytest.mark.slow
 def test_a_way_to_the_start_that_is_not_fit_is_not_gone(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pylibfranka", Library(rig.plan))
     monkeypatch.setattr(execute, "check_approach", lambda *args: [Check("x", False, "A wall is in between.")])

@@ -113,6 +113,7 @@ class _Sleepy(SimulatedRobot):
         return super().read()
 
 
+@pytest.mark.slow
 def test_missed_periods_are_seen_and_time_goes_on(plan: Plan) -> None:
     arm, carried, controller = _parts(plan)
     robot = _Sleepy(plan, arm, 1.0)

@@ -374,6 +374,7 @@ def test_lines_that_come_are_not_kept_without_end():
     assert (len(prompter._waiting), prompter.dropped) == (1000, 29_000)
 
 
+@pytest.mark.slow
 def test_a_run_of_which_all_was_refused_does_not_end_well(cube, tmp_path):
     """And one of whose lines some were granted does."""
     refused = lines({"goto": [9.0, 0.0, 900.0]}, {"twist": [99.0, 0.0, 0.0]})

@@ -221,7 +221,7 @@ def stoppable(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("period", [0.002, 0.008])
+@pytest.mark.parametrize("period", [pytest.param(0.002, marks=pytest.mark.slow), 0.008])
 def test_a_urscript_that_is_stopped_follows_the_stop_of_the_instant(
     stoppable: Path, tmp_path: Path, period: float
 ) -> None:
@@ -248,6 +248,7 @@ def test_a_urscript_that_is_stopped_follows_the_stop_of_the_instant(
     assert len(ends) > 2
 
 
+@pytest.mark.slow
 def test_a_program_of_two_legs_that_is_stopped_in_the_pause_does_not_begin_the_next(stoppable: Path) -> None:
     motion, library = read_motion(stoppable, rate=500.0), load_plan(stoppable).stops
     assert motion.q is not None
@@ -267,6 +268,7 @@ def test_a_program_of_two_legs_that_is_stopped_in_the_pause_does_not_begin_the_n
     np.testing.assert_allclose(stopped.sent[-1], rest, atol=1e-8)
 
 
+@pytest.mark.slow
 def test_a_plan_that_was_tuned_takes_no_stops_along(stoppable: Path, tmp_path: Path) -> None:
     """Its stops begin where the plan is, not where the joints are told to be."""
     plan = load_plan(stoppable)
@@ -323,6 +325,7 @@ def test_stops_are_trajectories_by_name_with_a_table_of_times(
             np.testing.assert_allclose([point[name] for point in points], values, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_bag_has_its_stops_beside_its_motion_and_is_read_as_that(stoppable: Path, tmp_path: Path) -> None:
     from rosbags.highlevel import AnyReader
 

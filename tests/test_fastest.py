@@ -277,6 +277,7 @@ def test_scaled_uncertainty_scales_every_half_range():
     assert scaled(scenario, 0.0).payload.uncertain.size == 0
 
 
+@pytest.mark.slow
 def test_more_robustness_takes_longer():
     scenario = cube(0.2, objects__0__uncertainty={"friction": "10%"}, motion__orientation="fixed")
     points = list(tradeoff(scenario, (2.0, 0.0, 30.0), FastestOptions(spans=8)))
@@ -340,6 +341,7 @@ def test_start_posture_of_another_pose_is_refused():
         transport_problem(cube(arm__start_posture=[0.0, 0.3, 0.0, -1.8, 0.0, 2.1, 0.8]))
 
 
+@pytest.mark.slow
 def test_unreachable_goal_has_a_status():
     begun = time.perf_counter()
     found = fastest(transport_problem(cube(motion__goal__position=[1.8, 0.0, 0.4])))

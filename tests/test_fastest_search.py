@@ -19,6 +19,7 @@ from salver.planning.trajopt.exchange import rough
 from salver.planning.trajopt.watch import Watch
 
 
+@pytest.mark.slow
 def test_a_start_that_cannot_be_the_best_is_given_up_early_and_one_that_can_is_not(behind_a_post):
     problem = behind_a_post
     few, watch = few_pieces(FastestOptions()), Watch()

@@ -186,6 +186,7 @@ def test_what_falls_in_the_engine_lies_on_the_floor() -> None:
     assert fallen < -5.0
 
 
+@pytest.mark.slow
 def test_the_page_draws_the_ground_where_the_floor_is(tmp_path: Any) -> None:
     from salver.reports.run import read_run
 

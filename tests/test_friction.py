@@ -104,6 +104,7 @@ def test_ranges_hold_what_the_engine_had(plan: Plan, true: float) -> None:
     assert found.high - found.low < 2 * np.deg2rad(0.5) * (1 + true) + 3 * USUAL.shakes + 0.03
 
 
+@pytest.mark.slow
 def test_what_would_tip_is_refused_with_what_can_be_asked_for(tmp_path: Path) -> None:
     """Tipping of the bottle (radius 30 mm, centre of mass 7.1 mm off and 125 mm high): at tan = 0.183 at most."""
     with pytest.raises(ScenarioError, match=r"could tip at .* at most 0\.1\d* can be asked for") as told:

@@ -27,7 +27,14 @@ def rolled(env: Any, seed: int, steps: int, act: Any) -> list[np.ndarray]:
     return out
 
 
-@pytest.mark.parametrize("options", [{}, {"shield": True}, {"actions": "joints", "scenario": "panda-coffee"}])
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        pytest.param({"shield": True}, marks=pytest.mark.slow),
+        pytest.param({"actions": "joints", "scenario": "panda-coffee"}, marks=pytest.mark.slow),
+    ],
+)
 def test_it_is_an_environment_as_gymnasium_checks_it(options: dict[str, Any]) -> None:
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message=".*infinity")  # of bounds: who falls goes anywhere
@@ -36,7 +43,9 @@ def test_it_is_an_environment_as_gymnasium_checks_it(options: dict[str, Any]) ->
     assert isinstance(made, gym.Carry)
 
 
-@pytest.mark.parametrize("options", [{}, {"shield": True}, {"shield": True, "actions": "joints"}])
+@pytest.mark.parametrize(
+    "options", [{}, {"shield": True}, pytest.param({"shield": True, "actions": "joints"}, marks=pytest.mark.slow)]
+)
 def test_the_same_seed_gives_the_same_episode_and_another_another(options: dict[str, Any]) -> None:
     env = gym.Carry("panda-tall-bottle", **options)
     actions = np.random.default_rng(1).uniform(-1.0, 1.0, (4, len(env.most)))

@@ -79,7 +79,7 @@ def test_one_empty_log_is_noisy_once(plan: Plan) -> None:
         identify(plan, [logs[0], logs[1], logs[1]], empty)
 
 
-@pytest.mark.parametrize(("wrist", "off"), [(True, 1e-4), (False, 1e-3)])
+@pytest.mark.parametrize(("wrist", "off"), [pytest.param(True, 1e-4, marks=pytest.mark.slow), (False, 1e-3)])
 def test_the_empty_run_may_do_something_else(plan: Plan, wrist: bool, off: float) -> None:
     """What the tray needs along the empty run's own motion is taken off, and joint friction at its own velocity: of 12
     mrad at 2 Hz there less than 0.15 is left of what they do where that motion is taken for the plan's (30 g of 193,
@@ -157,6 +157,7 @@ def test_a_wrist_in_other_units_is_told(plan: Plan, part: slice, said: str) -> N
         identify(plan, [logs[0]], logs[1])
 
 
+@pytest.mark.slow
 def test_runs_of_two_plans_are_of_one_load(plan: Plan) -> None:
     """Their informations add up to that of both, in the B of the scenario that is asked for; ranges stay within those
     of any other scenario that holds the load."""

@@ -76,6 +76,7 @@ print(json.dumps(sorted(sys.modules)))
     assert not idle & loaded
 
 
+@pytest.mark.slow
 def test_importing_changes_no_global_state():
     code = """
 import json, random, sys, warnings

@@ -381,7 +381,7 @@ def test_a_chosen_start_stays_above_the_base():
     assert min(heights) > arm.base_position[2]
 
 
-@pytest.mark.parametrize("name", ["ur5-bottle", pytest.param("panda-cube", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("name", [pytest.param(x, marks=pytest.mark.slow) for x in ("ur10-bottle", "panda-cube")])
 def test_plan_and_baseline_keep_the_arms_limits_from_one_start_posture(name):
     plans = plan_pair(scenario.load(name).with_changes(arm__start_posture=None))
     for plan in plans:

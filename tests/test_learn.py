@@ -92,6 +92,7 @@ def test_a_plan_that_is_slower_is_not_taken(cube: Scenario, monkeypatch: pytest.
         assert second.plan is (plan if kept else others)
 
 
+@pytest.mark.slow
 def test_ranges_are_narrowed_by_all_logs_within_what_was_known(bottle_plan: Plan) -> None:
     """Twice the same motion: half the variance. What was known besides, here the mass, stays known."""
     hidden = _Hidden(bottle_plan.scenario, true_load(bottle_plan.scenario, 3), 3, "wrist")

@@ -112,6 +112,7 @@ def test_a_tray_that_keeps_its_orientation_does_so_and_is_the_more_sensitive_for
     assert cost_of(free) < cost_of(fixed)
 
 
+@pytest.mark.slow
 def test_what_cannot_be_asked_is_told():
     case = scenario.load("panda-cube")
     with pytest.raises(ScenarioError, match=r"nothing that is uncertain acts on the closed loop of cube"):

@@ -224,6 +224,7 @@ def test_a_plan_comes_back_from_its_one_file_and_knows_when_a_leg_was_edited(pla
             call(tmp_path / "edited")
 
 
+@pytest.mark.slow
 def test_legs_that_do_not_meet_are_not_ok(planned, tmp_path):
     planned.save(tmp_path / "moved")
 
@@ -339,6 +340,7 @@ def test_commands_take_a_task_of_several_legs(directory, capsys):
         assert re.search("leg|no stops", capsys.readouterr().err)
 
 
+@pytest.mark.slow
 def test_a_file_of_all_legs_has_each_at_its_time_with_the_arm_at_rest_between(planned, directory, tmp_path, capsys):
     """Against the plans of the legs themselves, and read back from the file that the command writes."""
     motion = read_motion(directory, rate=200.0, pause=0.7)
@@ -376,6 +378,7 @@ def test_a_run_of_all_legs_with_a_value_outside_its_range_is_none_of_the_plan(pl
     assert sorted(path.name for path in tmp_path.rglob("*.npz")) == ["leg1-what-if.npz", "leg2-what-if.npz"]
 
 
+@pytest.mark.slow
 def test_an_audit_cuts_a_file_of_all_legs_at_its_rest_and_knows_what_is_taken_there(planned, directory, tmp_path):
     (path,) = write_export(directory, "csv", tmp_path / "all.csv", pause=0.8)
     first, second = audit_legs(path, planned.scenario)

@@ -123,6 +123,7 @@ def test_what_touches_by_its_meshes_touches_by_what_stands_for_them(model: str) 
     assert told <= seen + 3
 
 
+@pytest.mark.slow
 def test_links_whose_meshes_are_open_get_pieces_too() -> None:
     """Of random postures of a Lite 6 hulls would report 23 % as self-collisions in which no meshes touch."""
     arm = arm_of("lite6")

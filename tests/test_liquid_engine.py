@@ -151,6 +151,7 @@ def test_a_long_box_that_weighs_little_turns_about_its_long_side_with_what_swing
     assert model.body_subtreemass[body.id] == pytest.approx(weight)
 
 
+@pytest.mark.slow
 def test_a_scene_that_a_file_cannot_hold_is_not_written(coffee, tmp_path):
     plan = plan_baseline(carrying(coffee, "light", motion__duration=0.5, arm=None))
     plan.save(tmp_path / "run")
@@ -176,7 +177,9 @@ def tilted_and_pushed(along, tilt=0.1, duration=0.8):
     )
 
 
-@pytest.mark.parametrize("which", ["cup", "long", "square", "deep", "light"])
+@pytest.mark.parametrize(
+    "which", ["cup", "square", *(pytest.param(x, marks=pytest.mark.slow) for x in ("long", "deep", "light"))]
+)
 def test_waves_of_the_engine_are_those_of_plans(coffee, which):
     """On a tray that goes aside, up and tilts; waves of a seventh of the container at most, where pendulums are all but
     linear. Cup and boxes within the same: 2 % of the largest wave, 2.5 % of the largest force on the container."""

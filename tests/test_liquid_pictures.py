@@ -64,6 +64,7 @@ def test_in_a_tilted_cup_the_surface_of_the_engine_is_level(coffee, tmp_path):
     np.testing.assert_allclose(upward_S(poses, slope), np.tile([0, 0, 1.0], (len(slope), 1)), atol=2e-3)
 
 
+@pytest.mark.slow
 def test_under_constant_acceleration_the_surface_is_across_what_gravity_seems_to_be(coffee, tmp_path):
     run = tilting(coffee, tmp_path, simulated=False)
     a_S, R = np.array([2.0, -1.0, 1.5]), matrix_from_rpy(np.deg2rad([4.0, -3.0, 25.0]))

@@ -362,6 +362,7 @@ def test_a_plan_to_a_goal_that_leans_leaves_so_little_of_a_wave_that_contact_las
     assert run.slip.max() < 3e-4
 
 
+@pytest.mark.slow
 def test_what_is_printed_of_a_plan_with_an_open_liquid_says_what_room_is_left(coffee, capsys):
     plan = make_plan(coffee.with_changes(motion__duration=2.0), "baseline")
     show(plan, plan, "baseline")

@@ -223,6 +223,7 @@ def test_while_the_loop_has_not_taken_what_was_planned_there_is_nothing_to_plan(
     assert live.idle
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not hasattr(os, "sched_setscheduler"), reason="this system has no real-time priorities")
 def test_the_process_that_plans_has_no_real_time_priority(cube):
     """The loop's thread has, and so has the one that exchanges with it."""

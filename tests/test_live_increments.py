@@ -262,6 +262,7 @@ def test_an_increment_is_tried_where_it_leads_and_damped_by_what_it_violates(tic
     assert violated > 0
 
 
+@pytest.mark.slow
 def test_an_increment_goes_to_the_verdict_when_its_trial_takes_no_more_than_half_of_what_is_kept(bottle):
     """Of the bottle, of which the scenario keeps 2 % of the weight."""
     seen, _ = ticks_of(bottle, lambda t: np.array([1.2, -1.0, 0.3]) * (-1) ** int(t / 0.13), 0.6)

@@ -203,6 +203,7 @@ def test_a_solid_load_needs_no_calm(cube):
     assert live.restart(live.committed.motion.q[0]).ok
 
 
+@pytest.mark.slow
 def test_at_rest_waves_go_on_and_die_away(changed):
     """For eight seconds: as worked out of all of them at once, and undisturbed as damped pendulums do."""
     live, (_, base, _), _ = changed

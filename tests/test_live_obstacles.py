@@ -301,6 +301,7 @@ def test_what_comes_after_it_was_planned_and_before_it_is_handed_over_counts_too
     assert not live.committed.at_rest
 
 
+@pytest.mark.slow
 def test_looking_out_finds_what_a_fine_scan_of_time_finds(cube):
     """Balls from everywhere at a moving arm, against distances at every two milliseconds."""
     live, _ = going(cube, lead=0.1)
@@ -427,6 +428,7 @@ def test_while_a_stop_is_latched_what_comes_is_announced_and_not_evaded(cube):
     assert jobs == ["Evade"]
 
 
+@pytest.mark.slow
 def test_after_an_evasion_on_its_way_the_arm_goes_on_to_its_goal(cube):
     live = Live(cube, lead=0.1)
     drive(live, 0.2, [(0.0, lambda live: live.goto((0.45, 0.1, 0.45)))])

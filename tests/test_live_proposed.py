@@ -116,6 +116,7 @@ def test_contact_keeps_a_margin_also_where_the_scenario_asks_for_none(cube, movi
     assert found.excess == pytest.approx(max(block.values.max() for block in contacts) + more, abs=1e-5)
 
 
+@pytest.mark.slow
 def test_a_margin_that_the_scenario_asks_for_is_kept_once_and_not_several_times(bottle):
     """With a twentieth of the normal force at rest as margin a goal takes 1.2 times as long as with almost none."""
     durations = []
@@ -330,6 +331,7 @@ def test_a_seal_is_of_one_motion_after_one_other_with_one_load(asked, cube):
     assert sealed(found, base)
 
 
+@pytest.mark.slow
 def test_a_planner_in_another_process_seals_with_the_key_of_this_one(cube):
     live = Live(cube)
     process = _Process(live)

@@ -118,6 +118,7 @@ def test_what_was_commanded_is_kept_as_one_motion(session):
     assert live.commanded(live.now) is None
 
 
+@pytest.mark.slow
 def test_only_so_many_seconds_are_kept(cube):
     live = Live(cube, lead=0.02, options=LiveOptions(record=0.25))
     hand = [(t, lambda live: live.twist((0.1, 0.1, 0.0))) for t in np.arange(0.0, 0.6, 0.01)]
@@ -131,6 +132,7 @@ def test_only_so_many_seconds_are_kept(cube):
     assert live.commanded() is None
 
 
+@pytest.mark.slow
 def test_the_file_of_a_session_is_audited(session, tmp_path):
     live, told = session
     for name in ("session.csv", "session.json", "session"):

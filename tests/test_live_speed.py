@@ -132,6 +132,7 @@ def test_nothing_begins_that_was_planned_while_the_arm_was_held(cube):
     np.testing.assert_allclose(where(live), SECOND, atol=1e-4)  # what was requested last
 
 
+@pytest.mark.slow
 def test_a_stop_that_is_ready_is_taken_by_a_hold(cube):
     live = Live(cube, lead=LEAD)
     drive(live, 0.2, [(0.0, place(*FIRST))])
@@ -160,6 +161,7 @@ def test_after_a_stop_nothing_is_gone_on_with(cube):
     check(live, told)
 
 
+@pytest.mark.slow
 def test_a_stop_while_it_slows_down_is_a_stop(cube):
     live = Live(cube, lead=LEAD)
     wishes = [(0.0, override(0.8)), (0.0, place(*FIRST)), (0.3, override(0.3)), (0.45, lambda live: live.stop())]
@@ -198,6 +200,7 @@ def test_a_policy_neither_releases_nor_hurries_what_the_operator_slowed(cube):
     assert live.release().ok
 
 
+@pytest.mark.slow
 def test_a_goal_that_comes_while_it_is_too_fast_is_begun_at_rest(cube):
     live = Live(cube, lead=LEAD)
     told = drive(live, 0.4, [(0.0, place(*FIRST))])
@@ -210,6 +213,7 @@ def test_a_goal_that_comes_while_it_is_too_fast_is_begun_at_rest(cube):
     check(live, told)
 
 
+@pytest.mark.slow
 def test_a_twist_is_slower_by_as_much(cube):
     live = Live(cube, lead=LEAD)
     live.override(0.5)
@@ -322,6 +326,7 @@ def test_what_is_requested_after_a_release_is_done_when_nothing_was_before_it(cu
     np.testing.assert_allclose(where(live), FIRST, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_a_goal_is_gone_on_with_after_a_hold_that_ends_before_anything_is_planned(cube):
     live = Live(cube, lead=LEAD)
     drive(live, 0.2, [(0.0, place(*FIRST))])
@@ -361,6 +366,7 @@ def test_the_bounds_of_the_override_are_accepted(cube):
         assert live.override(factor).ok
 
 
+@pytest.mark.slow
 def test_what_is_left_of_a_chunk_is_as_much_later_as_the_first_hold_took(cube):
     live = Live(cube, lead=LEAD)
     live.command(0.0)
@@ -457,6 +463,7 @@ def test_a_slow_motion_does_not_stop_on_its_path_where_something_will_pass(cube)
     assert found is None or found.profile is None
 
 
+@pytest.mark.slow
 def test_another_goal_is_gone_to_from_a_slow_motion_without_coming_to_rest(cube):
     live = Live(cube, lead=LEAD)
     live.override(0.3)

@@ -167,6 +167,7 @@ def test_between_its_poses_a_chunk_turns_evenly(cube):
     assert np.abs(turned - 0.4 * states.t[300:800:50]).max() < 0.02
 
 
+@pytest.mark.slow
 def test_twists_are_followed_however_long_before_it_is_done_planning_begins(cube):
     """0.1 s of silence is counted when planning begins, not when it is done: where ticks take longer nothing moved."""
     live = Live(cube, lead=0.15)

@@ -85,6 +85,7 @@ def judged(motion):
     return Judged.of(*motion)
 
 
+@pytest.mark.slow
 def test_a_deviation_is_that_of_a_drive_that_is_linear_between_three_times_as_many_instants(motion, judged):
     """With derivatives of the dynamics at each of these."""
     problem, whole = motion
@@ -413,6 +414,7 @@ class Hasty(TransportProblem):
         return tuple(each for each in super().constraints if not isinstance(each, AtRest))
 
 
+@pytest.mark.slow
 def test_what_happens_in_a_load_while_the_arm_settles_is_judged_and_planned_for():
     """A cup of oil, at the end of a motion as fast as an xarm7 may stop: the arm that gives way makes waves steeper
     than those that are left."""

@@ -19,7 +19,7 @@ from salver.planning.verdict.judged import PLANNED, Judged
 from salver.planning.verdict.verify import clearance
 from salver.sensitivity.arm import compliance
 from salver.trajectory import JointMotion
-from test_pendulum import LAMP
+from shaken import LAMP
 
 
 @pytest.fixture(params=["cup", "box", "lamp"])

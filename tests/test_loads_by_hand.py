@@ -7,6 +7,7 @@ from itertools import product
 import numpy as np
 import pytest
 
+from carried import scenario
 from salver.dynamics.liquid.liquid import damping_of, hollow
 from salver.dynamics.liquid.sloshing import Liquid
 from salver.geometry import Array
@@ -20,18 +21,9 @@ from salver.models.shapes.convex_shapes import THINNEST, convex
 from salver.models.shapes.surfaces import surface
 from salver.models.uncertain.contents import Filling, Hull, inertia_ranges, largest_mean, most_second_moments
 from salver.models.uncertain.parameters import Parameter
-from salver.scenario import Scenario, parse
 
 LOW, HIGH = np.array([-0.1, -0.2, -0.3]), np.array([0.3, 0.1, 0.2])
 BOX = np.array(list(product(*zip(LOW, HIGH, strict=True))))
-
-
-def scenario(objects: list[dict], **more: object) -> Scenario:
-    ends = {"start": {"position": [0, 0, 0]}, "goal": {"position": [1, 0, 0]}, "duration": 1.0}
-    return parse(
-        {"name": "test", "motion": ends, "objects": [{"uncertainty": "none"} | item for item in objects], **more},
-        "test",
-    )
 
 
 def same_points(found: Array, expected: Array) -> bool:

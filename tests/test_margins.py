@@ -4,24 +4,17 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from carried import scenario
 from salver.contact_margins import Margins, margin_model, margins
 from salver.geometry import Array
 from salver.models.rigid_body import inertia_matrix
 from salver.models.tray_motion import at_rest
 from salver.models.uncertain.parameters import inertial_vector
-from salver.scenario import Scenario, load, parse
+from salver.scenario import Scenario, load
 from salver.trajectory import MotionSamples, min_jerk_line
 
 G = 9.81
 CUBE = load("panda-cube").with_changes(objects__0__uncertainty="none", arm=None)
-
-
-def scenario(objects: list[dict], **more: object) -> Scenario:
-    ends = {"start": {"position": [0, 0, 0]}, "goal": {"position": [1, 0, 0]}, "duration": 1.0}
-    return parse(
-        {"name": "test", "motion": ends, "objects": [{"uncertainty": "none"} | item for item in objects], **more},
-        "test",
-    )
 
 
 def tall_box(**more: object) -> dict:

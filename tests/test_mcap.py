@@ -144,6 +144,7 @@ def test_an_object_with_the_name_of_another_frame_is_refused(cube_plans: Path, t
     assert not (tmp_path / "x.mcap").exists()
 
 
+@pytest.mark.slow
 def test_the_command_writes_it(
     cube_plans: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

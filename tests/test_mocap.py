@@ -111,6 +111,7 @@ def test_motion_capture_sees_a_slide_and_finds_the_time(plan: Plan, tmp_path: Pa
     assert exact["slip"][exact["t"] < 0.39].max() < 1e-6
 
 
+@pytest.mark.slow
 def test_motion_capture_with_a_gap_leaves_the_gap_open(plan: Plan, tmp_path: Path) -> None:
     _capture(plan, tmp_path / "vicon.csv", blind=0.5)
     merged = _merged(plan, tmp_path / "vicon.csv", offset=STARTS_AT)
@@ -175,6 +176,7 @@ def test_a_load_that_stayed_is_said_to_hold_and_one_that_slid_to_slide(plan: Pla
     assert _told(plan, path).code == "holds"  # 40 ms are bridged
 
 
+@pytest.mark.slow
 def test_a_load_that_only_turned_or_rose_did_not_hold(plan: Plan, tmp_path: Path) -> None:
     """A corner of the cube's base is 28 mm from its middle: 0.1 rad about the vertical moves it by 2.8 mm."""
     path = tmp_path / "vicon.csv"

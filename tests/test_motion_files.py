@@ -217,6 +217,7 @@ def test_what_could_be_faster_is_written_in_the_format_it_came_in(tmp_path, form
     assert run.invoke(app, ["audit", str(target), "-s", "panda-cube", "--highest", "20"]).exit_code == 0
 
 
+@pytest.mark.slow
 def test_simulate_takes_a_file_and_the_engine_agrees_with_the_audit(tmp_path):
     """Half of what friction gives holds, one and a half times as much slides (and twice as much would tip a cube)."""
     path = tmp_path / "motion.csv"
@@ -397,6 +398,7 @@ def test_wrong_use_of_motion_files_is_one_sentence(tmp_path, monkeypatch, words,
     assert sorted(file.name for file in tmp_path.iterdir()) == ["a.csv"]
 
 
+@pytest.mark.slow
 def test_every_command_that_reads_a_table_takes_its_units_and_writes_si(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     case = scenarios.load("panda-cube")

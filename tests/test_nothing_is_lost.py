@@ -233,6 +233,7 @@ def test_every_simulation_is_kept(run, plans):
     assert (folder / "plan-1.npz").read_bytes() == first
 
 
+@pytest.mark.slow
 def test_results_of_another_plan_are_named_and_not_reported(run, plans):
     said = []
     write_report(run, say=said.append)
@@ -264,6 +265,7 @@ def test_no_output_goes_over_the_files_of_a_run(run, name):
     assert contents(run) == before
 
 
+@pytest.mark.slow
 def test_an_output_keeps_what_stands_in_its_place(run, tmp_path):
     page, table = tmp_path / "index.html", tmp_path / "motion.csv"
     for path in (page, table):

@@ -136,6 +136,7 @@ def test_a_planner_of_ones_own_is_scored(tmp_path):
     assert (tmp_path / "results.json").is_file()
 
 
+@pytest.mark.slow
 def test_a_planner_or_load_that_there_is_not_is_refused(monkeypatch, capsys):
     for words in (["--planners", "salvr"], ["--only", "tall botle"], ["--freeze", "salvr"]):
         monkeypatch.setattr(sys, "argv", ["peers.py", *words])

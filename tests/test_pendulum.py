@@ -24,17 +24,9 @@ from salver.planning.fastest import plan_fastest
 from salver.planning.stops import plan_stops, stop_problem
 from salver.simulation.physics import Experiment, simulate_tray
 from salver.trajectory import min_jerk_line
-from shaken import shaken
+from shaken import LAMP, shaken
 
 G, LENGTH, BOB, WIDEST = 9.81, 0.10, 0.15, np.deg2rad(15.0)
-LAMP = {
-    "name": "lamp",
-    "shape": {"type": "cylinder", "radius": 0.04, "height": 0.16},
-    "mass": 0.25,
-    "friction": 0.4,
-    "pendulum": {"mass": BOB, "length": LENGTH, "pivot": 0.14, "widest_deg": 15.0, "damping": [0.0, 0.02]},
-    "uncertainty": {"length": "2%", "mass": "5%", "friction": "5%"},
-}
 
 
 @pytest.fixture(scope="module")
@@ -265,8 +257,7 @@ def test_a_tray_that_leans_further_than_it_may_swing_is_refused(lamp):
         lamp.with_changes(motion__goal__rpy_deg=[17.0, 0.0, 0.0])
 
 
-@pytest.mark.parametrize("size", [1.0, -1.0])
-@pytest.mark.parametrize("yaw", [0.0, 70.0], ids=["straight", "turned"])
+@pytest.mark.parametrize(("size", "yaw"), [(1.0, 70.0), pytest.param(-1.0, 0.0, marks=pytest.mark.slow)])
 def test_the_engine_swings_as_plans_say(lamp, size, yaw):
     """A rod on two hinges in the engine, the body standing turned on the tray or not: 2 % of the largest swing."""
     still = {**LAMP, "uncertainty": {}, "friction": 3.0, "yaw_deg": yaw}
@@ -330,6 +321,7 @@ def test_a_stop_of_a_slower_run_knows_how_it_swings(plan):
     assert found.longest < slow.duration
 
 
+@pytest.mark.slow
 def test_live_motions_go_on_with_its_swing(lamp):
     live = Live(lamp, lead=0.3)
     for k in range(500):

@@ -75,6 +75,7 @@ def test_a_wild_hand_drops_nothing_until_the_protection_is_off_and_all_of_it_is_
     assert became(world) == [""]
 
 
+@pytest.mark.slow
 def test_a_recording_may_begin_where_an_earlier_goal_has_left_the_arm(tmp_path):
     """The scenario's start posture is elsewhere: recordings failed for the rest of the session."""
     world = World(sv.load_scenario("panda-cube"), lead=0.02, keep_in=tmp_path / "kept")
@@ -142,6 +143,7 @@ def test_without_protection_the_arm_of_the_engine_goes_no_faster_than_it_can():
     assert 0.5 < top < 1.05
 
 
+@pytest.mark.slow
 def test_a_liquid_is_shown_as_the_whole_run_has_it_and_told_when_it_spills(monkeypatch):
     world = World(sv.load_scenario("panda-coffee"), {"fill": 0.065}, lead=0.02)
     whole, took, shown, said = Recorder(world.plant.scene, 4000), world.plant.inner.took, [], None
@@ -179,6 +181,7 @@ def test_a_liquid_is_shown_as_the_whole_run_has_it_and_told_when_it_spills(monke
     assert became(world) == [""]
 
 
+@pytest.mark.slow
 def test_a_liquid_is_given_back_to_the_protection_when_it_is_calm():
     world = World(sv.load_scenario("panda-coffee", objects__0__liquid__damping=[0.1, 0.2]), lead=0.02)
     assert world.say({"protected": False}).ok

@@ -118,6 +118,7 @@ def test_a_reference_that_is_no_number_is_refused(plan: Plan, arm: ArmModel) -> 
     assert "holds what is no number" in failed(spoilt, arm)["numbers"]
 
 
+@pytest.mark.slow
 def test_joints_of_another_plan_are_refused(plan: Plan, arm: ArmModel) -> None:
     goal = {"position": [0.5, 0.2, 0.5]}
     other = make_plan(CASE.with_changes(motion__goal=goal), "baseline")
@@ -147,6 +148,7 @@ def test_samples_that_contradict_each_other_are_seen_even_where_the_reference_fo
     assert "acceleration of panda_joint4" in said["verdict"]
 
 
+@pytest.mark.slow
 def test_an_unsafe_baseline_is_refused_like_any_other(arm: ArmModel) -> None:
     case = CASE.with_changes(motion__duration=1.0)
     unsafe = make_plan(case, "baseline")

@@ -83,6 +83,7 @@ def test_a_published_task_of_four_cups_is_done_faster_than_published_where_the_t
     assert plan.duration < 1.4  # 1.83 s, level
 
 
+@pytest.mark.slow
 def test_a_tray_that_turns_keeps_its_limit_on_tilt_between_the_points_that_were_looked_at():
     assert sv.plan(
         four_cups().with_changes(motion__max_tilt_deg=1.0, motion__speeds="full")

@@ -231,6 +231,7 @@ def test_path_on_which_the_load_cannot_even_rest_has_a_status(problem):
 # Plans and the command -----------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_retimed_plan_checks_itself(problem):
     path = swing(problem, 1.0).derivatives(np.linspace(0, 1, 6), 0)[0]
     plan = plan_retimed(cube(), path)

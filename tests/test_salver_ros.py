@@ -237,6 +237,7 @@ def test_it_starts_only_at_rest_and_where_the_load_is_safe(resting: Carrier) -> 
         Carrier("prisma-cube", resting.joints, q)
 
 
+@pytest.mark.slow
 def test_a_node_that_was_late_hands_nothing_over_until_it_is_resumed() -> None:
     """The controller went on along what it had; a motion that begins before now would make the arm jump."""
     arm = Arm()
@@ -298,6 +299,7 @@ def test_a_plan_is_carried_out_as_it_is_and_the_arm_goes_on_from_its_end(ready: 
     assert not ready.carrier.live.stopped
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("after", [0.3, 0.75, 1.1])
 def test_a_plan_is_stopped_by_its_own_stops(ready: Arm, safe: Any, after: float) -> None:
     assert ready.carrier.run(str(safe.folder), ready.t)[0]
@@ -332,6 +334,7 @@ def test_a_plan_that_is_stopped_before_it_begins_does_not_begin(ready: Arm, safe
     assert ready.carrier.resume()[0]
 
 
+@pytest.mark.slow
 def test_a_plan_that_cannot_be_carried_out_is_refused_in_a_sentence(ready: Arm, safe: Any, tmp_path: Path) -> None:
     carrier = ready.carrier
     assert "is not a run directory" in carrier.run(str(tmp_path), 0.0)[1]
@@ -403,6 +406,7 @@ def planned() -> tuple[Carrier, Trajectory]:
     return arm.carrier, motion
 
 
+@pytest.mark.slow
 def test_a_planned_motion_is_audited_and_one_that_is_twice_as_fast_is_not_safe(planned: Any) -> None:
     carrier, motion = planned
     assert audit(carrier.scenario, sent(motion))[0]
@@ -643,6 +647,7 @@ def test_the_node_takes_a_goal_and_commands_the_controller(
     found.close()
 
 
+@pytest.mark.slow
 def test_the_node_stops_when_its_controller_refuses(
     node: ModuleType, monkeypatch: pytest.MonkeyPatch, resting: Carrier
 ) -> None:

@@ -2,31 +2,14 @@
 
 import json
 import math
-import tomllib
 
 import numpy as np
 import pytest
 
+from changed_toml import CUBE, changed
 from salver import scenario
 from salver.errors import ScenarioError
 from salver.planning.plan_files import write_scenario
-
-CUBE = (scenario.SCENARIO_DIR / "panda-cube.toml").read_text(encoding="utf-8")
-GONE = object()
-
-
-def changed(*changes):
-    data = tomllib.loads(CUBE)
-    for key, value in changes:
-        *parents, last = key.split(".")
-        target = data
-        for part in parents:
-            target = target[int(part)] if part.isdigit() else target.setdefault(part, {})
-        if value is GONE:
-            del target[last]
-        else:
-            target[last] = value
-    return data
 
 
 @pytest.mark.parametrize(

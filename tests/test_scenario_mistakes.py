@@ -6,9 +6,9 @@ import tomllib
 
 import pytest
 
+from changed_toml import CUBE, GONE, changed
 from salver import scenario
 from salver.errors import ScenarioError
-from test_scenario import CUBE, GONE, changed
 
 NUMBER = "must be a finite number"
 VECTOR = "must be three finite numbers, each at least -10 and at most 10"

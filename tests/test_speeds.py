@@ -67,6 +67,7 @@ def test_the_plan_and_its_record_say_at_which_speeds_it_holds(run: Path, plan: P
     assert said["rate"] is None
 
 
+@pytest.mark.slow
 def test_the_command_says_it_before_the_table_of_margins(tmp_path: Path) -> None:
     file = tmp_path / "bottle.toml"
     file.write_text(tomli_w.dumps(BOTTLE.model_dump(mode="json", exclude_none=True)))
@@ -77,6 +78,7 @@ def test_the_command_says_it_before_the_table_of_margins(tmp_path: Path) -> None
     assert "% bottle on tray tips in the worst case" in words
 
 
+@pytest.mark.slow
 def test_an_audit_of_the_planned_motion_says_the_same(run: Path, tmp_path: Path, plan: Plan) -> None:
     file = write_export(run, "csv", tmp_path / "bottle.csv", rate=400.0)[0]
     audit = sv.audit(file, sv.load_scenario("panda-tall-bottle"))
@@ -153,6 +155,7 @@ def test_the_bar_of_a_page_is_green_where_it_holds() -> None:
     assert speed_bar(None) == ""
 
 
+@pytest.mark.slow
 def test_the_page_of_a_plan_shows_the_bar(run: Path) -> None:
     assert load_plan(run).speeds.verdict in sv.report(run).html.split('class="speeds"')[1]
 

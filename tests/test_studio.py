@@ -154,6 +154,7 @@ def test_the_first_object_goes_and_the_tray_stays():
     np.testing.assert_allclose(trays[1], trays[0], atol=1e-5)
 
 
+@pytest.mark.slow
 def test_every_slider_of_every_scenario_puts_its_own_value_back():
     """A key that is not where the value came from would change something else, or nothing."""
     for name in ("panda-coffee", "ur5-bottle", "upright-box"):
@@ -184,6 +185,7 @@ def test_every_slider_of_every_scenario_puts_its_own_value_back():
 # --- what is known at once
 
 
+@pytest.mark.slow
 def test_the_straight_line_holds_from_its_shortest_duration_on():
     """Against the plan of the straight line itself, which has its own check."""
     from salver.planning.make import plan_baseline
@@ -197,6 +199,7 @@ def test_the_straight_line_holds_from_its_shortest_duration_on():
             assert plan.ok == holds, (name, factor, plan.verification.sentence)
 
 
+@pytest.mark.slow
 def test_what_touches_and_what_is_out_of_reach_is_named():
     away = shown(change(CUBE, SCENARIO_DIR, [(["motion", "goal", "position"], [2.0, 0.0, 0.4])]))
     assert away["blocked"].startswith("No posture within the joint limits reaches the goal")
@@ -298,6 +301,7 @@ def test_a_file_that_somebody_else_has_changed_is_not_written_over(tmp_path):
         assert file.read_text() == one
 
 
+@pytest.mark.slow
 def test_what_the_page_says_first_is_said_by_salver_and_begins_with_what_was_not_checked(tmp_path):
     mistake = CUBE.replace("mass = 0.256", "mass = -1", 1)
     assert shown(CUBE)["verdict"][:2] == ("", "The arm reaches both ends, and nothing touches there.")
@@ -370,6 +374,7 @@ def test_the_plan_of_a_window_is_the_commands_and_another_window_has_its_own(tmp
     assert json.loads(result.stdout)["plan"]["duration"] == here["duration"]
 
 
+@pytest.mark.slow
 def test_a_plan_that_is_no_motion_of_the_arm_is_told_and_not_played(tmp_path):
     text = changed(CUBE, [(["motion", "duration"], 0.4)])
     with Studio(text, tmp_path / "cube.toml", tmp_path) as studio:

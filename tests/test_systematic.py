@@ -62,7 +62,10 @@ WITHIN = [
 ]
 
 
-@pytest.mark.parametrize(("wrist", "defects", "bounds"), WITHIN)
+@pytest.mark.parametrize(
+    ("wrist", "defects", "bounds"),
+    [*WITHIN[::3], *(pytest.param(*x, marks=pytest.mark.slow) for x in (*WITHIN[1::3], *WITHIN[2::3]))],
+)
 def test_within_its_bound_no_defect_moves_the_truth_out_of_the_ranges(
     plan: Plan, wrist: bool, defects: Defects, bounds: SensorBounds
 ) -> None:

@@ -78,3 +78,12 @@ def test_no_assertion_is_true_by_its_words(every: Nodes) -> None:
         if isinstance(node, ast.Assert) and _same(node)
     ]
     assert same == []
+
+
+@pytest.mark.slow
+def test_no_test_imports_from_a_test(every: Nodes) -> None:
+    """What two of them need is in a file of its own."""
+    modules = [
+        (name, node.module) for name, nodes in every.items() for node in nodes if isinstance(node, ast.ImportFrom)
+    ]
+    assert [pair for pair in modules if pair[1] in every and pair[1].startswith("test_")] == []

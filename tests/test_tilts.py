@@ -148,6 +148,7 @@ def test_in_the_engine_no_load_moves_farther_than_is_said_and_what_is_proven_is_
     assert moved[-1] < 1e-4
 
 
+@pytest.mark.slow
 def test_what_tells_nothing_is_refused(scenario: Scenario, plan: Plan) -> None:
     slow = tilt_test(load("panda-cube"), 0.3)
     with pytest.raises(ScenarioError, match="on a short tilt only"):

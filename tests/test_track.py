@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.signal import StateSpace, lsim
 from typer.testing import CliRunner
 
+from lagging_joints import UNEQUAL, lagging, logged
 from salver.cli import app
 from salver.driver.preflight import check_plan
 from salver.errors import FileFormatError, SalverError, ScenarioError
@@ -29,15 +29,11 @@ from salver.learning.tracking.tune import (
     with_margin,
 )
 from salver.models.arm.arm import load_arm
-from salver.motion_files import JointSamples
-from salver.motion_files.samples import joint_samples
 from salver.planning.plan import Plan, load_plan
 from salver.scenario import load
 from salver.simulation.physics import Experiment
 from salver.simulation.scene.robots import robot_for
 from salver.trajectory import JointMotion
-
-UNEQUAL = [14.4, 9.6, 12.0, 13.2, 10.8, 14.4, 9.6]  # Hz: 12 and a fifth more or less
 
 
 @pytest.fixture(scope="module")
@@ -57,29 +53,6 @@ def judge(plan: Plan) -> Judge:
 
 def with_robot(plan: Plan, **changes: object) -> Plan:
     return replace(plan, scenario=plan.scenario.with_changes(**changes))
-
-
-def lagging(plan: Plan, hertz: list[float], damping: float, late: float = 0.0) -> tuple[Array, Array, Array, Array]:
-    """t, q, dq, ddq of joints that are second-order lags of the plan, by SciPy; 0.2 s of rest first."""
-    assert plan.joint is not None
-    t = np.arange(-0.2, plan.duration + 0.6, 1e-3)
-    told = plan.joint.sample(t - late)[0]
-    states = []
-    for f, column in zip(hertz, told.T, strict=True):
-        rate = 2 * np.pi * f
-        lag = StateSpace([[0, 1], [-(rate**2), -2 * damping * rate]], [[0], [rate**2]], np.eye(2), np.zeros((2, 1)))
-        _, x, _ = lsim(lag, column - column[0], t - t[0])
-        bend = rate**2 * (column - column[0] - x[:, 0]) - 2 * damping * rate * x[:, 1]
-        states.append((x[:, 0] + column[0], x[:, 1], bend))
-    q, dq, ddq = (np.stack(x, axis=1) for x in zip(*states, strict=True))
-    return t, q, dq, ddq
-
-
-def logged(plan: Plan, t: Array, q: Array, noise: float = 0.0, seed: int = 0, every: int = 1) -> JointSamples:
-    assert plan.scenario.arm is not None
-    names = tuple(load_arm(plan.scenario.arm, plan.scenario.tray).joint_names)
-    q = q + noise * np.random.default_rng(seed).standard_normal(q.shape)
-    return joint_samples(t[::every] + 7.0, names, q[::every], None, None, "a log")
 
 
 @pytest.mark.slow
@@ -237,6 +210,7 @@ def test_a_corrected_command_begins_where_the_arm_was_told_to_rest(plan: Plan, j
     assert command.q[-1] - plan.joint.q[-1] == pytest.approx(np.full(7, TuningOptions().gain * 3e-3), abs=3e-4)
 
 
+@pytest.mark.slow
 def test_logs_that_are_not_of_the_plan_are_refused(plan: Plan) -> None:
     assert plan.joint is not None
     t = np.arange(-0.2, plan.duration + 0.6, 2e-3)

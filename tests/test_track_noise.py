@@ -9,6 +9,7 @@ from functools import cache
 import numpy as np
 import pytest
 
+from lagging_joints import UNEQUAL, lagging, logged
 from salver.geometry import Array
 from salver.learning.tracking.deviations import of_lags, under_torque
 from salver.learning.tracking.executed import executed
@@ -16,7 +17,6 @@ from salver.learning.tracking.track import Judge, track
 from salver.planning.plan import Plan
 from salver.simulation.physics import Experiment
 from salver.trajectory import JointMotion
-from test_track import UNEQUAL, lagging, logged
 
 SETTLED = {"physics__settle_before": 1.0}
 ROBOTS: dict[str, dict[str, object]] = {
@@ -77,6 +77,7 @@ def test_lags_that_no_table_has_are_found_with_their_accelerations(plan: Plan) -
     assert np.sqrt(np.mean((done.ddq - known)[moving] ** 2)) < 0.15
 
 
+@pytest.mark.slow
 def test_a_lag_with_friction_is_found_as_it_is(plan: Plan) -> None:
     """Of which SciPy made the deviation: without noise its position and acceleration come out; a deviation that is
     larger by what one of its numbers changes it is fitted as such."""

@@ -118,6 +118,7 @@ def test_a_load_on_a_rimmed_tray_that_is_a_link_is_not_inside_it(tmp_path: Path)
     assert parts.names == ("tray", "tray", "cube")
 
 
+@pytest.mark.slow
 def test_side_mount_is_planned_holds_in_the_engine_and_weighs_its_load() -> None:
     """The flange points sideways, the tray's middle is 8 cm above its axis. The wrist's log shows the load's mass."""
     case = scenario.load("ur5-bottle").with_changes(

@@ -10,10 +10,11 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
+from arm_motions import ALL_LIMITS, make, still
 from salver import scenario
 from salver.errors import ScenarioError, Status
 from salver.geometry import Array
-from salver.models.arm.arm import ArmModel, load_arm
+from salver.models.arm.arm import load_arm
 from salver.models.arm.arm_geometry import ArmGeometry, arm_geometry
 from salver.models.arm.arm_limits import LIMITS
 from salver.models.arm.known_arms import KNOWN_ARMS, robot_file
@@ -30,24 +31,9 @@ from salver.reports.pages import words
 from salver.reports.pages.meshes import link_meshes
 from salver.reports.pages.replay import replay_scene
 from salver.reports.run import read_run
-from salver.trajectory import JointMotion, min_jerk_line
+from salver.trajectory import min_jerk_line
 
 UR5 = robot_file(KNOWN_ARMS["ur5"])
-
-ALL_LIMITS = {"velocity": 3.0, "acceleration": 5.0, "jerk": 100.0, "torque": 150.0, "torque_rate": 2000.0}
-
-REST = np.array([0.0, -1.2, 1.5, -0.3, 1.6, 0.0])
-
-
-def still(arm: ArmModel, q: Array = REST) -> JointMotion:
-    return JointMotion(np.linspace(0, 1, 5), np.tile(q, (5, 1)), np.zeros((5, arm.n)), np.zeros((5, arm.n)))
-
-
-def turn(q: Array, joint: int, to: float, duration: float = 1.0) -> JointMotion:
-    """A min-jerk turn of one joint, in one polynomial piece."""
-    ends = np.stack([q, q])
-    ends[1, joint] = to
-    return JointMotion(np.array([0.0, duration]), ends, np.zeros_like(ends), np.zeros_like(ends))
 
 
 def urdf_without(tmp_path: Path, change) -> Path:
@@ -57,11 +43,6 @@ def urdf_without(tmp_path: Path, change) -> Path:
     path = tmp_path / "arm.urdf"
     path.write_text(ElementTree.tostring(root, encoding="unicode"))
     return path
-
-
-def make(model: str | Path, **keys) -> ArmModel:
-    keys = {"flange": "tool0", "limits": ALL_LIMITS, **keys}
-    return load_arm(scenario.Arm(model=str(model), **keys), scenario.Tray())
 
 
 # ---- limits ---------------------------------------------------------------------------------------------------

@@ -128,6 +128,7 @@ def test_retime_writes_no_program_of_what_does_not_hold(tmp_path: Path) -> None:
     assert not (tmp_path / "motion-paced.csv").read_text().startswith("#")
 
 
+@pytest.mark.slow
 def test_of_a_paced_file_that_called_itself_unsafe_the_mark_stays(run: Path, tmp_path: Path) -> None:
     """An audit knows no obstacles: that it holds at another pace does not take back what a plan said."""
     (path,) = write_export(run, "csv", tmp_path / "motion.csv", rate=500.0, unsafe=True)

@@ -147,7 +147,11 @@ def test_the_speed_slider_is_honoured(directory: Path, plan: Plan, controller: M
 
 
 @pytest.mark.parametrize(
-    ("mode", "words"), [(3, "a protective stop"), (7, "its emergency stop"), (11, "safety mode 11")]
+    ("mode", "words"),
+    [
+        (3, "a protective stop"),
+        *(pytest.param(*x, marks=pytest.mark.slow) for x in ((7, "its emergency stop"), (11, "safety mode 11"))),
+    ],
 )
 def test_a_protective_stop_is_noticed(directory: Path, controller: Make, mode: int, words: str) -> None:
     robot = controller()
@@ -158,6 +162,7 @@ def test_a_protective_stop_is_noticed(directory: Path, controller: Make, mode: i
     assert result.summary["load_kept_in_stop"] is None
 
 
+@pytest.mark.slow
 def test_a_reading_of_a_ur_that_cannot_be_true_stops_it(directory: Path, controller: Make) -> None:
     robot = controller()
 
@@ -170,6 +175,7 @@ def test_a_reading_of_a_ur_that_cannot_be_true_stops_it(directory: Path, control
     assert np.abs(robot.dq).max() == 0.0
 
 
+@pytest.mark.slow
 def test_a_connection_that_breaks_ends_in_a_log_and_the_program_stops_the_arm(
     directory: Path, controller: Make
 ) -> None:
@@ -233,6 +239,7 @@ def test_an_arm_that_was_moved_since_it_was_seen_is_held_where_it_is(plan: Plan,
     assert np.abs(np.array(robot.commands) - moved).max() < 1e-12
 
 
+@pytest.mark.slow
 def test_an_arm_elsewhere_is_taken_to_the_start(directory: Path, plan: Plan, controller: Make) -> None:
     start = plan.joint.q[0]  # type: ignore[union-attr]
     robot = controller(q=start + 0.01)

@@ -243,6 +243,7 @@ def test_the_papers_condition_refuses_it() -> None:
         make_plan(shaking(sv.load_scenario("panda-cube"), SHAKE), "robust")
 
 
+@pytest.mark.slow
 def test_a_stop_takes_longer(bottle: Plan) -> None:
     assert bottle.joint is not None
     q, dq, ddq = (x[0] for x in bottle.joint.sample(0.4 * bottle.duration))
@@ -277,6 +278,7 @@ def test_an_audit_counts_it_in_the_worst_case(bottle: Plan) -> None:
     assert_allclose(still.reserve(), shaken.reserve(), atol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_tradeoff_scales_it() -> None:
     made = shaking(TRUE_BOTTLE, BOTH)
     half = scaled(made, 0.5).uncertainty.shake
@@ -383,6 +385,7 @@ def test_the_simulated_robot_and_the_page_that_is_steered_by_hand_shake_too(care
         assert 0.0 < force <= most * scene.model.body_mass[scene.object_ids[0]] * (1 + 1e-9)
 
 
+@pytest.mark.slow
 def test_the_fastest_bottle_is_lost_on_a_tray_that_shakes_and_kept_where_that_was_counted(
     bottle: Plan, careful: Plan
 ) -> None:

@@ -101,6 +101,7 @@ def test_limits_of_a_urdf_are_its_own(tmp_path: Path) -> None:
     assert sentence.startswith("The limit of velocity of panda_joint1 and of ")
 
 
+@pytest.mark.slow
 def test_they_are_said_first_in_text_json_and_on_the_page(tmp_path: Path) -> None:
     case = CUBE.with_changes(objects__0__friction=1.5)
     (says,) = warnings_of(case)

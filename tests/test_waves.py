@@ -149,7 +149,7 @@ def test_waves_in_a_box_are_those_of_nonlinear_potential_flow(coffee, fill, dura
     assert waves.left()[0] > 0.95 * seen[~moving].max()
 
 
-@pytest.mark.parametrize(("degrees", "within"), [(0, 0.02), (35, 0.03), (60, 0.03)])
+@pytest.mark.parametrize(("degrees", "within"), [(0, 0.02), (35, 0.03), pytest.param(60, 0.03, marks=pytest.mark.slow)])
 def test_waves_across_a_box_are_those_of_nonlinear_potential_flow(coffee, degrees, within):
     """Pushed at an angle to its sides, both of which have waves of their own: they add up in a corner."""
     case, duration, angle = (
@@ -204,7 +204,9 @@ def test_changes_are_first_order_differences(coffee, shape, monkeypatch):
     assert (here.raised(np.abs(step * eta).sum(axis=(2, 3)), 0.0) >= here.crest).all()
 
 
-@pytest.mark.parametrize("size", [(0.06, 0.06), (0.09, 0.06), (0.05, 0.09)])
+@pytest.mark.parametrize(
+    "size", [(0.09, 0.06), *(pytest.param(x, marks=pytest.mark.slow) for x in ((0.06, 0.06), (0.05, 0.09)))]
+)
 def test_walls_of_a_box_that_turns_take_waves_along_as_a_flow_without_friction_is_carried(coffee, size):
     """Against the modes integrated with what carries them: the stream function of the flow along the walls, of twice
     the turning rate as vorticity, by finite differences, projected on the first waves and on the second ones."""
