@@ -11,6 +11,7 @@ import pytest
 from salver import scenario
 from salver.planning.fastest import FastestOptions, fastest, search, transport_problem
 from salver.planning.fastest.optimum import few_pieces
+from salver.planning.fastest.planned import _planned, _sterner
 from salver.planning.fastest.search import _Search
 from salver.planning.seeds.starts import around, ends
 from salver.planning.trajopt.bound import least_duration
@@ -159,3 +160,19 @@ def test_a_goal_posture_to_which_the_way_is_free_is_found_beside_one_that_promis
     found = fastest(transport_problem(case))
     assert found.status.ok
     assert found.duration < 1.21
+
+
+def test_a_motion_that_fails_its_verdict_gets_nodes_at_the_instants_at_which_it_does():
+    """Of a cube with a range of mass, the rest after the motion is judged too: nodes are shares of the motion alone."""
+    case = scenario.load("panda-cube").with_changes(motion__speeds="full")
+    found = fastest(transport_problem(case), FastestOptions(starts=1))
+    limits = found.problem.limits
+    slower = replace(found.problem, limits=replace(limits, acceleration=0.97 * limits.acceleration))
+    failing = replace(found, problem=slower)
+    sterner = _sterner(failing, _planned(case, failing, True), True)
+    nodes = np.setdiff1d(sterner.nodes, slower.nodes)
+    motion = found.joint_motion()
+    share = np.abs(motion.sample(nodes * motion.duration)[2] / limits.acceleration).max(axis=1)
+    assert len(nodes)
+    assert np.mean(share > 0.97) > 0.5  # each instant has one on either side
+    assert share.min() > 0.8
