@@ -1,8 +1,8 @@
 """Driving an arm along a plan: the control loop, its watchdog, and what is logged.
 
-Sample by sample: `sensing` says what is believed, the watchdog whether to go on, the controller or a stop what is
-commanded, and `gate` what of it may leave. A robot that takes positions or velocities is commanded the reference; one
-that takes torques what the controller makes of it.
+In each period `sensing` checks the measured state, the watchdog decides whether to go on, the controller or a stop
+computes the command, and `gate` limits it. Robots with a position or velocity interface get the reference, robots with
+a torque interface the controller's torque.
 """
 
 from __future__ import annotations
@@ -33,17 +33,17 @@ if TYPE_CHECKING:
 
 STOP_ROOM = 60.0  # s that the log has for a stop
 ATTEMPTS = 3  # to leave control
-MOST_INTERRUPTIONS = 100  # that are taken as one wish to stop
+MOST_INTERRUPTIONS = 100  # that count as one request to stop
 
 
 @dataclass(frozen=True)
 class Watchdog:
-    """Conditions that stop the arm. joint_error: rad off the reference. velocity_share: of the maker's limit.
+    """Conditions that stop the arm. joint_error: deviation from the reference, rad. velocity_share: of the
+    manufacturer's limit.
 
-    late_periods: control periods in a row that were missed.
-    at_rest: rad/s; control is not left at more, unless it takes longer than longest_wait, s, after the stop should have
-    been over.
-    elsewhere: rad from where the model had taken the arm, from where on a stop begins anew; renewals: how often.
+    late_periods: missed control periods in a row. at_rest: rad/s; control ends only below this velocity, or
+    longest_wait seconds after the expected end of the stop. elsewhere: deviation from the predicted state, rad, above
+    which a stop is planned again; renewals: at most.
     """
 
     joint_error: float = 0.05
@@ -55,7 +55,7 @@ class Watchdog:
     renewals: int = 3
 
     def complaint(self, arm: ArmModel, state: ArmState, q_wanted: Array, missed: int, t: float) -> str:
-        """One sentence when something is wrong, else an empty one."""
+        """The reason to stop, in one sentence; "" without one."""
         if astray := self.astray(arm, state, q_wanted, t):
             return astray
         share = np.abs(state.dq) / arm.limits.velocity
@@ -87,10 +87,10 @@ class ExecutionLog:
 
     t (K,): s, 0 when the motion starts. q, dq, q_wanted (K, n). sent (K, n): commands.
 
-    woken (K,): s on the clock when the state came. spent (K,): s until the torque was sent. elapsed (K,): s that the
-    robot says passed since the last state. bridged (K,): whether the state is the model's, because what the robot
-    reported could not be believed. stopped: why it was stopped early, empty when it was not. keeps_load: whether the
-    way it was stopped surely keeps the load; None when it was not stopped by torque.
+    woken (K,): clock time at which the state arrived, s. spent (K,): time until the torque was sent, s. elapsed (K,):
+    time since the last state according to the robot, s. bridged (K,): whether the state is predicted, because the
+    reported one was implausible. stopped: why it was stopped early; "" if it was not. keeps_load: whether the stop is
+    verified to keep the load; None when it was not stopped by torque.
     """
 
     t: Array
@@ -111,9 +111,9 @@ class ExecutionLog:
 class Drive:
     """The loop from t = start to t = end, s; the arm is at rest before 0 and after the motion.
 
-    stop_from: the stop to fall back on when something is wrong (`salver.driver.stops`).
-    speed_rate: 1/s by which the speed factor may change so that the load stays; None when it stays at full speed only.
-    signals: what may ask for a stop from outside, also from another thread (`Signals.note`).
+    stop_from: the stop after an error (`salver.driver.stops`). speed_rate: largest rate, 1/s, of the speed factor at
+    which the load stays in place; None when it does at full speed only. signals: requests to stop from outside, also
+    from another thread (`Signals.note`).
     """
 
     robot: Robot
@@ -189,15 +189,14 @@ class Drive:
         else:
             first, least, most, rate = 0.0 * q, -limits.velocity, limits.velocity, limits.acceleration
         self.gate, self.sent = Gate(least, most, rate, self.period, first), first
-        # References as they were commanded, the first of them a period and a lag ago: where an arm that follows by
-        # itself should be.
+        # Commanded references, the first of them a period and a lag ago: an arm with its own control should be there.
         count = 2 + round(self.robot.lag / self.period)
         self.late = deque([(self.reference()[0], 0.0 * q)] * count, count)
         self.robot.start()
         return self.gate
 
     def one_period(self, gate: Gate) -> bool:
-        """Whether it was the last one."""
+        """Whether this was the last period."""
         try:
             answer = self.robot.read()
             woken = time.perf_counter()
@@ -214,7 +213,7 @@ class Drive:
             demanded = self.demand(sensed.state, wish or self.complaint(sensed) or slowed)
             if self.stop is not None:
                 self.seen &= self.senses.sees and (self.by_torque or self.near(self.stop, sensed.state))
-            # After a write of which nobody knows whether it was done, the same command again: no rate is overstepped.
+            # After a write with an unknown result the same command is sent again, so that no rate limit is exceeded.
             self.sent = gate(self.sent if self.unsure else demanded)
             self.stopping += self.stop is not None
             last = self.over(sensed)
@@ -239,7 +238,7 @@ class Drive:
             return False
 
     def scaled(self, elapsed: float) -> str:
-        """The speed factor follows the robot's, as fast as the load allows. Why to stop when it allows no change."""
+        """Let the speed factor follow the robot's, as fast as the load allows; returns why to stop if it does not."""
         target = self.robot.speed
         if self.stop is not None or target == self.factor:
             return ""
@@ -251,7 +250,7 @@ class Drive:
         return ""
 
     def reference(self) -> tuple[Array, Array, Array]:
-        """(q, dq, ddq) of the motion or of the stop, as it is commanded now."""
+        """q, dq, ddq of the motion or the stop, as commanded now."""
         if self.stop is not None:
             return self.stop.reference(self.s)
         q, dq, ddq = self.wanted.at(*self.wanted.instant(self.t))
@@ -263,13 +262,13 @@ class Drive:
         return self.reference()[0] if self.by_torque else self.late[0][0]
 
     def near(self, stop: Stop, state: ArmState) -> bool:
-        """Whether an arm that follows commands by itself follows this stop so closely that the load surely stays."""
+        """Whether an arm with its own control follows this stop closely enough to keep the load for certain."""
         return bool((np.abs(state.q - self.late[0][0]) <= stop.allowed + self.stop_options.sensed).all())
 
     def complaint(self, sensed: Sensed) -> str:
-        """Why to stop, or to stop otherwise; empty for going on."""
+        """Why to stop, or to change the stop; "" to go on."""
         if self.stop is not None:
-            # An arm that cannot follow a planned stop is braked as it is; the last stop goes on, come what may.
+            # An arm that does not follow a planned stop is braked from its state; the last kind of stop is always kept.
             return self.watchdog.astray(self.arm, sensed.state, self.q_wanted, self.t) if self.stops else ""
         if self.book.left < STOP_ROOM / self.period:  # slowed or paused for long
             return f"The run took longer than any run may at t = {self.t:.3f} s."
@@ -309,7 +308,7 @@ class Drive:
 
     def brake(self, state: ArmState, why: str) -> None:
         self.stopped = " ".join([*filter(None, [self.stopped]), why])
-        if not self.by_torque:  # an arm that follows by itself goes on from what it was commanded
+        if not self.by_torque:  # an arm with its own control goes on from the last command
             state = ArmState(*self.reference()[:2])
         if self.stop is None and self.factor < 1.0:  # the motion's own stops were checked at full speed
             del self.stops[0]
@@ -329,7 +328,7 @@ class Drive:
         raise SalverError("No stop could begin.")
 
     def seen_again(self, state: ArmState) -> None:
-        """A stop that began on what the model said begins anew where the arm really is, when that is elsewhere."""
+        """Plan a stop again from the measured state if it began from a predicted one that was wrong."""
         elsewhere = np.abs(state.q - self.state.q).max() > self.watchdog.elsewhere
         if self.by_torque and self.stop is not None and elsewhere and self.renewals < self.watchdog.renewals:
             self.renewals += 1
@@ -338,14 +337,14 @@ class Drive:
             self.brake(state, f"The arm was elsewhere when it was seen again at t = {self.t:.3f} s.")
 
     def over(self, sensed: Sensed) -> bool:
-        """Whether torque control may be left: the arm rests, and rests with the torque that it is left with."""
+        """Whether torque control may end: the arm is at rest, and stays at rest with the last torque."""
         if self.stop is None:
             due, waited = self.t >= self.end - 0.5 * self.period, self.t - self.end
         else:
-            # Waited for in periods: a robot's clock that runs ahead does not end a stop while the arm still turns.
+            # Counted in periods: a robot's clock that runs ahead must not end a stop while the arm still moves.
             due, waited = self.s >= self.stop.duration, self.stopping * self.period - self.stop.duration
             if not self.senses.sees:
-                # Who does not see does not hold: what the model is wrong by adds up until torque control ends.
+                # No holding without measurements: the model's errors would add up until torque control ends.
                 return min(self.s, self.stopping * self.period) >= self.stop.duration - self.stop_options.hold
         return due and (waited >= self.watchdog.longest_wait or self.at_rest(sensed))
 
@@ -353,7 +352,7 @@ class Drive:
         return self.senses.rests(sensed.state, self.sent, self.watchdog.at_rest)
 
     def leave(self) -> None:
-        """Out of torque control, in more than one attempt if need be."""
+        """Leave torque control, with several attempts if necessary."""
         for _ in range(ATTEMPTS):
             try:
                 self.robot.stop()
@@ -365,14 +364,14 @@ class Drive:
         )
 
     def failure(self, error: BaseException) -> str:
-        """In one sentence. A robot that says of itself why it stopped is quoted."""
+        """The reason of the stop in one sentence, which quotes the robot if it gave one."""
         if isinstance(error, SalverError):
             return str(error)
         return f"Torque control ended at t = {self.t:.3f} s: {named(error)}."
 
 
 def named(error: BaseException) -> str:
-    """An exception for a person."""
+    """An exception in words."""
     return f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
 
 
@@ -404,8 +403,8 @@ class _Book:
 def timing(log: ExecutionLog, period: float) -> dict[str, Any]:
     """Statistics of the loop's period. Times in s.
 
-    jitter: how far the time between two states was from the period. late: the share beyond half a period.
-    missed: periods that passed without a torque of ours. step: from state to torque sent.
+    jitter: deviation of the time between two states from the period. late: share of deviations above half a period.
+    missed: periods without a torque from this loop. step: time from state to torque.
     """
     if len(log.t) < 2:
         return {"periods": len(log.t)}

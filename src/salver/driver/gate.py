@@ -10,15 +10,15 @@ from salver.geometry import Array
 
 
 class Gate:
-    """Passes finite numbers only, within the limits of a command and of its rate.
+    """Passes finite commands only, limited in value and rate.
 
-    Where no number comes in, the joint keeps the command it had. closed: how often that was so. cut: how often
-    limits were asked to be overstepped.
+    A joint with a command that is not finite keeps the last one. closed: how often that happened. cut: how often a
+    limit was applied.
     """
 
     def __init__(self, least: Array, most: Array, rate: Array, period: float, start: Array) -> None:
-        """least, most: (n,) of the command, N m, rad or rad/s. rate: (n,) of its change per second. Infinite where
-        there is none. start: (n,), the command that acts now."""
+        """least, most: (n,) limits of the command, N m, rad or rad/s. rate: (n,) limit of its change per second; all
+        infinite without a limit. start: (n,) the present command."""
         self._least, self._most, self._step = least, most, rate * period
         self._sent = np.clip(np.where(np.isfinite(start), start, 0.0), least, most)
         self.closed = self.cut = 0

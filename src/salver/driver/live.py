@@ -1,8 +1,8 @@
-"""`salver execute --live`: an arm that does what it is told while it moves, real or simulated.
+"""`salver execute --live`: an arm that follows requests while it moves, real or simulated.
 
-The loop, its watchdog, the gate and the log are those of a plan (`salver.driver.execution`). What is followed is a live
-motion: planned in another process, committed and held in this one, with the stops that are ready. When anything is
-wrong the load is brought to rest by what is here, whoever else has died.
+The loop, its watchdog, the gate and the log are those of a plan (`salver.driver.execution`). It follows a live motion,
+which is planned in another process and committed in this one, together with its stops. So the load is brought to rest
+after any error, even if the planner's process has died.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ def commanded(scenario: Scenario, joint: JointMotion) -> Plan:
 
 
 class LiveStop(Along):
-    """The committed motion to its end, or the soonest stop from it that is ready or found."""
+    """The rest of the committed motion, or the earliest stop from it that is ready or can be planned."""
 
     def __init__(self, live: Live, course: LiveCourse, controller: ArmController, loaded: ArmModel, state: ArmState,
                  begun: float) -> None:  # fmt: skip
@@ -111,9 +111,9 @@ class LiveStop(Along):
 
 @dataclass(eq=False)
 class LiveDrive(Drive):
-    """The loop, with somebody who says what is wished, and what was commanded for it.
+    """The loop with a source of requests, and a record of what was commanded.
 
-    rest_after: s at rest after which it is over. planned_here: what plans in the loop itself, where time waits.
+    rest_after: s at rest after which the run ends. planned_here: the planner in the loop itself, if time waits for it.
     """
 
     live: Live = field(kw_only=True)
@@ -149,7 +149,7 @@ class LiveDrive(Drive):
         return last
 
     def noted(self) -> None:
-        """Note whether the arm still does what was committed."""
+        """Note whether the arm still follows the committed motion."""
         live = self.live
         if np.isnan(self.offset):
             self.begun, self.offset = live.now, live.now - self.t
@@ -158,7 +158,7 @@ class LiveDrive(Drive):
 
     @property
     def commanded(self) -> JointMotion:
-        """From the first period after 0 to the last: as it was committed, or, where that was left, as it was told."""
+        """The motion from the first period after 0 to the last: as committed, or as commanded where it deviates."""
         if not self.as_planned:
             at = self.told_at[: self.count]
             later = np.append(True, np.diff(at) > SAME)
@@ -259,8 +259,8 @@ def run_live(
 
 @dataclass(frozen=True)
 class _Standing:
-    """An arm before it is told anything. plan: of staying. start: s, of the loop's time. waits: whether time waits for
-    the planner. checks: of the robot's own."""
+    """An arm before the first request. plan: of staying at rest. start: loop time, s. waits: whether time waits for the
+    planner. checks: of the robot itself."""
 
     live: Live
     plan: Plan

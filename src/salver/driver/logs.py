@@ -29,7 +29,7 @@ ATTEMPTS = 3  # to write a log while somebody presses Ctrl-C
 
 
 def check_place(directory: Path) -> Check:
-    """Whether a log can be written there. It is asked before anything moves."""
+    """Whether a log can be written there; called before anything moves."""
     folder = directory / FOLDER
     try:
         folder.mkdir(exist_ok=True)
@@ -93,7 +93,7 @@ def keep(directory: Path, stem: str, arrays: dict[str, np.ndarray], summary: dic
             return save_record(directory, FOLDER, stem, arrays, summary)
         except KeyboardInterrupt:
             reason = "it was interrupted"
-        except BaseException as error:  # nothing is worth more than the log
+        except BaseException as error:  # the log must be written whatever happens
             reason = named(error)
             break
     place = Path(tempfile.mkdtemp(prefix="salver-log-")) / stem

@@ -26,15 +26,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class CaptureOptions:
-    """Assumptions about motion capture, and what a recording must fulfil to tell whether a load held.
+    """Assumptions about motion capture, and requirements on a recording that shows whether a load stayed in place.
 
-    rest: s before the motion, over which what is at rest is averaged; fewest: samples in it.
-    longest: s of a recording in which the motion is looked for. gap: s between samples that are bridged.
-    slip: m of displacement on the tray that is told from noise.
-    stray: m that markers may move at rest, where it is not their noise. sure: of a track's noise, by which hardly any
-    sample of a run is off another track's without a slip.
-    fits: m by which the tray may be seen elsewhere than the joints put it.
-    faster, spinning: m/s more than the reference, and rad/s; what moves faster did not move: its markers were mixed up.
+    rest: time before the motion over which poses at rest are averaged, s; fewest: samples in it. longest: duration of a
+    recording in which the motion is searched for, s. gap: largest time between samples that is interpolated, s. slip:
+    smallest displacement on the tray that counts as a slip, m. stray: largest movement of markers at rest beyond their
+    noise, m. sure: multiple of a track's noise that deviations without slip hardly ever exceed. fits: largest
+    difference of the tray's pose from that by the joints, m. faster, spinning: velocity above the reference, m/s, and
+    angular velocity, rad/s, above which markers must have been confused.
     """
 
     rest: float = 0.1
@@ -62,7 +61,7 @@ class Track:
 
 
 def read_tracks(path: str | Path) -> dict[str, Track]:
-    """Name to track; samples in which a body was not seen are left out. Raises FileFormatError."""
+    """Tracks by name, without samples in which a body was not seen. Raises FileFormatError."""
     path = Path(path)
     try:
         with open(path, newline="", encoding="utf-8-sig") as file:
@@ -132,7 +131,7 @@ def _rotations(quat_wxyz: Array) -> Array:
 
 
 def _seen(t: Array, p: Array, R: Array) -> Track:
-    """Vicon writes zeros, or nothing, for what it does not see."""
+    """Samples that were seen: Vicon writes zeros, or nothing, for bodies that it does not see."""
     numbers = np.isfinite(t) & np.all(np.isfinite(p), axis=1) & np.all(np.isfinite(R), axis=(1, 2))
     good = numbers & np.any(p != 0, axis=1)
     return Track(t[good], p[good], R[good])

@@ -1,7 +1,7 @@
 """Checks before an arm moves; each is a sentence, whether it passes or not.
 
-What is judged is the very joint motion that will be sent, not what the files say of it: between its samples too, and
-every motion alike. A number that is none, or a comparison with one, is never a pass.
+They judge the joint motion that will be sent, also between its samples, not what the files say about it. NaN never
+passes.
 """
 
 from __future__ import annotations
@@ -37,12 +37,11 @@ if TYPE_CHECKING:
 class PreflightOptions:
     """Tolerances of the checks, and the instants at which a motion is judged.
 
-    posture, posture_rate: rad and rad/s of each joint by which the arm may stand elsewhere than where the motion
-    starts, and move. still: rad/s and rad/s^2 that the ends of the motion may have: rounding.
-    reference: m and rad, m/s and rad/s, m/s^2 and rad/s^2 by which the object's motion and where the joints take it may
-    differ; plans keep 1e-3 of it.
-    step: s between the instants, at most; pieces: of each interval between two samples, at least.
-    longest: s that a motion may last, and as many steps may be its samples.
+    posture, posture_rate: largest difference of each joint from the start of the motion, rad, and largest velocity,
+    rad/s. still: largest velocity and acceleration at the ends of the motion, rad/s and rad/s^2: rounding. reference:
+    largest difference between the object's reference and its motion by the joints: m and rad, m/s and rad/s, m/s^2 and
+    rad/s^2; plans keep 1e-3 of it. step: largest time between instants, s; pieces: least number of pieces between two
+    samples. longest: largest duration, s; samples are limited to that duration over `step`.
     """
 
     posture: float = 0.01
@@ -59,7 +58,7 @@ STANDARD = PreflightOptions()
 
 @dataclass(frozen=True)
 class Check:
-    """required: whether nothing may move when it fails."""
+    """A check. required: whether its failure prevents the run."""
 
     name: str
     ok: bool
@@ -76,11 +75,11 @@ def check_plan(
 ) -> list[Check]:
     """Checks that need no robot. The plan must have a joint motion.
 
-    full_speed_only: whether a plan may be sent that does not keep its load at every speed.
+    full_speed_only: whether to accept a plan that does not keep its load at every speed.
     """
     assert plan.joint is not None
     numbers = _numbers(plan, arm, options)
-    if not numbers.ok:  # nothing can be computed from what is no number
+    if not numbers.ok:  # NaN: nothing can be computed
         return [numbers]
     motion = looked_at(plan.joint, options)
     given = _object_motion(arm, bodies, motion)
@@ -111,7 +110,7 @@ def check_plan(
 
 
 def looked_at(joint: JointMotion, options: PreflightOptions = STANDARD) -> JointMotion:
-    """The motion with more samples, at which it is judged."""
+    """The motion resampled at the instants at which it is judged."""
     pieces = np.maximum(options.pieces, np.ceil(np.diff(joint.t) / options.step)).astype(int)
     parts = [np.linspace(a, b, n, endpoint=False) for a, b, n in zip(joint.t[:-1], joint.t[1:], pieces, strict=True)]
     t = np.concatenate([*parts, joint.t[-1:]])
@@ -119,7 +118,7 @@ def looked_at(joint: JointMotion, options: PreflightOptions = STANDARD) -> Joint
 
 
 def _numbers(plan: Plan, arm: ArmModel, options: PreflightOptions) -> Check:
-    """Numbers everywhere, as many as the arm has joints, at times that increase from 0."""
+    """Samples are finite, with one value per joint, at times that increase from 0."""
     joint = plan.joint
     assert joint is not None
 
@@ -184,7 +183,7 @@ def _object_motion(arm: ArmModel, bodies: Sequence[Body], motion: JointMotion) -
 
 
 def _reference(plan: Plan, given: MotionSamples, allowed: tuple[float, float, float]) -> Check:
-    """The reference that the controller is given is what the joints give."""
+    """The object's reference agrees with the joint motion."""
     wanted = plan.reference.sample(given.t)
     turn = log(np.swapaxes(given.R_SB, 1, 2) @ wanted.R_SB)
     differences = {

@@ -23,10 +23,10 @@ if TYPE_CHECKING:
 class StopOptions:
     """Options of bringing an arm to rest.
 
-    gains: 1/s^2, 1/s of a controlled stop, in every joint. share: of the maker's acceleration, at which it brakes: what
-    is on the tray may go, the arm must not go far. least: s that braking takes at least. hold: s at rest after a stop.
-    sensed: rad by which what is measured may differ from where the arm is.
-    off, faster: rad and rad/s off its reference, from where on an arm is not drawn back to it.
+    gains: of a controlled stop in every joint, 1/s^2 and 1/s. share: of the manufacturer's acceleration limit, with
+    which it brakes: the load may fall, but the arm must not move far. least: shortest braking time, s. hold: time at
+    rest after a stop, s. sensed: largest measurement error of a joint, rad. off, faster: deviation from the reference,
+    rad and rad/s, above which the arm is not pulled back to it.
     """
 
     gains: tuple[float, float] = (200.0, 28.0)

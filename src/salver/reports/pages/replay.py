@@ -211,8 +211,7 @@ def drawn(motion: ReportedMotion, run: ReportedRun) -> list[Drawn | None]:
 
 
 def inside(each: Drawn, keep: np.ndarray) -> dict[str, Any]:
-    """What moves inside an object, in B: what is drawn of it and how that moves, its edge, and when it went over that,
-    s."""
+    """The drawing of an object's load dynamics, in B: shape and its motion, its limit, and when it exceeded that, s."""
     page = each.page(keep)
     return page | {
         "moves": packed(page["moves"]),
