@@ -218,7 +218,7 @@ def _verdict(plan: Plan, given: MotionSamples) -> Check:
 
 
 def _speeds(plan: Plan, full_speed_only: bool) -> Check:
-    """Whether the load stays when something on the way to the motors scales the speed."""
+    """Whether the load stays in place when the robot's own controller scales the speed."""
     speeds = plan.speeds
     sentence = speeds.sentence
     if not speeds.every:

@@ -103,9 +103,9 @@ def controlled_stops(arm: ArmModel, bodies: Sequence[Body], options: StopOptions
 class ControlledStop:
     """A controlled stop: brings the arm to rest from any state within a share of its acceleration, and holds it there.
 
-    It asks nothing of the contact: what lies on the tray may slide or fall. Without a load, or where nothing else is
-    left. A joint that cannot be braked within its range is wanted at the range's end: who pulled it beyond, against
-    the joint's own stop, would shake the other joints.
+    It ignores contact: the load may slide or fall. It is used without a load, or when all other stops failed. The
+    target of a joint that cannot be braked within its range is the end of the range: one beyond it would push against
+    the joint's mechanical stop and shake the other joints.
     """
 
     keeps_load, allowed = False, -1.0

@@ -271,7 +271,7 @@ class _Hidden:
 
 
 def _with_friction(scenario: Scenario, other: Scenario) -> Scenario:
-    """The scenario with the friction of another of the same load."""
+    """The scenario with the friction, and its range, of another scenario with the same load."""
     item = other.objects[0]
     half = None if item.uncertainty is None else item.uncertainty.friction
     return scenario.with_changes(objects__0__friction=item.friction, objects__0__uncertainty__friction=half)

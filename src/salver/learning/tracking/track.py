@@ -137,8 +137,8 @@ class Tracking:
 
     @property
     def margin(self) -> float:
-        """The additional `contact.margin` that compensates for the excess: 1.1 times the constraint plus its
-        uncertainty, and at least the excess."""
+        """The `contact.margin` that compensates for the excess: the scenario's plus 1.1 times the largest constraint
+        violation plus its uncertainty, or plus the excess if that is larger."""
         lacking = max(self.excess, 1.1 * max(0.0, self.row) + self.uncertainty)
         return self.plan.scenario.contact.margin + lacking
 
