@@ -516,3 +516,12 @@ def test_what_is_predicted_travels_to_another_process():
     p, v = here.at(np.array([4.0, 5.5, 7.0]))
     assert np.allclose(p[:, 0], [0, 0.5, 1])
     assert np.allclose(v[:, 0], [0, 1, 0])
+
+
+def test_between_samples_what_moves_goes_straight_and_evenly():
+    """A metre a second along x, then two along y, then at rest; seen now, at 3 s of the clock."""
+    samples = ([0.0, 1.0, 2.0], [[0, 0, 0], [1, 0, 0], [1, 2, 0]])
+    ball = predicted(Moving("ball", "sphere", radius=0.1, samples=samples), 3.0)
+    where, speed = ball.at(3.0 + np.array([0.25, 1.5, 2.5]))
+    np.testing.assert_allclose(where, [[0.25, 0, 0], [1, 1, 0], [1, 2, 0]], atol=1e-12)
+    np.testing.assert_allclose(speed, [[1, 0, 0], [0, 2, 0], [0, 0, 0]], atol=1e-12)
