@@ -120,7 +120,10 @@ def _sterner(found: FastestMotion, plan: Plan, robust: bool) -> TransportProblem
         more = with_failing_cases(problem, motion.knowing(terms=along.terms, response=along.response))
         violated = np.convolve(verdict.margins.row > 0.0, np.ones(3), "same") > 0
         shares = verdict.judged.t[violated] / found.duration  # the instants may go on, after its end
-        return more or replace(problem, nodes=(*problem.nodes, *shares[shares < 1.0].tolist()))
+        nodes = dict.fromkeys((*problem.nodes, *shares[shares < 1.0].tolist()))
+        if more is None and len(nodes) == len(problem.nodes):  # all of these are imposed already
+            return None
+        return more or replace(problem, nodes=tuple(nodes))
     if not robust or plan.verification.violation <= 0 or any(x.exactly for x in _contacts(problem)):
         return None
     # The rows allow for the arm's tracking error; in quick turns the motion itself may violate the exact condition.
