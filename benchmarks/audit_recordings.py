@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from salver.auditing.motion import forward
 from salver.contact_margins import margin_model
 from salver.geometry import exp, quat_wxyz_from_matrix
 from salver.models.arm.arm import ArmModel, load_arm
 from salver.models.tray_motion import motion_vector
+from salver.planning.follow import forward
 from salver.scenario import Scenario, load
-from salver.trajectory import MotionSamples, min_jerk_line
+from salver.trajectory import JointMotion, MotionSamples, min_jerk_line
 
 FINE = 1 / 8000  # s: steps in which accelerations are integrated
 Q0 = np.array([0.082565, 1.039634, -0.777333, -1.678140, -2.197384, 0.842888, 1.123073])
@@ -75,7 +75,7 @@ class Motion:
             moved, r, b = base.p_SB - base.p_SB[:1], base.v_S, base.a_S
             gain = np.linalg.pinv(self.arm.body_jacobian(Q0)[:3])  # the base as joints, roughly
             q = Q0 + value + moved @ gain.T
-            return forward(self.arm, t, q, rate + r @ gain.T, bend + b @ gain.T)
+            return forward.tray_motion(self.arm, JointMotion(t, q, rate + r @ gain.T, bend + b @ gain.T))
         turn = np.outer(parts[-1][0], self.axis)
         spin, swing = (
             np.outer(np.where(still, 0, parts[-1][1]), self.axis),

@@ -6,6 +6,7 @@ import json
 import re
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -24,6 +25,7 @@ from salver.files import read_json
 from salver.models.arm.arm import load_arm
 from salver.motion_files import read
 from salver.planning.fastest import plan_fastest
+from salver.planning.fastest.speeds import _lacking
 from salver.planning.plan import Plan, load_plan
 from salver.reports.pages.speed_bar import speed_bar
 
@@ -168,3 +170,11 @@ def test_what_a_planner_looked_at_at_other_speeds_is_not_said_to_be_unchecked(
     nominal = plan_fastest(level.scenario, robust=False)
     assert nominal.speeds.unchecked == plan.speeds.unchecked == "how far the arm strays from the motion"
     assert coffee_plan.speeds.unchecked.endswith("how loads swing inside while the speed changes")
+
+
+def test_what_is_missing_at_rest_is_asked_of_the_weight_alone_and_of_the_slowest_speed_that_is_tried() -> None:
+    """At 1 % of full speed the nodes of a programme are too far apart in time for the sloshing between them."""
+    found = SimpleNamespace(problem=SimpleNamespace(cases=(1,)))
+    for missing, asked in (((0.0,), [0.0, 1.04**-59]), ((0.5, 0.05), [0.5, 0.0, 1.04**-59])):
+        speeds = _lacking(found, SimpleNamespace(lacking_speeds=missing))  # type: ignore[arg-type]
+        assert [speed.factor for speed in speeds] == pytest.approx(asked)

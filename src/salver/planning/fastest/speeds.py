@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from salver.contact_margins.time_scaling import SLOWEST
+from salver.contact_margins.time_scaling import TRIED
 from salver.models.tray_motion import Speed
 from salver.planning.trajopt.constraints.constraints import ContactConstraint, evaluate, worst_of
 
@@ -49,7 +49,13 @@ def _lacking(found: Found, plan: Plan) -> tuple[Speed, ...]:
     those at which it fails with the arm's tracking error."""
     problem = found.problem
     if problem.cases:
-        return tuple(Speed(max(factor, SLOWEST)) for factor in plan.lacking_speeds)
+        # The steps between nodes are too long for load dynamics and tracking below the slowest factor that is tried:
+        # there it stands for the load, and the weight alone for contact.
+        slowest = float(TRIED[1])
+        lacking = [
+            (Speed(factor),) if factor > slowest else (Speed(0.0), Speed(slowest)) for factor in plan.lacking_speeds
+        ]
+        return tuple(speed for each in lacking for speed in each)
     joint = found.joint_motion()
     t = np.linspace(0.0, joint.duration, 401)
     motion = problem.at(t / t[-1], np.stack([*joint.sample(t), joint.jerk(t)]), joint.duration, imposed=False)
