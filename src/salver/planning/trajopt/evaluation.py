@@ -52,7 +52,9 @@ class MotionEvaluation:
     all points. imposed: whether the rows are constraints of a programme; else they are checked between its nodes.
     moving: whether the motion begins moving. cases: of each load's dynamics; past: their initial states, if not at
     rest. coarsely: whether a bound is enough for rows far from their limit. resting: duration of the rest after the
-    motion that is evaluated, s. known: quantities that need not be computed.
+    motion that is evaluated, s. compliant: whether load dynamics move the arm; to first order, as here, that grows with
+    the periods that a slow motion lasts and not with the arm's response, so at other speeds it is left out. known:
+    quantities that need not be computed.
     """
 
     model: Any
@@ -68,6 +70,7 @@ class MotionEvaluation:
     past: Past | None = None
     coarsely: bool = False
     resting: float = 0.0
+    compliant: bool = True
     known: Known = NOTHING
 
     def __post_init__(self) -> None:
@@ -125,7 +128,7 @@ class MotionEvaluation:
         if factor not in known:
             powers = factor ** np.arange(4.0)[:, None, None]
             z = self.z * powers
-            known[factor] = replace(self, z=z, duration=self.duration / factor, known=NOTHING)
+            known[factor] = replace(self, z=z, duration=self.duration / factor, compliant=False, known=NOTHING)
         return known[factor]
 
     @cached_property
@@ -174,7 +177,7 @@ class MotionEvaluation:
         if tracking is not None and self.response is not None:
             tracking = tracking.begun(self.response.state_at(t, t[-1]))
         still = MotionEvaluation(*basic, replace(self.left, now=t[-1]), self.coarsely)
-        return replace(still, tracking=tracking).knowing(terms=terms)
+        return replace(still, tracking=tracking, compliant=self.compliant).knowing(terms=terms)
 
     @cached_property
     def loads(self) -> dict[str, tuple[LoadResponse, ...]]:
@@ -184,8 +187,9 @@ class MotionEvaluation:
     @cached_property
     def load_responses(self) -> LoadResponses:
         """Responses of all load dynamics, in all cases."""
+        response = self.response if self.compliant else None
         return self.known.loads or LoadResponses.of(
-            self.cases, self.shares * self.duration, self.terms.w, self.response, self.past
+            self.cases, self.shares * self.duration, self.terms.w, response, self.past
         )
 
     @property
