@@ -59,6 +59,19 @@ def test_the_rest_after_a_motion_is_that_of_the_motion_with_a_rest_at_its_end(pr
     np.testing.assert_allclose(rest.response.joint_radius(0), radius, atol=5e-3 * radius.max())
 
 
+def test_after_a_slow_motion_nothing_swings(problem):
+    """A hundred seconds in 161 nodes. With the arm's compliance to first order a cup's swung
+    a thousand times more."""
+    s, duration = np.linspace(0.0, 1.0, 161), 1.0
+    turn, start = np.array([0.5, 0.1, 0.2, 0.0, 0.0, 0.1, 0.3]), begun(problem).coefficients[0]
+    z = np.zeros((4, len(s), 7))
+    z[0] = start + np.outer(min_jerk_blend(s), turn)
+    z[1], z[2] = np.outer(30 * s**2 * (1 - s) ** 2, turn), np.outer(60 * s * (1 - s) * (1 - 2 * s), turn)
+    slow = problem.at(s, z, duration, imposed=False).at_factor(0.01)
+    (left,) = slow.rest.loads[problem.payload.first.name]
+    assert np.ptp(left.modes.r, axis=1).max() < 1e-7
+
+
 def test_how_far_an_arm_may_stray_while_it_settles_counts_at_the_end(problem):
     s, duration = np.linspace(0.0, 1.0, 41), 0.6
     turn, start = np.array([0.5, 0.1, 0.2, 0.0, 0.0, 0.1, 0.3]), begun(problem).coefficients[0]
