@@ -222,7 +222,7 @@ def test_an_element_that_cannot_be_is_refused(tmp_path: Path, wrong: str) -> Non
 def test_safest_retimed_and_stopped_motions_keep_them_too(fastest: Plan) -> None:
     assert fastest.joint is not None
     safest = make_plan(cube(motion__duration=1.0), "safest")
-    retimed = sv.retime(safest.joint.q[::20], cube())  # type: ignore[union-attr]
+    retimed = sv.retime(fastest.joint.q[::20], cube())  # type: ignore[union-attr]
     stopping = with_stops(fastest)
     for plan in (safest, retimed, stopping):
         assert plan.ok, plan.verdict

@@ -21,7 +21,7 @@ from scipy.sparse import coo_matrix
 
 from salver.errors import ScenarioError, Status, UnreachableError
 from salver.geometry import Array, interpolated, quat_wxyz_from_matrix
-from salver.planning.fastest.planned import joint_plan, judged
+from salver.planning.fastest.planned import SLOWER, joint_plan, judged
 from salver.planning.fastest.speeds import at_every_speed
 from salver.planning.round import MultiLegPlan
 from salver.planning.trajopt.constraints.constraints import evaluate, worst_of
@@ -208,6 +208,15 @@ def plan_retimed(scenario: Scenario, waypoints: Array, *, robust: bool = True) -
     strayed_from = None if out is None else KeepOut(out.parts, np.zeros_like(out.required))
 
     def planned(found: RetimedMotion) -> tuple[RetimedMotion, Plan]:
+        """The motion and its plan; slowed by the least share with which it passes the verdict, if one is enough."""
+        whole = made(found)
+        for share in SLOWER if found.status.ok and not whole[1].status.ok else ():
+            slower = made(replace(found, duration=found.duration * (1 + share)))
+            if slower[1].status.ok:
+                return slower
+        return whole
+
+    def made(found: RetimedMotion) -> tuple[RetimedMotion, Plan]:
         record = {
             "name": "time law by sequential quadratic programming (PIQP)",
             "robust": robust,
