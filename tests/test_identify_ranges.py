@@ -199,7 +199,7 @@ def test_ranges_hold_random_fillings_and_are_narrow(plan: Plan) -> None:
         assert told.told == []
     xx, xy, yy, xz, yz, zz = np.median(widths, axis=0)
     assert max(xx, yy, xz, yz) < 0.03
-    assert max(xy, zz) < 0.12  # of what may be in the bottle
+    assert max(xy, zz) < 0.16  # of what may be in the bottle: this motion turns it least about z
     assert np.mean(held) >= 0.95
     assert np.mean(sure) >= 0.99
 

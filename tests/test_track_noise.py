@@ -24,7 +24,7 @@ ROBOTS: dict[str, dict[str, object]] = {
     "payload": {"physics__robot": {"payload_error": 0.3}, **SETTLED},
     "friction": {"physics__joint_friction": 0.2, **SETTLED},
     "unequal lags": {"physics__robot": {"control": "position", "bandwidth": UNEQUAL, "damping": 0.4}},
-    "a lag": {"physics__robot": {"control": "position", "bandwidth": 8.0}},
+    "a lag": {"physics__robot": {"control": "position", "bandwidth": 6.0}},
 }
 
 

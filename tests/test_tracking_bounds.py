@@ -291,7 +291,9 @@ def test_fastest_plans_keep_clear_by_the_safety_distance_and_by_what_the_arm_str
     centre = p + R @ np.array([0.02, behind * (0.1 + radius + 0.03), 0.01])
     ball = {"type": "sphere", "name": "ball", "radius": radius, "position": centre.tolist()}
     made = made.with_changes(obstacles=[ball])
-    monkeypatch.setattr(obstacles, "EXACT", np.inf)  # otherwise a large distance is only no larger than the true one
+    monkeypatch.setattr(
+        obstacles.ClearanceOptions, "exact", np.inf
+    )  # otherwise a large distance is only no larger than the true one
     seen = rows_along(made)
     (block,) = (f for f in seen if f.name == "clearance")
     chain = arm_chain(chain_model(made), JOINT, space="joint", t=T)
