@@ -242,7 +242,8 @@ def test_in_a_browser_the_goal_is_dragged_and_nothing_is_asked_of_others(tmp_pat
     text = (SCENARIO_DIR / "panda-cube.toml").read_text()
     with Studio(text, tmp_path / "cube.toml", SCENARIO_DIR, live=True) as studio, chromium(900, 800) as browser:
         browser.call("POST", "url", {"url": studio.url})
-        browser.wait_for("window.salver && salver.state.frames > 1")
+        told = "document.getElementById('detail').textContent.includes('Drag the ring')"  # drawn after the first frames
+        browser.wait_for(f"window.salver && salver.state.frames > 1 && {told}")
         browser.script(
             """
             const canvas = document.getElementById("canvas"), box = canvas.getBoundingClientRect();
