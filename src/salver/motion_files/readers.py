@@ -71,9 +71,8 @@ def read(
 
     Args:
         path: .csv or .txt; .npz with t and q, as `salver execute` and `salver simulate` log joints; .yaml, .yml or
-        .json
-            with a trajectory_msgs/JointTrajectory (also in a MoveIt RobotTrajectory) or a nav_msgs/Path; .json that
-            salver wrote; a bag (.bag, .mcap, .db3, or a directory with metadata.yaml).
+            .json with a trajectory_msgs/JointTrajectory (also in a MoveIt RobotTrajectory) or a nav_msgs/Path; .json
+            that salver wrote; a bag (.bag, .mcap, .db3, or a directory with metadata.yaml).
         joint_names: returns the arm's joint names; called only if a table needs them.
         topic: topic of a bag.
         as_path: only the path matters, not the time: joints are preferred to the tray, and two samples suffice.
