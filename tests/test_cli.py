@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
+import typer
 
 from salver import __version__, scenario
 from salver.cli import COMMANDS, main
@@ -263,3 +264,17 @@ def test_ctrl_c_while_stops_are_planned_keeps_the_plan(monkeypatch, here, tmp_pa
     kept = load_plan(tmp_path / "cube")
     assert kept.ok
     assert kept.stops is None
+
+
+def test_an_interruption_that_a_library_reports_as_its_own_error_is_one():
+    from salver.cli.common import handled
+
+    def importing():
+        try:
+            raise KeyboardInterrupt
+        except KeyboardInterrupt as stop:
+            raise ImportError("initialization failed") from stop
+
+    with pytest.raises(typer.Exit) as ended:
+        handled(importing)()
+    assert ended.value.exit_code == 130

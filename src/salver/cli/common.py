@@ -94,6 +94,10 @@ def handled(command: Command) -> Command:
             say("salver: out of memory; files that were written before are complete.")
             raise typer.Exit(WRONG_USE) from None
         except Exception as error:
+            cause = error.__cause__ or error.__context__
+            if isinstance(cause, KeyboardInterrupt):  # while a library was being imported, which says it in its own way
+                say("salver: interrupted; files that were written before are complete.")
+                raise typer.Exit(INTERRUPTED) from None
             lacking = _LIBRARY.match(str(error)) if isinstance(error, ImportError) else None
             if lacking is not None:
                 package = lacking[1].replace(".so.", "").lower()
