@@ -8,6 +8,7 @@ from live_runs import LEAD, PATIENCE, check, drive, executed, place
 from salver.errors import Status
 from salver.live import Live, Worker
 from salver.live.committed.seal import sealed
+from salver.live.replanning.planner import Planner
 from salver.planning.fastest import joint_plan
 
 
@@ -69,6 +70,20 @@ def test_another_load_is_not_believed_while_the_arm_moves_or_plans_or_is_another
     assert live.problem.items[0].name == "cube"
 
 
+def test_what_is_still_planned_for_the_load_before_is_verified_for_the_one_that_is_carried(cube, smooth):
+    """A planner of one's own does not follow: what it found passed with the cube, and has a seal of this process."""
+    live = Live(cube, lead=LEAD)
+    live.command(0.0)
+    planner, answers = Planner(live.problem), []
+    assert live.load(smooth).ok
+    live.goto((0.5, -0.25, 0.45))
+    live.plan(PATIENCE, lambda job: answers.append(planner.answer(job)) or answers[0])
+    assert answers[0].status.ok
+    assert live._offer is None
+    assert not sealed(answers[0].found, live.committed, live.problem)
+    assert "contact of smooth would be exceeded by " in live.state.requests[0].why
+
+
 @pytest.mark.slow
 def test_the_planner_in_its_process_plans_for_the_load_that_is_believed(cube, smooth):
     """What it finds carries a valid seal: it was verified there, for this load."""
@@ -83,7 +98,7 @@ def test_the_planner_in_its_process_plans_for_the_load_that_is_believed(cube, sm
         live.plan(PATIENCE, lambda job: answers.append((job, process.answer(job))) or answers[-1][1])
         (job, answer) = answers[0]
         assert first.poll() is not None  # it has ended
-        assert sealed(answer.found, job.base)
+        assert sealed(answer.found, job.base, live.problem)
     finally:
         process.close()
     told = drive(live, answer.found.motion.duration + 0.6, every=None, begins=1e-3)

@@ -305,16 +305,16 @@ def test_a_sealed_answer_is_done_as_it_is_wherever_it_was_found(asked, monkeypat
 
     committed = taken(live, lambda job: sent(answer(sent(job))))
     assert not committed.at_rest
-    assert sealed(committed, live._running.after)
+    assert sealed(committed, live._running.after, live.problem)
 
 
 def test_a_seal_is_of_one_motion_after_one_other_with_one_load(asked, cube):
     live, answer = asked
     base = live.committed
     found = answer(Job(live._wish, base, 0.1, 60.0)).found
-    assert sealed(found, base)
+    assert sealed(found, base, live.problem)
     other = Live(cube.with_changes(objects__0__mass=0.3), lead=LEAD)
-    assert not sealed(found, other.committed)
+    assert not sealed(found, other.committed, live.problem)
     for name, value in (
         ("begins", found.begins + 1e-3),
         ("deviation", 0.999 * found.deviation),
@@ -323,12 +323,12 @@ def test_a_seal_is_of_one_motion_after_one_other_with_one_load(asked, cube):
         ("motion", altered(found.motion, 1.0001)),
         ("seal", b""),
     ):
-        assert not sealed(replace(found, **{name: value}), base), name
+        assert not sealed(replace(found, **{name: value}), base, live.problem), name
     key = seal.key()
     seal.use(b"another process")
-    assert not sealed(found, base)
+    assert not sealed(found, base, live.problem)
     seal.use(key)
-    assert sealed(found, base)
+    assert sealed(found, base, live.problem)
 
 
 @pytest.mark.slow
@@ -338,6 +338,6 @@ def test_a_planner_in_another_process_seals_with_the_key_of_this_one(cube):
     try:
         live.goto((0.5, -0.25, 0.45))
         answer = process.answer(Job(live._wish, live.committed, 0.1, 60.0))
-        assert sealed(answer.found, live.committed)
+        assert sealed(answer.found, live.committed, live.problem)
     finally:
         process.close()

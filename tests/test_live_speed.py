@@ -405,7 +405,7 @@ def test_the_path_at_full_speed_is_known_of_what_is_proposed_or_comes_late(cube,
 
     def unsealed(job):
         answer = live._planner.answer(job)
-        assert not sealed(replace(answer.found, profile=replace(answer.found.profile, to=0.9)), job.base)
+        assert not sealed(replace(answer.found, profile=replace(answer.found.profile, to=0.9)), job.base, live.problem)
         if not late:
             return replace(answer, found=replace(answer.found, seal=b""))
         drive(live, 0.3, every=None, begins=0.001)

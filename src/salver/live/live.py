@@ -677,7 +677,7 @@ class Live:
             return False
         self._ready.looked_at(begins)
         found = answer(Job(Halt(), base, begins, budget, self._sighting.obstacles)).found
-        if found is not None and sealed(found, base) and not self._denied(found):
+        if found is not None and sealed(found, base, self._problem) and not self._denied(found):
             stop = running.then(found, Halt(), self._now, self._problem)
             self._look(stop)
             self._ready.add(stop, base)
@@ -825,7 +825,7 @@ class Live:
             return
         answered = answer(Job(wish, base, begins, budget, sighting.obstacles, threats, self._now, self._factor))
         found, status = answered.found, answered.status
-        if found is not None and not sealed(found, base):  # whoever proposed it
+        if found is not None and not sealed(found, base, self._problem):  # whoever proposed it
             again = verified(self._problem, found.motion, found.begins, base, profile=found.profile)
             found, status = again.committed, Status("refused", again.sentence, False)
         denied = "" if found is None else self._denied(found)

@@ -48,7 +48,7 @@ def verified(
     if not found.ok:
         return Finding(None, found.excess, found.sentence, found.what, found.slower)
     committed = replace(committed_of(found, begins), profile=profile)
-    return Finding(replace(committed, seal=seal_of(committed, before)), found.excess, "")
+    return Finding(replace(committed, seal=seal_of(committed, before, problem)), found.excess, "")
 
 
 def committed_of(found: Verdict, begins: float) -> Committed:

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from salver.live.committed.motion import Committed
+from salver.planning.trajopt.problem import TransportProblem
 
 _key = secrets.token_bytes(32)
 
@@ -32,17 +33,18 @@ def use(given: bytes) -> None:
     _key = given
 
 
-def seal_of(found: Committed, before: Committed | None) -> bytes:
-    """The seal of a motion that passed, as a continuation of the one before."""
+def seal_of(found: Committed, before: Committed | None, problem: TransportProblem) -> bytes:
+    """The seal of a motion that passed for a problem, as a continuation of the one before."""
     digest = blake2b(key=_key, digest_size=32)
+    _feed(digest, [problem.scenario.digest, problem.uncertain])
     _feed(digest, [getattr(found, field.name) for field in fields(found) if field.name != "seal"])
     _feed(digest, None if before is None else before.seal)
     return digest.digest()
 
 
-def sealed(found: Committed, before: Committed) -> bool:
-    """Whether a motion passed, as it is, as one that goes on from the one before."""
-    return bool(before.seal) and hmac.compare_digest(found.seal, seal_of(found, before))
+def sealed(found: Committed, before: Committed, problem: TransportProblem) -> bool:
+    """Whether a motion passed for a problem, as it is, as one that goes on from the one before."""
+    return bool(before.seal) and hmac.compare_digest(found.seal, seal_of(found, before, problem))
 
 
 def _feed(digest: Any, value: Any) -> None:
