@@ -8,7 +8,9 @@ from live_runs import LEAD, PATIENCE, check, drive, executed, place
 from salver.errors import Status
 from salver.live import Live, Worker
 from salver.live.committed.seal import sealed
+from salver.live.reader import Reader
 from salver.live.replanning.planner import Planner
+from salver.live.standing import standing
 from salver.planning.fastest import joint_plan
 
 
@@ -68,6 +70,52 @@ def test_another_load_is_not_believed_while_the_arm_moves_or_plans_or_is_another
     drive(live, 0.3, begins=1e-3)
     assert "the arm moves, or is about to" in live.load(smooth).sentence
     assert live.problem.items[0].name == "cube"
+
+
+def test_a_load_is_believed_only_where_the_arm_is(cube, smooth, monkeypatch):
+    """Not while it is elsewhere than commanded, nor where it was when somebody asked."""
+    live = Live(cube, lead=LEAD)
+    live.command(0.0)
+    q = live.committed.motion.q[0]
+    live.measured(q + 0.2)
+    live.plan(PATIENCE)
+    assert "panda_joint1 is 0.200 rad from where it was commanded" in live.load(smooth).sentence
+    assert not live.resume().ok
+    live.measured(q)
+    elsewhere = q + 0.1 * np.eye(7)[0]
+
+    def slowly(*about):
+        assert live.restart(elsewhere).ok
+        return standing(*about)
+
+    monkeypatch.setattr("salver.live.live.standing", slowly)
+    assert "the arm was started again elsewhere meanwhile" in live.load(smooth).sentence
+    assert live.problem.items[0].name == "cube"
+    assert live.command(1e-3)[0] == pytest.approx(elsewhere)
+
+
+def test_the_loop_reads_where_the_arm_is_while_another_load_comes(cube, smooth, monkeypatch):
+    live = Live(cube, lead=LEAD)
+    q, seen = live.command(0.0)[0].copy(), []
+
+    class Watched(Reader):
+        def read(self, now):
+            seen.append(live.command(1e-3 * len(seen))[0].copy())  # from the loop's thread, before it is filled
+            super().read(now)
+
+    monkeypatch.setattr("salver.live.live.Reader", Watched)
+    assert live.load(smooth).ok
+    assert seen
+    assert np.array(seen) == pytest.approx(np.tile(q, (len(seen), 1)))
+
+
+def test_what_was_commanded_is_of_one_load(cube, smooth):
+    """So that an audit of it judges no motion with a load that was not there."""
+    live = Live(cube, lead=LEAD)
+    drive(live, 0.02, every=None)
+    assert live.load(smooth).ok
+    drive(live, 0.01, every=None, begins=0.02)
+    assert live.commanded().duration == pytest.approx(0.01)
 
 
 def test_what_is_still_planned_for_the_load_before_is_verified_for_the_one_that_is_carried(cube, smooth):

@@ -162,7 +162,7 @@ class Live:
         self._refused = ""
         # What is predicted to pass. Nothing but a stop is committed that was not looked at in the newest sighting.
         self._sighting = Sighting()
-        self._seeing = threading.Lock()  # of whoever reports obstacles
+        self._anew = threading.Lock()  # of whoever reports obstacles, another load or another posture
         # From which motion nothing more can be done, as of which news of what passes.
         self._resigned: tuple[Running | None, int] = (None, 0)
         self._unknown = False  # whether how it moves inside is not known any more
@@ -482,7 +482,7 @@ class Live:
             return self._refuse("each Moving must have a name of its own", "What was seen")
         if seen and not self._lookout.sees:
             return self._refuse("the arm has no geometry that could keep clear of it", "What was seen")
-        with self._seeing:
+        with self._anew:
             now, clock, found = self._now, self._last, []
             for one in seen:
                 prediction = predicted(one, now, clock)
@@ -537,14 +537,13 @@ class Live:
             return self._refuse(f"the arm is at rest only in {self.committed.ends - self._now:.2f} s", "A restart")
         if self._inside and not calm:
             return self._refuse(f"{self._inside} may still move; say calm=True when it stands still", "A restart")
-        rest = verified(self._beside, resting(posture), self._now, None)
-        if rest.committed is None:
-            return self._refuse(f"the load is not safe at rest there: {rest.sentence}", "A restart")
-        self._begin(rest.committed, "the arm was started again elsewhere")
-        self._record = Record(self._record.longest)
-        self._record.take(self._now, self._running.path, self._running.since)
-        self._reader.take(self._running.pieces)
-        self._reader.read(self._now)
+        with self._anew:
+            rest = verified(self._beside, resting(posture), self._now, None)
+            if rest.committed is None:
+                return self._refuse(f"the load is not safe at rest there: {rest.sentence}", "A restart")
+            self._begin(rest.committed, "the arm was started again elsewhere")
+            self._reader.take(self._running.pieces)
+            self._reader.read(self._now)
         return ACCEPTED
 
     def _begin(self, rest: Committed, why: str) -> None:
@@ -559,6 +558,8 @@ class Live:
         running = Running.first(rest, self._problem)
         self._look(running)
         self._running = running
+        self._record = Record(self.options.record)
+        self._record.take(self._now, running.path, running.since)
 
     def load(self, scenario: Scenario | str | Path, *, calm: bool = False) -> Status:
         """Carry another load from now on, where the arm rests; it is believed only if it is verified to be safe there.
@@ -587,13 +588,18 @@ class Live:
         try:
             if not self.settled:
                 return self._refuse("the arm moves, or is about to; it comes after that", what)
-            q = self.committed.motion.q[-1]
+            if self._astray:
+                return self._refuse(self._astray, what)
+            running, q = self._running, self.committed.motion.q[-1]
             problem, rest = standing(transport_problem(other, robust=self._robust), q, self._now)
-            self._believe(problem)
-            self._begin(rest, "another load is carried")
-            self._reader = self._reader_of(self._running)
-            self._reader.read(self._now)
-            self._record.take(self._now, self._running.path, self._running.since)
+            with self._anew:
+                if self._running is not running:
+                    return self._refuse("the arm was started again elsewhere meanwhile", what)
+                self._believe(problem)
+                self._begin(rest, "another load is carried")
+                reader = self._reader_of(self._running)
+                reader.read(self._now)  # before the loop has it
+                self._reader = reader
         except ScenarioError as error:
             return self._refuse(str(error), what)
         finally:
@@ -609,7 +615,7 @@ class Live:
             rate: samples a second; an audit of a fast motion needs 1000.
 
         Returns:
-            The files. After `restart` the motion begins there.
+            The files. After `restart` or `load` the motion begins there.
 
         Raises:
             SalverError: nothing was commanded since then, another ending, or a rate that is not from 1 to 10000.
