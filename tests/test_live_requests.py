@@ -64,6 +64,40 @@ def test_a_motion_that_comes_too_late_is_said_to_be_late_until_another_is_follow
     assert outcomes(live) == [(1, "dropped"), (2, "reached")]
 
 
+def test_twists_that_were_followed_stay_so_though_one_comes_late(cube):
+    live = Live(cube, lead=0.02)
+    hand = [(t, lambda live: live.twist((0.1, 0.0, 0.0))) for t in np.arange(0.0, 0.1, 0.01)]
+    drive(live, 0.1, hand)
+
+    def slowly(job):
+        answer = live._planner.answer(job)
+        for k in range(60):
+            live.command(0.1 + 1e-3 * k)
+        return answer
+
+    live.twist((0.1, 0.0, 0.0))
+    live.plan(PATIENCE, slowly)
+    live.command(0.16)
+    assert live._offer is None
+    assert outcomes(live) == [(1, "followed")]
+    live.stop()
+    assert outcomes(live) == [(1, "followed")]
+
+
+def test_a_goal_is_not_reached_by_a_hold_on_the_way(cube):
+    """Though nothing is planned, nor asked, after the motion to rest was."""
+    live = Live(cube, lead=LEAD)
+    drive(live, 0.3, [(0.0, place(0.45, 0.1, 0.45))])
+    live.hold()
+    live.plan(PATIENCE)
+    drive(live, 2.0, every=None, begins=0.3)
+    assert live.now > live.committed.ends
+    assert outcomes(live) == [(1, "followed")]
+    live.release()
+    drive(live, 2.0, begins=2.3)
+    assert outcomes(live) == [(1, "reached")]
+
+
 def test_twists_are_one_request_until_there_are_none_for_a_while(cube):
     live = Live(cube, lead=0.02)
     hand = [(t, lambda live: live.twist((0.1, 0.0, 0.0))) for t in np.arange(0.0, 0.2, 0.01)]

@@ -466,8 +466,8 @@ class Live:
 
     def _arrived(self) -> None:
         """Note it when the arm rests where it was to go."""
-        wish = self._wish
-        if isinstance(wish, Goal) and wish is self._done and self._now >= self.committed.ends:
+        wish, taken = self._wish, self._offered is self._running  # such as a hold that followed on it
+        if isinstance(wish, Goal) and wish is self._done and self._now >= self.committed.ends and not taken:
             self._requests.becomes(wish.id, "reached")
 
     def obstacles(self, seen: Sequence[Moving]) -> Status:

@@ -46,9 +46,10 @@ class Requests:
         return self._last
 
     def becomes(self, number: int, outcome: Outcome, why: str = "") -> None:
-        """What is over stays as it is; 0 is no request."""
+        """What is over stays as it is, and what was followed is not late; 0 is no request."""
         request = self._each.get(number)
-        if request is not None and request.outcome not in ("reached", "dropped"):
+        over = ("reached", "dropped") if outcome != "late" else ("reached", "dropped", "followed")
+        if request is not None and request.outcome not in over:
             self._each[number] = replace(request, outcome=outcome, why=why)
 
     def ended(self, number: int, why: str) -> None:
