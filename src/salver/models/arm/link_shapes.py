@@ -116,12 +116,6 @@ def link_shapes(urdf: str, capsules: bool = False) -> LinkShapes:
     return LinkShapes(tuple(shapes), missing, tuple(fitted))
 
 
-@lru_cache(maxsize=1)
-def _loader() -> Any:
-    """A mesh, cached because every plan of a session needs the same ones."""
-    return coal.CachedMeshLoader()
-
-
 def _empty(element: ElementTree.Element) -> bool:
     """Whether all sizes of an element's geometry are 0, which some URDFs use for no geometry."""
     kinds = element.findall("geometry/*")
@@ -176,9 +170,10 @@ def _surface(file: str, scale: tuple[float, ...]) -> tuple[Array, Triangles]:
     return np.asarray(mesh.vertices(), dtype=float), np.array([[one[k] for k in range(3)] for one in triangles])
 
 
+@lru_cache(maxsize=256)
 def _mesh(file: str, scale: tuple[float, ...]) -> Any:
     try:
-        return _loader().load(file, np.array(scale))
+        return coal.MeshLoader().load(file, np.array(scale))
     except (ValueError, RuntimeError):
         raise ValueError(f"the mesh {file} cannot be read") from None
 
