@@ -235,6 +235,35 @@ def test_the_edge_that_is_run_lies_within_the_ranges(name):
     assert {name for name, x in zip(found, away, strict=True) if x < 0} <= {"friction", "damping"}
 
 
+def test_what_has_no_known_shape_is_not_said_to_touch_nothing(tmp_path):
+    """A gantry without shapes, whose tray and load are clear, and a wall through its links."""
+    names = ["x", "y", "z", "yaw", "pitch", "roll"]
+    solid = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
+    links = "".join(
+        f'<link name="{name}">{solid}</link><joint name="j{name}" type="{"prismatic" if k < 3 else "revolute"}">'
+        f'<parent link="{(["base", *names])[k]}"/><child link="{name}"/><axis xyz="{axis}"/>'
+        '<limit lower="-2" upper="2" velocity="3" effort="500"/></joint>'
+        for k, (name, axis) in enumerate(
+            zip(names, ["1 0 0", "0 1 0", "0 0 1", "0 0 1", "0 1 0", "1 0 0"], strict=True)
+        )
+    )
+    (tmp_path / "gantry.urdf").write_text(f'<robot name="gantry"><link name="base"/>{links}</robot>')
+    text = """
+    name = "gantry"
+    arm = { model = "gantry.urdf", flange = "roll", collisions = "unchecked" }
+    motion = { start = { position = [0.5, -0.2, 0.5] }, goal = { position = [0.5, 0.2, 0.5] } }
+    obstacles = [{ type = "box", name = "wall", size = [0.05, 1.0, 0.1], position = [0.2, 0.0, 0.4] }]
+    [[objects]]
+    name = "cube"
+    shape = { type = "box", size = [0.05, 0.05, 0.05] }
+    mass = 0.3
+    friction = 0.4
+    """
+    level, head, detail = look(text, tmp_path)["verdict"]
+    assert (level, head) == ("", "The arm reaches both ends, and nothing that is checked touches there.")
+    assert "whether x, y, z, yaw, pitch and roll hit anything" in detail.split(". ")[0]
+
+
 # --- the page
 
 
@@ -304,9 +333,11 @@ def test_a_file_that_somebody_else_has_changed_is_not_written_over(tmp_path):
 @pytest.mark.slow
 def test_what_the_page_says_first_is_said_by_salver_and_begins_with_what_was_not_checked(tmp_path):
     mistake = CUBE.replace("mass = 0.256", "mass = -1", 1)
-    assert shown(CUBE)["verdict"][:2] == ("", "The arm reaches both ends, and nothing touches there.")
+    level, head, detail = shown(CUBE)["verdict"]
+    assert (level, head) == ("", "The arm reaches both ends, and nothing that is checked touches there.")
+    assert detail.startswith("Not checked: anything around the arm but the floor; ")
     away = shown(change(CUBE, SCENARIO_DIR, [(["motion", "goal", "position"], [2.0, 0.0, 0.4])]))
-    assert away["verdict"][:2] == ("bad", "There is nothing to plan yet.")
+    assert away["verdict"][:2] == ("bad", "Nothing can be planned here yet.")
     assert away["verdict"][2].startswith(away["blocked"])
     wrong = shown(mistake)
     line = mistake.splitlines().index("mass = -1") + 1

@@ -17,7 +17,9 @@ from salver.contact_margins.time_scaling import TimeScaled
 from salver.errors import SalverError, ScenarioError
 from salver.geometry import Array, invert
 from salver.models.arm.arm import load_arm
+from salver.models.arm.arm_geometry import arm_geometry
 from salver.planning.fastest import TransportProblem, transport_problem
+from salver.planning.follow.limits import unchecked
 from salver.planning.postures import REACHED, posture_at
 from salver.planning.seeds.blocked import why_blocked, why_touching, why_unreached
 from salver.planning.seeds.starts import ends, guess, standing_at
@@ -51,7 +53,7 @@ def look(text: str, folder: Path, near: Sequence[float] | None = None, arm_drawn
             "line": _straight_line(scenario),
             **_drawn(scenario, near, arm_drawn),
         }
-        return {**shown, "verdict": looked(scenario, shown["blocked"], warnings_of(scenario))}
+        return {**shown, "verdict": looked(scenario, shown["blocked"], shown["unchecked"], warnings_of(scenario))}
     except SalverError as error:
         return _mistaken(text, mistakes(error, text, scenario.name))
 
@@ -196,14 +198,15 @@ def _drawn(scenario: Scenario, near: Sequence[float] | None, arm_drawn: str) -> 
         turns = [pose.rotation @ first.R_EB.T for pose in ends]
         trays = [(np.array(p) - R_SE @ first.p_EB, R_SE) for p, R_SE in zip(line, turns, strict=True)]
         joints = np.tile(IDENTITY, (2, 1, 1))
-        found: Look = {"blocked": "", "posture": None, "arm": name}
+        found: Look = {"blocked": "", "unchecked": [], "posture": None, "arm": name}
         reach = np.zeros((0, 3))
     else:
         problem = transport_problem(task.with_changes(motion__duration=None), passing=True)
         postures, blocked = _postures(problem, near)
         trays = [arm.tray_pose(q) for q in postures]
         joints = joint_poses(np.stack(postures), arm)
-        found = {"blocked": blocked, "posture": postures[0].tolist(), "arm": name}
+        shapes = problem.keep_out.parts if problem.keep_out else arm_geometry(arm, bodies, task.around)
+        found = {"blocked": blocked, "unchecked": unchecked(arm, shapes), "posture": postures[0].tolist(), "arm": name}
         reach = np.vstack([arm.base_position, joints[:, :, :3].reshape(-1, 3)])
         red = [_touching(problem, q) for q in postures]
     scene["variants"] = [
@@ -215,7 +218,9 @@ def _drawn(scenario: Scenario, near: Sequence[float] | None, arm_drawn: str) -> 
     else:
         scene |= viewpoint([np.array(line)], reach, task)
     if scenario.legs:
-        found["blocked"] = found["blocked"] or "This task has several legs; the studio shows the first of them."
+        found["blocked"] = (
+            found["blocked"] or "This task has several legs: `salver plan` plans them all, the studio shows the first."
+        )
     return {"scene": scene, **found}
 
 

@@ -28,27 +28,28 @@ def mistaken(mistakes: Sequence[Mistake]) -> Said:
     return "bad", f"Line {mistakes[0].line} says what cannot be.", mistakes[0].sentence
 
 
-def looked(scenario: Scenario, blocked: str, warnings: Sequence[str]) -> Said:
-    """Of a scenario before it is planned. blocked: why nothing can be, or ""."""
+def looked(scenario: Scenario, blocked: str, unchecked: Sequence[str], warnings: Sequence[str]) -> Said:
+    """Of a scenario before it is planned. blocked: why nothing can be, or "". unchecked: what is not, at the ends."""
     if blocked:
-        return "bad", "There is nothing to plan yet.", " ".join([blocked, *warnings])
-    reached = "The arm reaches both ends, and nothing touches there."
-    return (
-        "",
-        reached if scenario.arm else "The tray moves without an arm.",
-        " ".join(["Plan, or change something.", *warnings]),
-    )
+        return "bad", "Nothing can be planned here yet.", " ".join([blocked, *warnings])
+    reached = f"The arm reaches both ends, and nothing {'that is checked ' if unchecked else ''}touches there."
+    detail = [_not_checked(unchecked), "Plan, or change something.", *warnings]
+    return "", reached if scenario.arm else "The tray moves without an arm.", " ".join(filter(None, detail))
 
 
 def planned(plan: Plan, warnings: Sequence[str]) -> Said:
     """Of a plan: what was not checked comes before what was found, as everywhere."""
-    blind = f"Not checked: {'; '.join(plan.unchecked)}." if plan.unchecked else ""
+    blind = _not_checked(plan.unchecked)
     arm = "" if plan.arm_status is None or plan.arm_status.ok else plan.arm_status.sentence
     detail = " ".join(filter(None, [blind, plan.status.sentence, arm, *warnings]))
     if not plan.ok:
         return "bad", "No safe motion was found.", detail
     kept = "" if plan.speeds.every else " at full speed"
     return "", f"{plan.duration:.3f} s, safe in the worst case{kept}{' of what is checked' if blind else ''}.", detail
+
+
+def _not_checked(unchecked: Sequence[str]) -> str:
+    return f"Not checked: {'; '.join(unchecked)}." if unchecked else ""
 
 
 def steered(frame: dict[str, Any], pace: float, planner: bool) -> dict[str, Any]:
