@@ -9,7 +9,7 @@ from live_runs import LEAD, PATIENCE, drive, place
 from salver.cli import app
 from salver.errors import SalverError
 from salver.live import Live, LiveOptions
-from salver.live.record import Record
+from salver.live.history import CommandHistory
 from salver.live.requests import KEPT, Requests
 from salver.motion_files import read
 from salver.trajectory import JointMotion
@@ -159,7 +159,7 @@ def test_only_so_many_seconds_are_kept(cube):
     told = drive(live, 0.6, hand)
     motion = live.commanded()
     assert motion.duration == pytest.approx(0.25)
-    assert live._record._parts[0][0] > 0.25  # live time, s: what is too long ago takes no memory
+    assert live._history._parts[0][0] > 0.25  # live time, s: what is too long ago takes no memory
     assert np.abs(motion.sample(told.t[-200:] - live.now + 0.25)[0] - told.q[-200:]).max() < 1e-7
     drive(live, 1.0, begins=0.6)
     live.restart(live.committed.motion.q[-1])
@@ -195,7 +195,7 @@ def test_what_cannot_be_written_is_refused_in_a_sentence(session, tmp_path):
 
 def test_a_path_that_is_replaced_at_once_leaves_nothing_behind():
     still = JointMotion(np.array([0.0, 1.0]), np.zeros((2, 7)), np.zeros((2, 7)), np.zeros((2, 7)))
-    record = Record(60.0)
-    for now in (0.0, 0.0, 0.5):
-        record.take(now, still, now)
-    assert record.motion(0.0, 2.0).duration == 2.0
+    history = CommandHistory(60.0, 0.0, still, 0.0)
+    for now in (0.0, 0.5):
+        history.take(now, still, now)
+    assert history.motion(0.0, 2.0).duration == 2.0

@@ -22,21 +22,19 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from salver.errors import SalverError, ScenarioError, Status
-from salver.files import provenance
+from salver.errors import ScenarioError, Status
 from salver.geometry import Array
 from salver.live.committed.commit import verified
 from salver.live.committed.motion import Committed, resting
 from salver.live.committed.profile import STANDARD as SPEED
 from salver.live.committed.seal import sealed
+from salver.live.history import CommandHistory
 from salver.live.reader import Reader
 from salver.live.ready import Ready
-from salver.live.record import Record
 from salver.live.replanning.lead import Lead
 from salver.live.replanning.lookout import Lookout, Sighting
 from salver.live.replanning.obstacles import Moving, predicted
@@ -72,7 +70,6 @@ from salver.live.standing import live_scenario, standing
 from salver.live.state import State
 from salver.live.stopped import Hold, Stopped
 from salver.models.arm.arm import with_load
-from salver.motion_files import MotionSeries, write
 from salver.planning.fastest import TransportProblem, transport_problem
 from salver.scenario import Scenario, load
 from salver.trajectory import JointMotion
@@ -136,8 +133,7 @@ class Live:
         # Written by the loop alone.
         self._running = Running.first(rest, problem)
         self._reader = self._reader_of(self._running)
-        self._record = Record(self.options.record)
-        self._record.take(0.0, self._running.path, self._running.since)
+        self._history = CommandHistory(self.options.record, 0.0, self._running.path, self._running.since)
         self._now = 0.0  # live time of the last command
         self._last: float | None = None  # the clock then
         self._clock = ""
@@ -211,7 +207,7 @@ class Live:
                         if wanted and seen and offer.keeps_clear:
                             reader.take(offer.pieces)
                             self._running = offer
-                            self._record.take(now, offer.path, offer.since)
+                            self._history.take(now, offer.path, offer.since)
                             self._requests.becomes(id_of(offer.wish), "followed")
                         elif not in_time:
                             self._requests.becomes(id_of(offer.wish), "late")
@@ -558,8 +554,7 @@ class Live:
         running = Running.first(rest, self._problem)
         self._look(running)
         self._running = running
-        self._record = Record(self.options.record)
-        self._record.take(self._now, running.path, running.since)
+        self._history = CommandHistory(self.options.record, self._now, running.path, running.since)
 
     def load(self, scenario: Scenario | str | Path, *, calm: bool = False) -> Status:
         """Carry another load from now on, where the arm rests; it is believed only if it is verified to be safe there.
@@ -620,19 +615,11 @@ class Live:
         Raises:
             SalverError: nothing was commanded since then, another ending, or a rate that is not from 1 to 10000.
         """
-        if not 1.0 <= rate <= 1e4:
-            raise SalverError(f"rate is {rate:g}; it must be from 1 to 10000 samples a second.")
-        motion, arm = self.commanded(since), self._problem.arm
-        if motion is None:
-            raise SalverError(f"since is {since:g}; nothing was commanded after it, and up to now ({self._now:g} s).")
-        ns: Any = np.round(1e9 * np.append(np.arange(0.0, motion.duration - 0.5 / rate, 1 / rate), motion.duration))
-        q, dq, ddq = motion.sample(1e-9 * ns)
-        about = {"provenance": provenance(self._problem.scenario), "method": "live"}
-        return write(MotionSeries(ns.astype(np.int64), arm.joint_names, q, dq, ddq, about=about), path)
+        return self._history.save(path, self._problem, since, self._now, rate)
 
     def commanded(self, since: float = 0.0) -> JointMotion | None:
         """The commanded motion from a live time, s, to now; as much of it as is kept, None for nothing."""
-        return self._record.motion(since, self._now)
+        return self._history.motion(since, self._now)
 
     # --- whoever plans
 
@@ -647,7 +634,7 @@ class Live:
         if self._planning.acquire(blocking=False):
             try:
                 self._look(self._running)
-                self._record.fold()
+                self._history.fold()
                 self._step(budget, answer or self._planner.answer)
             except Exception as error:  # the committed motion does not depend on it
                 self._refused = f"The planner failed ({type(error).__name__}: {error}); what was committed goes on."

@@ -4,22 +4,28 @@ from __future__ import annotations
 
 import threading
 from collections import deque
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from salver.errors import SalverError
+from salver.files import provenance
 from salver.live.committed.motion import SAME, between
+from salver.motion_files import MotionSeries, write
+from salver.planning.fastest import TransportProblem
 from salver.trajectory import JointMotion
 
 
-class Record:
+class CommandHistory:
     """The paths that were commanded, one after the other: the loop adds to it, whoever plans keeps it short.
 
-    longest: s that are kept.
+    longest: s that are kept. now, path, since: the first one, as of `take`.
     """
 
-    def __init__(self, longest: float) -> None:
+    def __init__(self, longest: float, now: float, path: JointMotion, since: float) -> None:
         self.longest = longest
-        self._taken: deque[tuple[float, JointMotion, float]] = deque()
+        self._taken = deque([(now, path, since)])
         self._parts: deque[tuple[float, JointMotion]] = deque()
         self._folding = threading.Lock()
 
@@ -55,3 +61,15 @@ class Record:
         first, *later = (part for _, part in parts)
         states = (np.vstack([getattr(first, x), *(getattr(y, x)[1:] for y in later)]) for x in ("q", "dq", "ddq"))
         return JointMotion(t - t[0], *states)
+
+    def save(self, path: str | Path, problem: TransportProblem, since: float, until: float, rate: float) -> list[Path]:
+        """Write that motion as a file, with so many samples a second; as of `Live.save`."""
+        if not 1.0 <= rate <= 1e4:
+            raise SalverError(f"rate is {rate:g}; it must be from 1 to 10000 samples a second.")
+        motion = self.motion(since, until)
+        if motion is None:
+            raise SalverError(f"since is {since:g}; nothing was commanded after it, and up to now ({until:g} s).")
+        ns: Any = np.round(1e9 * np.append(np.arange(0.0, motion.duration - 0.5 / rate, 1 / rate), motion.duration))
+        about = {"provenance": provenance(problem.scenario), "method": "live"}
+        names, states = problem.arm.joint_names, motion.sample(1e-9 * ns)
+        return write(MotionSeries(ns.astype(np.int64), names, *states, about=about), path)
