@@ -118,6 +118,18 @@ def test_a_load_on_a_rimmed_tray_that_is_a_link_is_not_inside_it(tmp_path: Path)
     assert parts.names == ("tray", "tray", "cube")
 
 
+def test_a_load_before_a_wrist_of_fitted_capsules_is_not_refused(tmp_path: Path) -> None:
+    """The capsule fitted to the wrist of a UR5e without meshes reaches 2 cm beyond its flange: that is said instead."""
+    case = carried([0.04, 0.04, 0.04])
+    path = tmp_path / "arm.urdf"
+    path.write_text(
+        robot_file(KNOWN_ARMS["ur5e"]).read_text().replace("<mesh filename=", '<mesh filename="nowhere" old=')
+    )
+    described = scenario.Arm(model=str(path), flange="tool0", collisions="capsules")
+    parts = arm_geometry(load_arm(described, case.tray), case.payload.bodies)
+    assert any("wrist_2_link against cube (their hulls overlap in every posture)" in one for one in parts.unchecked)
+
+
 @pytest.mark.slow
 def test_side_mount_is_planned_holds_in_the_engine_and_weighs_its_load() -> None:
     """The flange points sideways, the tray's middle is 8 cm above its axis. The wrist's log shows the load's mass."""

@@ -239,7 +239,7 @@ def arm_geometry(
     floor.
 
     Raises ScenarioError when the geometry of a link is not known and `arm.collisions` does not say what to do about
-    it, when the load lies inside a link in every posture, or when an obstacle's mesh cannot be used.
+    it, when the load lies inside a link of known shape in every posture, or when an obstacle's mesh cannot be used.
     """
     known = link_shapes(arm.urdf, capsules=arm.collisions == "capsules")
     if known.missing and arm.collisions != "unchecked":
@@ -281,9 +281,10 @@ def arm_geometry(
     left_out["always"] = [
         (i, j) for i, j in pairs if (i, j) in overlap or (j < tray and (names[i], names[j]) in linked)
     ]
-    # Links on the same joint as the load do not move relative to it.
+    # Links on the same joint as the load do not move relative to it. Fitted capsules may reach beyond their links.
     same = [(i, j) for i, j in itertools.product(range(links), range(tray + 1, fixed)) if _fixed_in(known, parts, i, j)]
-    for link, load in [*((i, j) for i, j in left_out["always"] if j > tray), *same]:
+    inside = [(i, j) for i, j in [*left_out["always"], *same] if j > tray and names[i] not in known.fitted]
+    for link, load in inside:
         raise ScenarioError(
             f"{names[load]} lies inside {names[link]} in every posture; move the tray away from it by tray.height, "
             "tray.offset or tray.rpy_deg, or the load on it by `at`."
