@@ -21,6 +21,7 @@ from salver.cli.plans.studio import begun
 from salver.errors import ScenarioError
 from salver.models.arm.arm import load_arm
 from salver.scenario import SCENARIO_DIR, names, parse
+from salver.simulation.scene.loads import true_world
 from salver.studio.look import change, look
 from salver.studio.parts import LOADS, OBSTACLES, parts
 from salver.studio.server import Studio
@@ -233,6 +234,15 @@ def test_the_edge_that_is_run_lies_within_the_ranges(name):
     away = (np.array(list(found.values())) - uncertain.nominal) / uncertain.half_range
     assert np.abs(away).max() == pytest.approx(1.0)
     assert {name for name, x in zip(found, away, strict=True) if x < 0} <= {"friction", "damping"}
+
+
+@pytest.mark.parametrize("name", names())
+def test_a_body_can_have_the_values_of_the_edge_that_is_run(name):
+    from salver.studio.planner import _edge
+
+    scenario = sv.load_scenario(name)
+    for leg in scenario.each_leg:
+        true_world(leg, _edge(leg.uncertain))
 
 
 def test_what_has_no_known_shape_is_not_said_to_touch_nothing(tmp_path):

@@ -121,11 +121,14 @@ def _run(directory: Path) -> dict[str, Any]:
         record = simulate(plan, parameters=_edge(plan.uncertain))
         record.save(directory, stem)
         said.append(f"{name}: {record.outcome}")
-    return {"sentence": f"In the engine, with the least friction and all else greatest: {'; '.join(said)}."}
+    return {
+        "sentence": f"In the engine, with the least friction, nominal inertia, all else greatest: {'; '.join(said)}."
+    }
 
 
 def _edge(uncertain: UncertainSet) -> dict[str, float]:
-    """Values at the edge of the ranges: friction and damping at the least, all else at the greatest."""
+    """Values at the edge of the ranges: friction and damping at the least, all else at the greatest; inertia stays
+    nominal, because no body need have all its moments and products at their greatest."""
     share = uncertain.size**-0.5 if uncertain.kind == "ellipsoid" else 1.0
-    signs = [-1.0 if p.kind in ("friction", "damping") else 1.0 for p in uncertain.parameters]
+    signs = [{"friction": -1.0, "damping": -1.0, "inertia": 0.0}.get(p.kind, 1.0) for p in uncertain.parameters]
     return dict(zip(uncertain.names, uncertain.nominal + share * np.array(signs) * uncertain.half_range, strict=True))
