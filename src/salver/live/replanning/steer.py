@@ -57,8 +57,8 @@ class SteeringOptions:
         passed, refused: factors of the damping after an increment that passed the verdict, and one that did not. With
             0.9, hostile twists are followed at 0.87 of the speed; with 0.5, 6 % of the ticks are refused.
         step_length: share of an increment that is judged when the verdict refused all of it; 0.3 is as good.
-        loosened: a constraint that the verdict found violated is tightened by its excess; after each increment that
-            passed, by this share of that. Without tightening, 6 % of the ticks are refused.
+        loosened: a constraint that the verdict found violated is tightened by its excess, at most by `depth`; after
+            each increment that passed, by this share of that. Without tightening, 6 % of the ticks are refused.
         tolerance: of the solution of a quadratic programme.
         same_knot: s; knots nearer than this are one: rounding.
     """
@@ -120,7 +120,7 @@ class StepControl:
     def refused(self, what: str, excess: float) -> None:
         """Because of a constraint that it violates."""
         self.damped(self.options.refused)
-        self.tightened[what] = self.tightened.get(what, 0.0) + excess
+        self.tightened[what] = min(self.tightened.get(what, 0.0) + excess, self.options.depth)
 
     def margin(self, block: Block) -> float:
         """By which constraints are tightened; one that has a name may be that of a joint, `"acceleration of
@@ -167,6 +167,7 @@ class Steering:
         control = self.control
         increment = self._increment(wanted, base, begins)
         if increment is None:
+            control.damped(self.options.refused)
             return None, Status("refused", "the programme of the tick was not solved", False)
         finding = self._judged(base, begins, increment)
         if finding.committed is not None:
