@@ -9,6 +9,7 @@ import pytest
 import salver as sv
 from salver.auditing.arm import NOT_CHECKED, arm_status
 from salver.auditing.verdict import audit_samples
+from salver.errors import ScenarioError
 from salver.models.arm.arm import load_arm
 from salver.motion_files.samples import JointSamples
 
@@ -117,6 +118,13 @@ def test_of_a_motion_of_the_tray_nothing_is_known_of_an_arm(ur10):
     still = {"t": T, "x": 0.6 + 0 * T, "y": 0.01 * BLEND, "z": 0.4 + 0 * T, "qw": 1 + 0 * T}
     still |= dict.fromkeys(("qx", "qy", "qz"), 0 * T)
     assert sv.audit(still, ur10).arm is NOT_CHECKED
+
+
+def test_a_load_inside_the_wrist_is_refused(ur10):
+    """Nothing is said of such a load: not that the arm was not checked, and that the load holds."""
+    inside = ur10.with_changes(tray__height=-0.02)
+    with pytest.raises(ScenarioError, match=r"^bottle lies inside wrist_3_link in every posture"):
+        _ = sv.audit(columns(inside, 0.0 * START), inside).ok
 
 
 def test_joints_go_by_their_names(ur10):

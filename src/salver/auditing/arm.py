@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from salver.auditing.commanded import commanded_motion
-from salver.errors import ScenarioError, Status
+from salver.errors import Status
 from salver.models.arm.arm import ArmModel
-from salver.models.arm.arm_geometry import arm_geometry
+from salver.models.arm.arm_geometry import UnknownShapeError, arm_geometry
 from salver.motion_files.samples import JointSamples, reordered
 from salver.planning.follow.clearance import sweep
 from salver.planning.follow.limits import COLLISION, LIMIT_EXCEEDED, WITHIN_LIMITS, unchecked
@@ -32,7 +32,7 @@ def arm_status(samples: JointSamples, arm: ArmModel, scenario: Scenario) -> Stat
         return Status(LIMIT_EXCEEDED, f"{far}.", False)
     try:
         parts = arm_geometry(arm, scenario.payload.bodies, scenario.around)
-    except ScenarioError as error:
+    except UnknownShapeError as error:
         return Status(NOT_CHECKED.code, f"{NOT_CHECKED.sentence} {error}", True)
     keep = np.unique(np.clip(np.searchsorted(t, np.arange(t[0], t[-1], STEP)), 0, len(t) - 1))
     keep = np.union1d(keep, [0, len(t) - 1])

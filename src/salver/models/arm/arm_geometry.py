@@ -32,6 +32,10 @@ _STILL = 1e-6  # m: smaller changes of a distance count as none
 _REMEMBERED = 4  # cached paths, each with another number of postures
 
 
+class UnknownShapeError(ScenarioError):
+    """The shape of a link is not known, and the scenario does not say what to do about it."""
+
+
 @dataclass(frozen=True)
 class Touch:
     """Two parts that touch: their names, and the index of the first posture at which they do."""
@@ -238,12 +242,13 @@ def arm_geometry(
     pairs that the arm's SRDF disables, links with any shapes that overlap in every posture, and links that stand on the
     floor.
 
-    Raises ScenarioError when the geometry of a link is not known and `arm.collisions` does not say what to do about
-    it, when the load lies inside a link of known shape in every posture, or when an obstacle's mesh cannot be used.
+    Raises UnknownShapeError when the geometry of a link is not known and `arm.collisions` does not say what to do about
+    it; ScenarioError when the load lies inside a link of known shape in every posture, or when an obstacle's mesh
+    cannot be used.
     """
     known = link_shapes(arm.urdf, capsules=arm.collisions == "capsules")
     if known.missing and arm.collisions != "unchecked":
-        raise ScenarioError(_refusal(arm, known.missing))
+        raise UnknownShapeError(_refusal(arm, known.missing))
     parts, names = placed(arm, known)
     links = len(names)
     low, high = tuple(arm.limits.q_min.tolist()), tuple(arm.limits.q_max.tolist())
