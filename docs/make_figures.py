@@ -39,7 +39,7 @@ def cone() -> Any:
     axes.plot(*ring, color=style.BLUE, linewidth=0.8)
     for j, tip in enumerate(tips.T):
         axes.plot(*np.stack([np.zeros(3), tip], axis=1), color=style.BLUE, linewidth=1.4)
-        axes.text(*(tip * [1.15, 1.15, 1.06]), rf"$\hat f_{{{j + 1}}}$", color=style.BLUE, fontsize=9, ha="center")
+        axes.text(*(tip * [1.15, 1.15, 1.01]), rf"$\hat f_{{{j + 1}}}$", color=style.BLUE, fontsize=9, ha="center")
     coefficients = np.array([0.42, 0.24, 0.08, 0.16])
     force = edges @ coefficients
     axes.quiver(0, 0, 0, *force, color=style.VERMILION, linewidth=2, arrow_length_ratio=0.1)
@@ -235,7 +235,7 @@ def ranges() -> Any:
         left.plot(plan.margins.t, 100 * plan.margins.exact_worst, **look)
     for axes in (speeding, left):
         axes.axhline(0, color=style.BLACK, linewidth=0.6)
-    speeding.set(ylabel="acceleration along\nthe way, m/s²")
+    speeding.set(ylabel="acceleration along\nthe path, m/s²")
     speeding.legend(loc="upper right")
     left.set(xlabel="time, s", ylabel="worst-case margin,\n% of the weight", xlim=(0, None))
     left.annotate("below 0 the bottle may slide or tip", (0.2, -16), fontsize=8)
@@ -316,7 +316,7 @@ def committed() -> Any:
         "requests and planner\nare gone", (silent, 0.27), (4, 0), textcoords="offset points", fontsize=8, va="top"
     )
     axes.axhline(0, color=style.BLACK, linewidth=0.6)
-    axes.set(xlabel="time, s", ylabel="speed of the tray along y, m/s", xlim=(0, 2.2))
+    axes.set(xlabel="time, s", ylabel="velocity of the tray along y, m/s", xlim=(0, 2.2))
     axes.legend(loc="lower left")
     return axes.figure
 
@@ -356,7 +356,7 @@ def sloshing() -> Any:
         )
     curve.axhline(0, color=style.BLACK, linewidth=0.8)
     curve.set(xlabel="time, s", ylabel="highest crest to brim, mm", xlim=(0, plan.duration), ylim=(-28, 26))
-    curve.annotate("below 0 it may spill", (0.25, -9), fontsize=7)
+    curve.annotate("may spill below 0", (0.295, -14), fontsize=7)
     curve.legend(loc="upper right")
     return _tight(curve.figure)
 
