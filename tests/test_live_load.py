@@ -1,5 +1,7 @@
 """Another load while live: it is believed where it is verified to be safe, and then all is planned for it."""
 
+import time
+
 import numpy as np
 import pytest
 
@@ -9,6 +11,7 @@ from salver.errors import Status
 from salver.live import Live, Worker
 from salver.live.committed.seal import sealed
 from salver.live.reader import Reader
+from salver.live.replanning.lead import LeadOptions
 from salver.live.replanning.planner import Planner
 from salver.live.standing import standing
 from salver.planning.fastest import joint_plan
@@ -18,6 +21,11 @@ from salver.planning.fastest import joint_plan
 def smooth(cube):
     """A heavier cube that slides sooner."""
     return cube.with_changes(objects__0__mass=0.5, objects__0__friction=0.2, objects__0__name="smooth")
+
+
+def on_the_tray_of(scenario, other):
+    data = scenario.model_dump(mode="json", exclude_none=True)
+    return other.with_changes(tray=data["tray"], arm=data["arm"])
 
 
 def outcome(live, told):
@@ -154,3 +162,22 @@ def test_the_planner_in_its_process_plans_for_the_load_that_is_believed(cube, sm
     kind, slip = outcome(live, told)
     assert kind == "holds"
     assert slip < 1e-3
+
+
+@pytest.mark.slow
+def test_the_planner_is_there_for_another_load_before_anything_is_requested(cube, coffee):
+    """So that no lead is learnt from its start, and none from the load before."""
+    live = Live(cube)
+    with Worker(live) as worker:
+        drive(live, 0.3, [(0.0, place(0.45, 0.1, 0.45))])
+        started = worker._process._running
+        drive(live, 2.0, every=None, begins=0.3)
+        while not (done := live.load(on_the_tray_of(cube, coffee), calm=True)).ok:
+            assert "planned" in done.sentence or "about to" in done.sentence
+        until = time.monotonic() + PATIENCE
+        while worker._process.behind or worker._process._running in (None, started):
+            assert time.monotonic() < until
+            time.sleep(0.01)
+    assert live.lead == LeadOptions().motion
+    live._lead.took("motion", 2.0)
+    assert live.lead == pytest.approx(2.6)  # with a liquid planning may take as long

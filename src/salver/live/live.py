@@ -128,7 +128,7 @@ class Live:
         scenario = scenario if isinstance(scenario, Scenario) else load(scenario)
         problem, rest = standing(transport_problem(live_scenario(scenario), robust=robust), q)
         self.options, self._robust, self._permit = options or LiveOptions(), robust, permit
-        self._planning = threading.Lock()
+        self._given_lead, self._planning = lead, threading.Lock()
         self._believe(problem)
         # Written by the loop alone.
         self._running = Running.first(rest, problem)
@@ -162,7 +162,6 @@ class Live:
         # From which motion nothing more can be done, as of which news of what passes.
         self._resigned: tuple[Running | None, int] = (None, 0)
         self._unknown = False  # whether how it moves inside is not known any more
-        self._lead = Lead(lead, bool(self._inside))
         self._look(self._running)
         self._reader.read(0.0)
 
@@ -173,6 +172,7 @@ class Live:
         out = problem.keep_out
         self._beside = replace(problem, keep_out=None if out is None else replace(out, parts=out.parts.apart()))
         self._inside = " and ".join(body.inside for body in problem.payload.dynamic)
+        self._lead = Lead(self._given_lead, bool(self._inside))
 
     def _reader_of(self, running: Running) -> Reader:
         return Reader(with_load(self._problem.arm, self._problem.items).pin_model, running.pieces)
@@ -560,7 +560,7 @@ class Live:
         """Carry another load from now on, where the arm rests; it is believed only if it is verified to be safe there.
 
         Call it when something was taken off or put on, and stands still: from any thread but the robot's loop, because
-        it takes about a second. Requests that are pending then are dropped. What is refused changes nothing.
+        it waits for a verdict. Requests that are pending then are dropped. What is refused changes nothing.
 
         Args:
             scenario: the same arm and tray, with what is carried now; as of `Live`.

@@ -88,6 +88,9 @@ class Worker:
     def _work(self) -> None:
         answer = None if self._process is None else self._process.answer
         while not self._closing.is_set():
+            if self._process is not None and self._process.behind:
+                with contextlib.suppress(SalverError):  # said of the next request
+                    self._process.ready()  # or else the next lead would be that of a start
             if not self._live.idle:
                 self._live.plan(self._budget, answer)
             elif not (self._stops and self._live.prepare(self._budget, answer)):
@@ -105,8 +108,17 @@ class _Process:
     def _of(live: Live) -> tuple[Scenario, bool, bytes]:
         return live.problem.scenario, live.robust, seal.key()
 
+    @property
+    def behind(self) -> bool:
+        """Whether another load is carried by now."""
+        return self._about[0] is not self._live.problem.scenario
+
     def ready(self) -> None:
-        """Wait until it can be asked; raises SalverError when it cannot begin."""
+        """Wait until it can be asked; for another load another process is started. Raises SalverError when it cannot
+        begin."""
+        if self.behind:
+            self.close()
+            self._about = self._of(self._live)
         if self._running is not None:
             return
         self._pipe, other = Pipe()
@@ -125,10 +137,7 @@ class _Process:
         self._told(self._about, OPTIONS.patience)
 
     def answer(self, job: Job) -> Answer:
-        """Raises SalverError when the process died or hangs. For another load another process is started."""
-        if self._about[0] is not self._live.problem.scenario:
-            self.close()
-            self._about = self._of(self._live)
+        """Raises SalverError when the process died or hangs."""
         self.ready()
         answered = self._told(job, job.budget + OPTIONS.patience)
         if isinstance(answered, Answer):
