@@ -185,6 +185,19 @@ def test_what_late_commands_do_is_known_where_the_jerk_jumps(motion):
     assert np.abs(drift_full.swing[knots]).max() > 5e-3 * 9.81
 
 
+@pytest.mark.parametrize("factor", [0.8, 0.5, 0.1])
+def test_late_commands_at_another_speed_are_those_of_the_slower_motion(motion, factor):
+    problem, full = motion
+    slower = JointMotion(full.t / factor, full.q, full.dq * factor, full.ddq * factor**2)
+    direct = Judged.of(problem, slower, replace(PLANNED, step=PLANNED.step / factor))
+    judged = Judged.of(problem, full, PLANNED)
+    found, expected = judged.along.at_factor(factor).response, direct.along.response
+    assert judged.last == direct.last
+    for order in ("q", "dq"):
+        x, y = (getattr(each.held, order)[: judged.last + 1] for each in (found, expected))
+        assert np.abs(x - y).max() < 0.02 * np.abs(y).max() > 0.0
+
+
 def test_what_goes_on_from_a_deviation_strays_as_the_whole(motion, judged):
     """From a knot in the middle: of what a wrong load does, and of what late commands did before."""
     problem, whole = motion

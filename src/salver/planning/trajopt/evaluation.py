@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -126,10 +126,12 @@ class MotionEvaluation:
             return self
         known: dict[float, MotionEvaluation] = self._at_factors
         if factor not in known:
-            powers = factor ** np.arange(4.0)[:, None, None]
-            z = self.z * powers
-            known[factor] = replace(self, z=z, duration=self.duration / factor, compliant=False, known=NOTHING)
+            known[factor] = self._slowed(factor)
         return known[factor]
+
+    def _slowed(self, factor: float) -> Self:
+        z = self.z * factor ** np.arange(4.0)[:, None, None]
+        return replace(self, z=z, duration=self.duration / factor, compliant=False, known=NOTHING)
 
     @cached_property
     def _at_factors(self) -> dict[float, MotionEvaluation]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 
@@ -95,6 +96,9 @@ class VerdictEvaluation(MotionEvaluation):
 
     jerk_before: Array = field(default_factory=lambda: np.zeros(0))
     derived: Indices = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
+
+    def _slowed(self, factor: float) -> Self:
+        return replace(super()._slowed(factor), jerk_before=factor**3 * self.jerk_before)
 
     @cached_property
     def terms(self) -> MotionTerms:
