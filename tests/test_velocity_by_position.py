@@ -120,8 +120,13 @@ def test_derivatives_of_the_rows_are_those_of_differences() -> None:
         return made[1].values, made[1].gradient
 
     values, gradient = block(z)
-    plain = (z[1] / limits.velocity)[:, :1] - limits.velocity_by_position.towards_ends(z[0])[0][:, :1] / 2.62 / 0.98
-    assert np.all(values[:, :1] > plain)  # with the radii
+    off, extra = (here.between_nodes(here.joint_radius(order)) for order in (0, 1))
+    ends = limits.velocity_by_position
+    assert ends is not None
+    up, down = ends.towards_ends(z[0] + off)[0][:, :n], ends.towards_ends(z[0] - off)[0][:, n:]
+    beyond = np.concatenate([z[1] + extra - up, extra - z[1] - down], axis=1)
+    assert values == pytest.approx(beyond / np.tile(limits.velocity, 2), abs=1e-12)
+    assert min(off.min(), extra.min()) > 1e-9
     node, row = (each.ravel() for each in np.indices(values.shape))
     slopes, h = gradient(node, row).reshape(nodes, 2 * n, 4, n), 1e-6
     for order in range(4):
@@ -159,15 +164,24 @@ def test_the_verdict_refuses_what_is_too_fast_near_an_end(fastest: Plan) -> None
     assert verify(without, hurried, options=PLANNED).ok
 
 
-def test_between_instants_the_verdict_bounds_what_a_fine_scan_finds(fastest: Plan) -> None:
-    problem = replace(transport_problem(fastest.scenario), tracking=None)
+@pytest.mark.parametrize("exact", [True, False])
+def test_between_instants_the_verdict_bounds_what_a_fine_scan_finds(fastest: Plan, exact: bool) -> None:
+    """Of an arm that follows exactly, and of one that strays by as much as at either instant."""
+    problem = transport_problem(fastest.scenario)
+    problem = replace(problem, tracking=None) if exact else problem
     assert fastest.joint is not None
     judged = Judged.of(problem, fastest.joint, PLANNED)
     row = list(judged.joints(1))[1]
-    q, dq, _ = fastest.joint.sample(np.linspace(judged.t[:-1], judged.t[1:], 41).ravel())
-    allowed = problem.limits.velocity_by_position.towards_ends(q)[0]  # type: ignore[union-attr]
-    seen = (np.concatenate([dq, -dq], axis=1) - allowed) / np.tile(problem.limits.velocity, 2)
-    seen = seen.reshape(41, len(judged.t) - 1, 14).max(axis=0)
+    t = np.linspace(judged.t[:-1], judged.t[1:], 41)
+    q, dq = (each.reshape(*t.shape, 7) for each in fastest.joint.sample(t.ravel())[:2])
+    off = extra = np.zeros_like(q[0])
+    if not exact:
+        off, extra = (np.maximum(r[:-1], r[1:]) for r in (judged.along.joint_radius(order) for order in (0, 1)))
+    ends = problem.limits.velocity_by_position
+    assert ends is not None
+    up, down = ends.towards_ends(q + off)[0][..., :7], ends.towards_ends(q - off)[0][..., 7:]
+    seen = np.concatenate([dq + extra - up, extra - dq - down], axis=-1) / np.tile(problem.limits.velocity, 2)
+    seen = seen.max(axis=0)
     assert np.all(row.values >= seen - 1e-10)
     near = seen > -0.2
     assert np.max((row.values - seen)[near]) < 1e-3
