@@ -18,6 +18,7 @@ from salver.errors import ScenarioError
 from salver.geometry import Array
 from salver.models.arm.arm import load_arm
 from salver.planning.fastest import transport_problem
+from salver.planning.follow.limits import verdict
 from salver.planning.make import make_plan
 from salver.planning.plan import Plan
 from salver.planning.stops import with_stops
@@ -162,6 +163,23 @@ def test_the_verdict_refuses_what_is_too_fast_near_an_end(fastest: Plan) -> None
     assert said.startswith("velocity of fr3_joint6 would be exceeded by "), said
     without = replace(free, limits=replace(free.limits, velocity_by_position=None))
     assert verify(without, hurried, options=PLANNED).ok
+
+
+def test_the_limit_where_the_joint_is_is_named() -> None:
+    """Joint 6 goes down at .2 rad/s: .3 rad before its end it may at .98 of sqrt(11 * .3) - .35 rad/s, at it not at
+    all."""
+    case = cube()
+    arm = load_arm(case.arm, case.tray)  # type: ignore[arg-type]
+    t = np.linspace(0.0, 0.01, 11)
+    for away, dq, said in (
+        (0.3, 3.0, f"over its limit of {0.98 * (np.sqrt(3.3) - 0.35):.4g}"),
+        (0.003, 0.2, "where it must not move towards that end of its range"),
+    ):
+        q, rate = np.tile(0.5 * (arm.limits.q_min + arm.limits.q_max), (11, 1)), np.zeros((11, 7))
+        q[:, 5], rate[:, 5] = 0.54092 + away + dq * (t[-1] - t), -dq
+        sentence = verdict(arm, JointMotion(t, q, rate, 0.0 * rate)).sentence
+        assert f"the velocity of fr3_joint6 reaches -{dq:g} rad/s at t = 0.0" in sentence
+        assert said in sentence
 
 
 @pytest.mark.parametrize("exact", [True, False])

@@ -12,7 +12,7 @@ from salver.errors import Status
 from salver.geometry import Array
 from salver.models.arm.arm import ArmModel, with_load
 from salver.models.arm.arm_geometry import ArmGeometry, arm_geometry
-from salver.models.arm.arm_limits import LIMITS, LimitKind
+from salver.models.arm.arm_limits import LIMITS, STANDING, LimitKind
 from salver.models.bodies import Body
 from salver.models.described import Floor
 from salver.planning.follow.clearance import sweep
@@ -152,8 +152,7 @@ def verdict(
         key=lambda peak: -peak.share,
     )
     sentences = [
-        f"the {peak.kind} of {peak.joint} reaches {peak.value:.4g} {peak.unit} at t = {peak.time:.2f} s, "
-        f"{100 * (peak.share - 1):.3g} % over its limit of {peak.limit:.4g}"
+        f"the {peak.kind} of {peak.joint} reaches {peak.value:.4g} {peak.unit} at t = {peak.time:.2f} s, {_over(peak)}"
         for peak in broken
     ]
     swept = sweep(parts, motion)
@@ -173,6 +172,12 @@ def verdict(
         near = swept.obstacle
         nearest += f"; {near.first} passes {near.second} at {1e3 * near.distance:.0f} mm at t = {near.time:.2f} s"
     return Status(WITHIN_LIMITS, f"{first}{arm.name} follows within its limits; {nearest}.", True, details)
+
+
+def _over(peak: Peak) -> str:
+    if peak.limit == STANDING:
+        return "where it must not move towards that end of its range"
+    return f"{100 * (peak.share - 1):.3g} % over its limit of {peak.limit:.4g}"
 
 
 def _room(arm: ArmModel, kind: LimitKind, between: float) -> Array:
