@@ -98,7 +98,8 @@ def test_a_convex_mesh_is_one_piece() -> None:
 def test_a_mesh_is_read_once_in_a_process() -> None:
     """Every plan looks whether its load lies in the last link's mesh; reading a Gen3's took it .12 s each time."""
     link = next(item for item in link_shapes(arm_of("ur5").urdf).shapes if item.mesh)
-    assert link.itself is link.itself
+    first = link.itself
+    assert link.itself is first
 
 
 def test_a_ur_reaches_down_past_its_base() -> None:

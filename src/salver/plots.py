@@ -47,7 +47,8 @@ class Plotted:
             axes = list(made[:, 0])
         drawn: list[Axes] = np.atleast_1d(np.asarray(axes, dtype=object)).tolist()
         if len(drawn) != len(panels):
-            raise SalverError(f"plot was given {len(drawn)} axes; it needs {len(panels)}: {'; '.join(panels)}.")
+            needed = "; ".join(panels).replace("\n", " ")
+            raise SalverError(f"plot was given {len(drawn)} axes; it needs {len(panels)}: {needed}.")
         for one, (label, named) in zip(drawn, panels.items(), strict=True):
             for name, values in named.items():
                 one.plot(t, values, label=name)
