@@ -14,7 +14,6 @@ from salver.geometry import Array
 from salver.models.tray_motion import Speed
 from salver.planning.fastest import FastestMotion, FastestOptions, fastest, nearby, object_motion, plan_fastest
 from salver.planning.fastest.planned import each_kind, joint_plan, judged, slow_enough
-from salver.planning.fastest.tradeoff import SCALES, TradeoffTask, scaled, tradeoff
 from salver.planning.make import make_plan
 from salver.planning.plan import Plan
 from salver.planning.postures import REACHED, PoseTarget, posture_at
@@ -264,56 +263,6 @@ def test_a_motion_that_keeps_every_condition_is_found_again(share):
     assert np.sqrt(2 * begin.cost) == pytest.approx(0.2435 * share, rel=0.01)
     # 1 mrad: rows are solved to 1e-5 of their scale, and that violation has a price of 1 to 20 rad^2.
     assert np.sqrt(2 * found.iterate.cost) < 1.5e-3
-
-
-# The trade-off -------------------------------------------------------------------------------------------------
-
-
-def test_scaled_uncertainty_scales_every_half_range():
-    scenario = bottle(mass="20%", com=[0.003, 0.002, 0.004], inertia="10%", friction=0.04)
-    before, after = scenario.payload.uncertain, scaled(scenario, 1.5).payload.uncertain
-    assert before.names == after.names
-    assert np.allclose(after.half_range, 1.5 * before.half_range)
-    assert scaled(scenario, 0.0).payload.uncertain.size == 0
-
-
-@pytest.mark.slow
-def test_more_robustness_takes_longer():
-    scenario = cube(0.2, objects__0__uncertainty={"friction": "10%"}, motion__orientation="fixed")
-    points = list(tradeoff(scenario, (2.0, 0.0, 30.0), FastestOptions(spans=8)))
-    assert [point.scale for point in points] == [0.0, 2.0, 30.0]
-    assert points[1].duration > 1.05 * points[0].duration
-    assert 0.16 < points[0].friction_needed <= 0.2  # eight edges here, four in the plan
-    assert points[1].friction_needed <= 0.16
-    assert points[1].margin > points[0].margin >= scenario.contact.margin
-    assert not points[2].status.ok  # friction would reach below zero
-
-
-@pytest.mark.slow
-def test_at_the_scenarios_own_ranges_the_curve_is_what_fastest_finds_with_the_duration_left_open():
-    """The scenario has 2.5 s, in which the tray stays level; a shortest motion has it tilt unless told not to."""
-    friction, options = {"friction": "10%"}, FastestOptions(spans=8)
-    case = cube(0.2, objects__0__uncertainty=friction, motion__duration=2.5)
-    for changes, tray in (({}, "so the tray may tilt"), ({"motion__orientation": "fixed"}, "and the tray stays level")):
-        asked = case.with_changes(**changes)
-        points = {point.scale: point.duration for point in tradeoff(asked, (0.5, 1.0), options)}
-        assert points[1.0] == plan_fastest(asked.with_changes(motion__duration=None), options=options).duration
-        assert points[0.5] < points[1.0]
-        assert tray in TradeoffTask.of(asked).sentence
-    known = TradeoffTask.of(cube(0.2, objects__0__uncertainty={}, motion__duration=None, motion__orientation="fixed"))
-    assert known.sentence == (
-        "The tray stays level, as with salver plan --fastest. Nothing is uncertain in the scenario: friction, by 10 %, "
-        "is taken to be."
-    )
-    assert scaled(known.scenario, known.own).payload.uncertain.size == 0
-
-
-def test_the_curve_is_by_itself_from_what_is_known_exactly_to_twice_the_ranges_in_even_steps():
-    assert SCALES[0] == 0.0
-    assert 1.0 in SCALES
-    assert SCALES[-1] == 2.0
-    assert np.all(np.diff(SCALES) > 0)
-    assert np.diff(SCALES).max() <= 0.5
 
 
 # What a user can get wrong -------------------------------------------------------------------------------------

@@ -18,7 +18,6 @@ from salver.models.arm.arm import ArmModel, load_arm
 from salver.models.arm.arm_geometry import arm_geometry
 from salver.models.arm.arm_limits import LIMITS, POSITION, JointLimits
 from salver.planning import make, postures, qp
-from salver.planning.fastest.tradeoff import TradeoffTask
 from salver.planning.follow import redundancy
 from salver.planning.follow.limits import _room
 from salver.planning.follow.motion import _unreachable
@@ -96,17 +95,6 @@ def test_friction_carries_the_centre_of_a_load_wherever_it_is_on_the_tray(monkey
     monkeypatch.setattr(bound, "_stacks", lambda payload: iter([(0.4, np.array([0.05, 0.02, 0.1]))]))
     time = bound.least_by_friction(arm, CUBE.payload, 0.0, np.zeros(1), np.ones(1))
     assert 0.5 * 0.4 * 9.81 * time**2 == pytest.approx(np.hypot(0.23, 0.13))
-
-
-def test_what_a_curve_of_durations_is_of_is_told_in_whole_sentences() -> None:
-    certain = CUBE.with_changes(objects__0__uncertainty={}, motion__duration=None, motion__orientation="fixed")
-    assert TradeoffTask.of(certain).sentence == (
-        "The tray stays level, as with salver plan --fastest. Nothing is uncertain in the scenario: friction, by 10 %, "
-        "is taken to be."
-    )
-    assert TradeoffTask.of(CUBE).sentence == (
-        "The duration of 2.5 s is left open, so the tray may tilt, as with salver plan --fastest."
-    )
 
 
 def test_a_pose_may_lean_as_far_as_the_motion_and_no_further() -> None:

@@ -26,8 +26,7 @@ from salver.models.contact_rows import contact_rows
 from salver.models.tray_motion import FULL_SPEED, at_rest
 from salver.models.uncertain.parameters import Vibration
 from salver.models.uncertain.worst_case import WorstCase, values_near
-from salver.planning.fastest import fastest, transport_problem
-from salver.planning.fastest.tradeoff import TradeoffTask, scaled
+from salver.planning.fastest import transport_problem
 from salver.planning.make import make_plan
 from salver.planning.object import conditions
 from salver.planning.plan import Plan
@@ -276,16 +275,6 @@ def test_an_audit_counts_it_in_the_worst_case(bottle: Plan) -> None:
     lost = still.reserve(worst=True) - shaken.reserve(worst=True)
     assert lost.min() > 0.5 * SHAKE["amplitude"] * (2 * np.pi * SHAKE["frequency"]) ** 2
     assert_allclose(still.reserve(), shaken.reserve(), atol=1e-12)
-
-
-@pytest.mark.slow
-def test_a_tradeoff_scales_it() -> None:
-    made = shaking(TRUE_BOTTLE, BOTH)
-    half = scaled(made, 0.5).uncertainty.shake
-    assert (half.amplitude, half.tilt_deg, half.frequency) == (1.5e-4, 0.05, 14.0)
-    assert TradeoffTask.of(made).own == 1.0  # it is something uncertain
-    slow, quick = (fastest(transport_problem(scaled(made, factor))).duration for factor in (0.1, 0.0))
-    assert slow > quick
 
 
 # ---- the engine -----------------------------------------------------------------------------------------------

@@ -316,7 +316,6 @@ def command(rng: Rng, folder: Path) -> None:
         ["campaign", run, "-n", strange(), "--engine", "closed-loop", "-j", "1", "--folder", "other"],
         ["campaign", run, "-n", "2", "--engine", "closed-loop", "-j", "1", "--folder", strange()],
         ["campaign", run, "-n", "2", "--engine", "closed-loop", "-j", "1", "--seed", strange(), "--folder", "other"],
-        ["tradeoff", "slippery-cube", "--scales", strange()],
         ["plan", "slippery-cube", "--no-arm", "--duration", strange(), "-o", folder / "made"],
         ["retime", run, "-s", strange()],
         ["figures", run, "--format", strange()],

@@ -28,7 +28,6 @@ COMMANDS = {
     "simulate": "checks",
     "campaign": "checks",
     "audit": "checks",
-    "tradeoff": "plans",
     "retime": "plans",
     "report": "results",
     "figures": "results",

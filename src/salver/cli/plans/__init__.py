@@ -1,1 +1,1 @@
-"""Commands that make plans: demonstration, scenarios, plans, timings, trade-offs."""
+"""Commands that make plans: demonstration, scenarios, plans, timings."""

@@ -13,7 +13,7 @@ from salver.errors import SalverError
 from salver.files import write_atomic
 from salver.reports import perturbed
 from salver.reports.run import ReportedMotion, ReportedRun, read_run
-from salver.reports.style import BLACK, BLUE, COLUMN, CYCLE, GREY, PAGE, ROLE_COLOURS, ROLE_DASHES, paper_style
+from salver.reports.style import BLACK, COLUMN, CYCLE, GREY, PAGE, ROLE_COLOURS, ROLE_DASHES, paper_style
 from salver.reports.tables import numbers_table, scenario_rows, write_table
 from salver.simulation.pictures.drawing import draw_obstacles, within
 from salver.wording import number
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from salver.planning.fastest.tradeoff import TradeoffPoint
     from salver.scenario import Obstacle
     from salver.simulation.record import SimulationRecord
 
@@ -267,20 +266,6 @@ def tracking(
     for ax in axes[:, 0]:
         ax.set_ylim(bottom=0)
     axes[1, 1].legend(loc="best")
-    return figure
-
-
-def tradeoff_curve(points: Sequence[TradeoffPoint]) -> Figure:
-    """Duration over the size of the uncertainty, and over the friction needed."""
-    figure, axes = _new(2 * COLUMN, 2.4, columns=2, sharey=True)
-    duration = [point.duration for point in points]
-    left, right = axes[0]
-    left.plot([point.scale for point in points], duration, "o-", color=BLUE, markersize=3)
-    left.axvline(1.0, color=GREY, linewidth=0.6, linestyle=":")
-    left.set_xlabel("uncertainty survived, multiples of the scenario's")
-    left.set_ylabel("shortest safe duration [s]")
-    right.plot([point.friction_needed for point in points], duration, "o-", color=BLUE, markersize=3)
-    right.set_xlabel("least friction at which it holds, all else nominal")
     return figure
 
 
