@@ -8,7 +8,7 @@ Each recording is a shake (0.5 to 50 Hz), a jolt (10 to 200 ms) or a chirp, alon
 tray or of the arm's joints, scaled so that its peak needs 0.1 to 3 times the friction. It is sampled at 50 to 2000 Hz,
 with noise of 0 to 1 mm (a joint's noise moves the tray as far), and written in one of the formats that the audit reads.
 The engine moves the tray exactly as the motion was before it was sampled (`simulate_tray`, in the frame of the tray;
-tests/test_physics_calibration.py holds it against a tray that is driven). Counted are
+test_physics_calibration.py holds it against a tray that is driven). Counted are
 
 - wrong "holds": it said so, and the engine lost the load;
 - among those that need less than 0.8 of the friction, with noise below a tenth of the motion (half its range): wrong

@@ -2,7 +2,7 @@
 
     python benchmarks/liquids.py [--only flow|runs|survey|leaning] [-n 1000] [--beside 20] [--minutes 60] [--loads 60]
 
-flow: how high a liquid rises, as predicted and as nonlinear potential flow shows it (tests/potential_flow.py), on the
+flow: how high a liquid rises, as predicted and as nonlinear potential flow shows it (potential_flow.py), on the
 straight min-jerk line over 0.48 m, level, in a box of 80 mm by 60 mm, along its longer side and at 35 degrees to it,
 and in a cup of 80 mm. The flow of a cup is unstable in steep waves (its points are few): where it ends, a dash.
 runs: each ready-made scenario with a liquid in the physics engine, n random draws of all that is uncertain: its fastest
@@ -47,7 +47,7 @@ from salver.scenario import Scenario, load, parse
 from salver.simulation.physics import Experiment, simulate_tray
 from salver.simulation.record import SimulationRecord
 
-sys.path += [str(Path(__file__).parents[1] / folder) for folder in ("tests", "docs")]
+sys.path += [str(Path(__file__).parents[1] / folder) for folder in ("tests/helpers", "docs")]
 from blocks import replace as written
 
 from potential_flow import box, cylinder, rectangle

@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
+sys.path.insert(0, str(Path(__file__).parent.parent / "tests" / "helpers"))
 from live import lost
 from live_arrivals import HIGHEST, LOWEST
 from live_runs import LEAD, PERIOD, drive, executed, in_turn, rows_of

@@ -31,10 +31,10 @@ from salver.dynamics.liquid.liquid import LEANING, STEEPEST
 from salver.geometry import Array
 from salver.given import simulate_given
 
-sys.path += [str(Path(__file__).parents[1] / folder) for folder in ("tests", "docs")]
+sys.path += [str(Path(__file__).parents[1] / folder) for folder in ("tests/helpers", "docs")]
 import blocks
 
-from measured import (
+from measured_motions import (
     CLOCK,
     FILL,
     FORCE_RATE,

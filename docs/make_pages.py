@@ -53,7 +53,7 @@ def help_of(command: str) -> str:
 
 
 def example_of(name: str) -> str:
-    """A file of `examples/extending` or `benchmarks`; `tests/test_examples.py` and `tests/test_peers.py` run them."""
+    """A file of `examples/extending` or `benchmarks`; `test_examples.py` and `test_peers.py` run them."""
     places = [DOCS.parent / folder / f"{name}.py" for folder in ("examples/extending", "benchmarks")]
     return f"```py\n{next(p for p in places if p.is_file()).read_text(encoding='utf-8')}```"
 
@@ -90,7 +90,7 @@ def data_of(name: str) -> str:
 
 @cache
 def _pieces(module: str) -> dict[str, str]:
-    sys.path[:0] = [str(DOCS.parent / folder) for folder in ("benchmarks", "tests")]
+    sys.path[:0] = [str(DOCS.parent / folder) for folder in ("benchmarks", "tests/helpers")]
     return importlib.import_module(module).pieces()
 
 

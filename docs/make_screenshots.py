@@ -22,7 +22,7 @@ from salver.studio.server import Studio
 from salver.studio.text import changed
 
 HERE = Path(__file__).parent
-sys.path.insert(0, str(HERE.parent / "tests"))
+sys.path.insert(0, str(HERE.parent / "tests" / "helpers"))
 from browser import Browser, chromium, missing  # noqa: E402
 
 SCENARIO = "panda-tall-bottle"

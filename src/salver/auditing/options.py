@@ -30,7 +30,7 @@ class AuditOptions:
     drop: factor of power by which noise falls at a filter. Weaker filters are not detected.
     break_off: size of a spike or jump over the usual deviation from neighbours. Smaller ones become jolts.
     softening: c of a sloshing mode whose frequency is f (1 - c (a / R)^2) at height a: 0.07 to 0.3 in cups 0.6 to 1.5 R
-        deep, by nonlinear potential flow (tests/potential_flow.py). Resonance is reported at a larger distance.
+        deep, by nonlinear potential flow (potential_flow.py). Resonance is reported at a larger distance.
     runaway: ratio to linear sloshing above which resonance is reported. It is reported later.
     narrow: m, radius or half side of a glass below which sloshing was up to `rise` higher than predicted.
     rise: share of the height, in such a glass.

@@ -3,7 +3,7 @@
 A vibration of amplitude A and frequency f, on top of a motion with the reserve r (m/s^2, acceleration in any direction
 at which the load still holds), slides a load only if its acceleration a = A (2 pi f)^2 exceeds r, and then by at most
 2 pi A (1 - r / a)^2 in each cycle: the sliding block of Newmark (Effects of earthquakes on dams and embankments,
-Geotechnique 15, 1965) under a sine, to a quarter (`tests/test_audit_slip.py` checks the bound). So vibration that noise
+Geotechnique 15, 1965) under a sine, to a quarter (`test_audit_slip.py` checks the bound). So vibration that noise
 hides is judged by the slip that it could cause.
 """
 

@@ -82,7 +82,7 @@ def softened(modes: SurfaceMotion, softening: float) -> Array:
     with c = softening.
 
     a is the amplitude at each instant, so that a short motion ends before the frequency matters, and a long excitation
-    below resonance grows, as in nonlinear potential flow (tests/test_audit_sloshing.py). Semi-implicit Euler, with r
+    below resonance grows, as in nonlinear potential flow (test_audit_sloshing.py). Semi-implicit Euler, with r
     along non-rotating axes: r'' = -f - kd r' - (omega (1 - c (a / R)^2))^2 (f_z / g) r.
     """
     which = modes.cases

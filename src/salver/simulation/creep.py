@@ -9,7 +9,7 @@ less because velocity is updated before position (semi-implicit integration), th
     d(slip)/dt = -(d_max timeconst / 2 - timestep / 2) P (bias of the tray's point - bias of the object's point)
 
 with P the projection onto the contact plane. The bias of a free body at a point r from its origin is
-omega x (omega x r). No number is fitted; tests/test_physics_calibration.py compares the law with the engine.
+omega x (omega x r). No number is fitted; test_physics_calibration.py compares the law with the engine.
 """
 
 from __future__ import annotations

@@ -42,12 +42,12 @@ class VerdictOptions:
             fast: between instants `step` apart they exceeded torque rate limits by up to 1.8 %, contact by 0.2 %.
         step_with_dynamics: s, instead of `step` with load dynamics, whose cases are expensive.
         deriving: derivatives of the dynamics are computed at every such instant and at knots, and are linear between.
-            They multiply the small deviation: contact rows change by less than 2e-4 (tests/test_live_verdict.py). With
+            They multiply the small deviation: contact rows change by less than 2e-4 (test_live_verdict.py). With
             1 a verdict takes 1.04 to 1.1 times as long.
         contact: margin of every contact row, as a share of the normal force at rest. Measured: rows rise by up to 5e-4
-            between instants (tests/test_live_verdict.py).
+            between instants (test_live_verdict.py).
         torque_rate: margin of the torque rate, as a share of its limit. Measured: up to 1.3e-3 more over a period than
-            is found along a fastest motion (tests/test_live_verdict.py), up to 8e-3 more in rapidly changing streams.
+            is found along a fastest motion (test_live_verdict.py), up to 8e-3 more in rapidly changing streams.
         period: s, shortest control period of a torque interface.
         inside: margin of load dynamics, as a share of their room: their state is known to a thousandth from one motion
             to the next.

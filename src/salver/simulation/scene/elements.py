@@ -4,7 +4,7 @@ An object stands on small spheres, its feet, at the corners of its base (24 for 
 contact with the support, at a known point, with an explicit pair for the friction. The hull of the object, raised by
 `HULL_GAP`, touches the support once the object tips.
 
-The engine settings are those under which contacts stick (measured in tests/test_physics_calibration.py): elliptic
+The engine settings are those under which contacts stick (measured in test_physics_calibration.py): elliptic
 cones, impratio 300 (1000 gives a third of the creep at half the speed), contact time constant of two steps.
 """
 

@@ -1,0 +1,296 @@
+"""Eqs (13) to (17): the planning problem's derivatives, its global optimum, and what it says when there is none."""
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize
+
+import odd_loads
+from salver.errors import ScenarioError
+from salver.geometry import GRAVITY_S
+from salver.planning.make import plan_baseline, plan_object
+from salver.planning.object.cost import CostWeights, integration_weights
+from salver.planning.object.problem import Problem
+from salver.planning.object.solvers import _waiter, solve, solve_convex
+from salver.scenario import load
+
+PAPER = load("panda-cube")
+GOAL = [0.444272, 0.100574, 0.4]
+CORRELATED = {"set": "ellipsoid", "correlation": {"mass,com_x": 0.5, "com_x,com_z": -0.6, "com_y,inertia_yy": 0.4}}
+TEN = {"mass": "10%", "com": [0.002] * 3, "inertia": [3.4e-5, 5e-6, 3.4e-5, 5e-6, 5e-6, 3.4e-5]}
+
+
+def changed(**changes):
+    return PAPER.with_changes(**changes)
+
+
+def turning(**changes):
+    return changed(motion__orientation="free", motion__goal={"position": GOAL, "rpy_deg": [10, 0, 90]}, **changes)
+
+
+@pytest.mark.parametrize(
+    "scenario",
+    [
+        PAPER,
+        turning(objects__0__uncertainty=TEN),
+        turning(objects__0__uncertainty=TEN, contact__condition="exact"),
+        turning(objects__0__uncertainty=TEN, contact__condition="exact", uncertainty=CORRELATED),
+        turning(objects__0__uncertainty=TEN, uncertainty=CORRELATED),
+        odd_loads.pair("ellipsoid", contact__condition="paper", motion__duration=1.0, motion__orientation="free"),
+        odd_loads.stack("ellipsoid", contact__condition="exact", motion__duration=1.0, motion__orientation="free"),
+    ],
+    ids=["paper", "ten parameters, turning", "exact", "exact ellipsoid", "ellipsoid", "pair", "stack"],
+)
+def test_derivatives_are_those_of_the_values(scenario):
+    problem = Problem(scenario, 21)
+    rng = np.random.default_rng(0)
+    z, d, h = 0.05 * rng.normal(size=problem.size), rng.normal(size=problem.size), 1e-6
+    here, ahead, behind = problem.linearise(z), problem.linearise(z + h * d), problem.linearise(z - h * d)
+    numeric = (ahead.residual - behind.residual) / (2 * h)
+    assert here.residual_jacobian @ d == pytest.approx(numeric, abs=1e-7 * np.abs(numeric).max())
+    assert here.goal_jacobian @ d == pytest.approx((ahead.goal - behind.goal) / (2 * h), abs=1e-8)
+    for now, up, down in zip(here.rows, ahead.rows, behind.rows, strict=True):
+        slack = now.slack()
+        change = (up.slack() - down.slack()) / (2 * h)
+        instant, row = (index.ravel() for index in np.indices(slack.shape))
+        offset, slope = now.tangents(0 * d, instant, row)
+        assert offset == pytest.approx(slack.ravel(), abs=1e-12)
+        # Where a term changes sign in between, its absolute value has no derivative: both sides have theirs.
+        jump = np.abs(up.slack() - 2 * slack + down.slack()).ravel() / h
+        assert np.mean(jump < 1e-4 * np.abs(change).max()) > 0.9
+        assert np.all(np.abs(slope @ d - change.ravel()) < 0.51 * jump + 1e-6 * np.abs(change).max())
+
+
+@pytest.mark.parametrize("weighting", ["scaled", "paper", "pose"])
+@pytest.mark.parametrize("duration", [2.5, 1.0])
+def test_convex_solution_is_the_global_optimum(weighting, duration):
+    """Against another solver on the same matrices, from a random start; SLSQP knows nothing of tangent cuts."""
+    problem = Problem(changed(objective__weighting=weighting, motion__duration=duration), 31)
+    solution = solve_convex(problem)
+    assert solution.status.code == "optimal"
+    assert solution.gap < 1e-9
+    assert solution.lower_bound == pytest.approx(solution.cost, rel=1e-9)
+    model = problem.linearise(np.zeros(problem.size))
+    # In coordinates in which the cost is round, or SLSQP's steps are hopeless.
+    shape = np.linalg.qr(model.residual_jacobian)[1]
+    change = np.linalg.inv(shape)
+    unit = solution.cost
+
+    def cost(y):
+        r = model.residual + model.residual_jacobian @ (change @ y)
+        return r @ r / unit, 2 * (model.residual_jacobian @ change).T @ r / unit
+
+    def slack(y):
+        return np.concatenate([rows.slack(change @ y).ravel() for rows in model.rows]) - problem.scenario.contact.margin
+
+    start = shape @ solution.z + 0.1 * np.sqrt(unit) * np.random.default_rng(0).normal(size=problem.size)
+    other = minimize(
+        cost, start, jac=True, method="SLSQP", constraints={"type": "ineq", "fun": slack}, options={"maxiter": 300}
+    )
+    assert other.success
+    # SLSQP may leave constraints by its own tolerance, and is then a little cheaper.
+    assert slack(other.x).min() > -1e-6
+    assert solution.cost == pytest.approx(other.fun * unit, rel=1e-5)
+    assert slack(shape @ solution.z).min() >= -1e-9
+
+
+def test_ellipsoid_is_less_cautious_than_the_box_around_it():
+    """In a time that is too short for either, the least that is missing is less."""
+    both = {}
+    for kind in ("box", "ellipsoid"):
+        place = {"com": [0.003] * 3}
+        scenario = changed(
+            objects__0__uncertainty=place, uncertainty={"set": kind}, contact__condition="exact", motion__duration=0.5
+        )
+        both[kind] = solve(Problem(scenario, 31)).violation
+    assert 0.1 < both["ellipsoid"] < 0.995 * both["box"]
+
+
+def test_more_freedom_never_costs_more():
+    costs = [solve(Problem(changed(motion__degree=degree), 61)).cost for degree in (5, 6, 7, 9, 12, 16)]
+    assert np.all(np.diff(costs) <= 1e-12 * costs[0])
+
+
+def test_infeasible_says_which_constraint_when_and_by_how_much_and_least_violation_is_least():
+    problem = Problem(changed(motion__duration=0.7), 41)
+    solution = solve(problem)
+    assert solution.status.code == "infeasible"
+    assert not solution.status.ok
+    details = solution.status.details
+    assert details["proven"]
+    assert f"t = {details['time']:.3f} s" in solution.status.sentence
+    model = problem.linearise(np.zeros(problem.size))
+
+    def worst(z):
+        return max(0.001 - rows.slack(z).min() for rows in model.rows)
+
+    assert worst(solution.z) == pytest.approx(details["violation"], rel=1e-6)
+    rng = np.random.default_rng(0)
+    around = [worst(solution.z + scale * rng.normal(size=problem.size)) for scale in (1e-3, 1e-2) for _ in range(200)]
+    assert min(around) >= details["violation"] * (1 - 1e-4)
+
+
+@pytest.mark.parametrize("name", ["panda-cube-yaw", "panda-cube-tilted-goal", "panda-cube-10-parameters"])
+def test_free_orientation_and_uncertain_centre_of_mass_end_in_verified_plans(name):
+    plan = plan_object(load(name))
+    assert plan.status.ok
+    assert plan.verification.ok
+    assert plan.verification.boundary_error < 1e-9
+    assert plan.cost <= plan_baseline(load(name)).cost
+    assert plan.solver["programmes"] >= 1
+
+
+@pytest.mark.slow
+def test_sequential_answer_is_a_local_optimum():
+    scenario = turning(motion__duration=1.0, objects__0__uncertainty={"mass": "10%", "inertia": "10%"})
+    problem = Problem(scenario, 41)
+    solution = solve(problem)
+    assert solution.status.ok
+    model = problem.linearise(solution.z)
+    rng = np.random.default_rng(0)
+    feasible_and_better = 0
+    for _ in range(200):
+        d = 3e-4 * rng.normal(size=problem.size)
+        d -= np.linalg.pinv(model.goal_jacobian) @ (model.goal_jacobian @ d)
+        trial = problem.linearise(solution.z + d)
+        kept = min(rows.slack().min() for rows in trial.rows) >= scenario.contact.margin
+        feasible_and_better += kept and trial.residual @ trial.residual < solution.cost * (1 - 1e-4)
+    assert feasible_and_better == 0
+
+
+def test_weightings_differ_as_documented():
+    def weights(weighting):
+        return CostWeights.of(changed(objective__weighting=weighting), np.linspace(0, 1, 11))
+
+    assert weights("paper").rows == (1, 1, 1, 1)
+    assert weights("pose").rows == (1, 1, 0, 0)
+    radius = 0.02 * np.sqrt(3)
+    assert weights("scaled").rows == pytest.approx((1, radius, 500**-0.5, radius * 300**-0.5))
+    assert weights("paper").columns == pytest.approx(np.eye(PAPER.payload.uncertain.size))
+    assert weights("scaled").columns == pytest.approx(np.diag(PAPER.payload.uncertain.half_range))
+
+
+@pytest.mark.parametrize("nodes", [2, 5, 6, 7, 21, 50])
+def test_errors_are_integrated_at_steps_that_are_short_for_the_fastest_of_them(nodes):
+    """0.35 of 1 / sqrt(500) s, the modulus of both poles of s^2 + 25 s + 500; with one part less they are longer."""
+    t = Problem(PAPER, nodes).grid.t
+    every = (len(t) - 1) // (nodes - 1)
+    longest, span = 0.35 / np.sqrt(500.0), PAPER.motion.duration / (nodes - 1)
+    assert t[every] == pytest.approx(span)  # the nodes are among them
+    assert span / every <= longest < span / (every - 1)
+
+
+def test_integration_weights_are_exact_for_cubics():
+    for n in (7, 12, 61):
+        t = np.linspace(0, 2, n)
+        assert integration_weights(n, 2.0) @ (t**3 - 2 * t + 1) == pytest.approx(4 - 4 + 2)
+
+
+def test_paper_condition_knows_only_objects_on_the_tray():
+    lower = PAPER.model_dump(mode="json", exclude_none=True)["objects"][0]
+    scenario = changed(objects=[lower, {**lower, "name": "upper", "on": "cube"}])
+    with pytest.raises(ScenarioError, match="upper stands on cube"):
+        Problem(scenario, 11).linearise(np.zeros(12))
+    assert Problem(scenario.with_changes(contact__condition="exact"), 11).linearise(np.zeros(12)).rows
+
+
+@pytest.mark.parametrize("degree", [6, 9, 14])
+def test_where_nothing_acts_on_the_closed_loop_the_motion_of_least_jerk_is_planned(degree):
+    scenario = changed(objects__0__uncertainty={"friction": "10%"}, contact__condition="exact", motion__degree=degree)
+    plan, line = plan_object(scenario), plan_baseline(scenario)
+    assert plan.cost == 0
+    # Equal but for the quadrature of the cost on the grid.
+    assert plan.evaluation.samples.p_SB == pytest.approx(line.evaluation.samples.p_SB, abs=1e-6)
+
+
+@pytest.mark.slow
+def test_tilt_stays_below_its_limit_and_less_freedom_costs_more():
+    free = changed(motion__orientation="free", motion__duration=0.8)
+    plans = [plan_object(free.with_changes(motion__max_tilt_deg=limit)) for limit in (None, 15, 5)]
+    tilt = [np.rad2deg(np.arccos(plan.evaluation.samples.R_SB[:, 2, 2].min())) for plan in plans]
+    assert all(plan.ok for plan in plans)
+    assert tilt[0] > 15  # so the next limit binds
+    assert 14 < tilt[1] <= 15
+    assert 4 < tilt[2] <= 5
+    assert plans[0].cost < plans[1].cost < plans[2].cost
+
+
+@pytest.mark.slow
+def test_shortest_tilting_plans_are_found_from_the_waiters_tilt():
+    """At full speed: standing still no load stays on a tray that leans so far."""
+    plan = plan_object(changed(motion__orientation="free", motion__duration=0.6, motion__speeds="full"))
+    assert plan.ok
+    assert not plan_object(changed(motion__duration=0.6)).ok
+
+
+def test_a_search_with_a_tilting_tray_begins_with_what_a_waiter_does():
+    """On the straight line in 0.6 s a tray that stays level leans by up to 40 degrees from where the load would feel no
+    push along it. The start leans less, although its turning is as smooth at both ends as any plan's."""
+    turned = {"position": GOAL, "rpy_deg": [0, 0, 40]}
+    problem = Problem(changed(motion__orientation="free", motion__duration=0.6, motion__goal=turned), 61)
+    samples = problem.reference(_waiter(problem)).sample(problem.grid.t)
+    felt = samples.a_S - GRAVITY_S
+    felt /= np.linalg.norm(felt, axis=1, keepdims=True)
+    level, leaning = np.arccos(felt[:, 2]), np.arccos(np.einsum("ti,ti->t", felt, samples.R_SB[:, :, 2]))
+    assert level.max() > np.deg2rad(35)
+    assert np.linalg.norm(leaning) < 0.75 * np.linalg.norm(level)
+    speeding = slice(1, 15)
+    assert np.all(leaning[speeding] < level[speeding])
+
+
+def test_free_yaw_meets_the_vertical_only():
+    tilted = {"position": GOAL, "rpy_deg": [8, 0, 70]}
+    fixed = changed(motion__orientation="free", motion__goal=tilted, motion__duration=0.8, contact__condition="exact")
+    plan = plan_object(fixed.with_changes(motion__goal_yaw="free"))
+    assert plan.ok
+    assert plan.cost <= plan_object(fixed).cost * (1 + 1e-4)
+    assert plan.evaluation.samples.R_SB[-1, :, 2] == pytest.approx(fixed.motion.goal.rotation[:, 2], abs=1e-9)
+
+
+def test_derivative_of_tilt_and_of_the_free_goal():
+    scenario = turning(motion__max_tilt_deg=20, motion__goal_yaw="free")
+    problem = Problem(scenario, 21)
+    rng = np.random.default_rng(1)
+    z, d, h = 0.05 * rng.normal(size=problem.size), rng.normal(size=problem.size), 1e-6
+    here, ahead, behind = problem.linearise(z), problem.linearise(z + h * d), problem.linearise(z - h * d)
+    assert here.goal.shape == (2,)
+    assert here.goal_jacobian @ d == pytest.approx((ahead.goal - behind.goal) / (2 * h), abs=1e-8)
+    change = (ahead.rows[-1].slack() - behind.rows[-1].slack())[:, 0] / (2 * h)
+    assert here.rows[-1].left_jacobian @ d == pytest.approx(change, abs=1e-7)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        pytest.param({"objects__0__friction": 1e-6}, marks=pytest.mark.slow),
+        {"objects__0__friction": 1e-6, "contact__condition": "exact"},
+        {"motion__duration": 0.01},
+        {"contact__condition": "exact", "uncertainty__tilt_deg": [30.0, 0.0]},  # slides at rest, whatever the motion
+    ],
+    ids=["ice", "ice, exact", "a hundredth of a second", "slope"],
+)
+def test_what_no_motion_can_keep_gets_a_sentence_about_contact(changes):
+    plan = plan_object(changed(**changes))
+    assert plan.status.code == "infeasible"
+    assert "misses the condition on cube" in plan.status.sentence
+    assert plan.verification.sentence.startswith("The contact condition is missed by")
+
+
+def test_a_margin_that_nothing_reaches_is_named():
+    plan = plan_object(changed(objects__0__mass=1e-3, objects__0__inertia=[1e-6, 1e-6, 1e-6]))
+    assert plan.status.code == "infeasible"
+    assert "of the 0.001 N of contact.margin over its tube" in plan.status.sentence
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["panda-cube-tilted-goal", "panda-tall-bottle", "slippery-cube"])
+def test_a_high_degree_finds_no_less_than_a_low_one(name):
+    """Polynomials of degree 9 are of degree 30 too. One of degree 30 bends far between 61 nodes; the margin that was
+    added for that, and kept when the nodes were brought closer, left nothing. Where no duration is given it is 2 s.
+    """
+    case = load(name)
+    case = case.with_changes(arm=None, motion__duration=case.motion.duration or 2.0, motion__orientation="fixed")
+    low, high = (plan_object(case.with_changes(motion__degree=degree)) for degree in (9, 30))
+    assert low.ok
+    assert high.ok, high.status
+    assert high.verification.ok
+    assert high.cost <= low.cost * (1 + 1e-6)
