@@ -21,7 +21,7 @@ def main() -> None:
         film = write_film(name, FILM, rate=20, speed=0.5, width=360, height=300)
     for stem, plan in found["campaign"]["plans"].items():
         print(stem, found[stem]["duration"], {name: rate["count"] for name, rate in plan["outcomes"].items()})
-    print(f"{film.path}: {film.frames} pictures by {film.renderer}, {film.path.stat().st_size / 1e6:.1f} MB")
+    print(f"{film.path}: {film.frames} pictures, {film.path.stat().st_size / 1e6:.1f} MB")
 
 
 if __name__ == "__main__":

@@ -156,13 +156,12 @@ def test_fig7_shows_the_same_instants_of_both(directory: Path) -> None:
     run = read_run(directory)
     record = perturbed.heavier(load_plan(directory, "plan"), 0.0)
     with paper_style():
-        figure, note = figures.snapshots(run, {"plan": record})
+        figure = figures.snapshots(run, {"plan": record})
     assert len(figure.axes) == 4
     assert [ax.get_title(loc="left") for ax in figure.axes] == ["0.00 s", "0.83 s", "1.67 s", "2.50 s"]
     assert figure.axes[0].get_ylabel() == "Robust"
     first, last = (np.asarray(figure.axes[k].get_images()[0].get_array()).astype(int) for k in (0, 3))
     assert (np.abs(first - last).max(axis=2) > 30).sum() > 1000  # the arm has moved
-    assert note == "" or "OpenGL" in note
 
 
 def test_tables(directory: Path, tmp_path: Path) -> None:
@@ -208,7 +207,6 @@ def test_film_without_an_encoder_moves(simulated: Path, tmp_path: Path) -> None:
 
     made = film.write_film(simulated, tmp_path / "film.gif", rate=1.0, width=96, height=72)
     assert made.frames == 3  # at 0, 1 and 2 s
-    assert made.renderer in ("mujoco", "matplotlib")
     with Image.open(made.path) as image:
         assert image.size == (96 + 4 + 96, 72)
         assert image.n_frames == 3

@@ -34,6 +34,7 @@ OUTCOME_COLOURS = {
     "error": GREY,
 }
 TRAY_COLOUR = "#3c4753"
+OBSTACLE_COLOUR = "#a5816b"
 OBJECT_COLOURS = (AMBER, SKY, GREEN, MAUVE)
 
 COLUMN = 3.45  # in, width of a column of a two-column paper

@@ -27,7 +27,7 @@ def render(
 ) -> None:
     """Film the simulated runs of a directory, without a display.
 
-    MuJoCo draws the pictures, or matplotlib if OpenGL does not work; ffmpeg makes the film (not needed for gif, webp).
+    MuJoCo draws the pictures, which needs OpenGL; ffmpeg makes the film (not needed for gif, webp).
     With a name that ends in .mcap, one motion is written as a recording for Foxglove or RViz: the simulated one, or the
     planned one if it was not simulated.
 
@@ -47,20 +47,10 @@ def render(
             say(f"Wrote {found}: {found.stat().st_size / 1e6:.1f} MB.")
         return
     film = write_film(directory, path, stem, rate=rate, speed=speed, width=width, height=height)
-    if film.note:
-        say(film.note)
     for name, verdict in film.verdicts.items():
         if verdict.startswith(UNSAFE):
             say(f"salver: {name}: {verdict}")
     if json:
-        print_json(
-            {
-                "film": film.path,
-                "frames": film.frames,
-                "renderer": film.renderer,
-                "note": film.note,
-                "verdicts": film.verdicts,
-            }
-        )
+        print_json({"film": film.path, "frames": film.frames, "verdicts": film.verdicts})
     else:
         say(f"Wrote {film.path}: {film.frames} pictures, {film.path.stat().st_size / 1e6:.1f} MB.")

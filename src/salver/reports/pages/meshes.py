@@ -12,8 +12,7 @@ import numpy as np
 from salver.geometry import Array
 from salver.models.shapes.obstacle_shapes import obstacle_shapes
 from salver.models.shapes.surfaces import Surface, surface
-from salver.reports.style import rgb
-from salver.simulation.pictures.drawing import OBSTACLE_COLOUR
+from salver.reports.style import OBSTACLE_COLOUR, rgb
 
 if TYPE_CHECKING:
     from salver.models.arm.arm import ArmModel

@@ -9,13 +9,25 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from salver.errors import SalverError
+from salver.errors import MissingDependencyError, SalverError
 from salver.files import write_atomic
+from salver.geometry import Array
+from salver.models.shapes.obstacle_shapes import obstacle_shapes
+from salver.models.shapes.surfaces import Surface, surface
 from salver.reports import perturbed
 from salver.reports.run import ReportedMotion, ReportedRun, read_run
-from salver.reports.style import BLACK, COLUMN, CYCLE, GREY, PAGE, ROLE_COLOURS, ROLE_DASHES, paper_style
+from salver.reports.style import (
+    BLACK,
+    COLUMN,
+    CYCLE,
+    GREY,
+    OBSTACLE_COLOUR,
+    PAGE,
+    ROLE_COLOURS,
+    ROLE_DASHES,
+    paper_style,
+)
 from salver.reports.tables import numbers_table, scenario_rows, write_table
-from salver.simulation.pictures.drawing import draw_obstacles, within
 from salver.wording import number
 
 if TYPE_CHECKING:
@@ -58,9 +70,10 @@ def write_figures(
             say("Figs 7 and 8 are left out: the scenario has no arm.")
         elif physics:
             nominal, heavier = _physics_records(run)
-            figures["fig7-snapshots"], note = snapshots(run, nominal)
-            if note:
-                say(note)
+            try:
+                figures["fig7-snapshots"] = snapshots(run, nominal)
+            except MissingDependencyError as error:
+                say(f"Fig. 7 is left out: {error}")
             figures["fig8-tracking"] = tracking(run.motions, nominal, heavier)
         for name, figure in figures.items():
             made.append(write_atomic(folder / f"{name}.{file_format}", render(figure, file_format)))
@@ -120,8 +133,10 @@ def trajectories(motions: Iterable[ReportedMotion], obstacles: Sequence[Obstacle
 
 def _in_space(ax: Any, motions: list[ReportedMotion], obstacles: Sequence[Obstacle]) -> None:
     """Paths of the object to one scale in all three directions, with start, goal and, dotted, the paths from above."""
+    from mpl_toolkits.mplot3d.art3d import Poly3DCollection  # type: ignore[import-untyped]
+
     points = np.vstack([m.arrays["p_SB"] for m in motions])
-    around = within(obstacles, points.min(axis=0) - 0.15, points.max(axis=0) + 0.15)  # m around the paths
+    around = _within(obstacles, points.min(axis=0) - 0.15, points.max(axis=0) + 0.15)  # m around the paths
     points = np.vstack([points, *(vertices for vertices, _ in around)])
     middle, half = 0.5 * (points.max(axis=0) + points.min(axis=0)), 0.55 * np.ptp(points, axis=0).max()
     spans = np.maximum(np.ptp(points, axis=0) * 0.6, 0.35 * half)
@@ -140,10 +155,21 @@ def _in_space(ax: Any, motions: list[ReportedMotion], obstacles: Sequence[Obstac
         getattr(ax, f"set_{name}label")(f"${name}$ [m]", labelpad={"x": -4, "y": 3, "z": 1}[name])
         getattr(ax, f"{name}axis").set_major_locator(_few_ticks())
         getattr(ax, f"{name}axis").pane.set_facecolor("white")
-    draw_obstacles(ax, obstacles)
+    for vertices, faces in around:
+        ax.add_collection3d(Poly3DCollection(vertices[faces], facecolor=OBSTACLE_COLOUR, edgecolor="none", alpha=0.25))
     ax.set_box_aspect(spans, zoom=1.15)
     ax.tick_params(pad=-1)
     ax.view_init(elev=20, azim=-35)
+
+
+def _within(obstacles: Sequence[Obstacle], low: Array, high: Array) -> list[Surface]:
+    """Surfaces of obstacles, clamped to the box from low (3,) to high (3,); obstacles outside of it are left out."""
+    pieces = [surface(shape, placement) for obstacle in obstacles for shape, placement in obstacle_shapes(obstacle)]
+    return [
+        (np.clip(vertices, low, high), faces)
+        for vertices, faces in pieces
+        if np.all(vertices.max(axis=0) > low) and np.all(vertices.min(axis=0) < high)
+    ]
 
 
 def _few_ticks() -> Any:
@@ -220,18 +246,17 @@ def _physics_records(run: ReportedRun) -> tuple[dict[str, SimulationRecord], dic
 SNAPSHOTS = 4
 
 
-def snapshots(run: ReportedRun, records: Mapping[str, SimulationRecord]) -> tuple[Figure, str]:
-    """Fig. 7: pictures along each simulated motion, one row a motion; and a note when they are plain drawings."""
-    from salver.simulation.pictures.render import snapshots as photograph
+def snapshots(run: ReportedRun, records: Mapping[str, SimulationRecord]) -> Figure:
+    """Fig. 7: pictures along each simulated motion, one row a motion. Raises MissingDependencyError without OpenGL."""
+    from salver.simulation.pictures import frames_at, painter
 
     motions = [m for m in run.motions if m.stem in records]
     figure, axes = _new(PAGE, 1.42 * len(motions) + 0.2, rows=len(motions), columns=SNAPSHOTS)
-    note = ""
     for row, m in zip(axes, motions, strict=True):
-        times = np.linspace(0.0, m.duration, SNAPSHOTS)
-        pictures = photograph(records[m.stem], run.scenario, times, width=640, height=480)
-        note = pictures.note
-        for ax, picture, t in zip(row, pictures.images, times, strict=True):
+        times, record = np.linspace(0.0, m.duration, SNAPSHOTS), records[m.stem]
+        with painter(record, run.scenario, 640, 480) as paint:
+            pictures = [paint(k) for k in frames_at(record, times)]
+        for ax, picture, t in zip(row, pictures, times, strict=True):
             ax.imshow(picture)
             ax.set_title(f"{t:.2f} s", loc="left", pad=2)
             ax.set_xticks([])
@@ -239,7 +264,7 @@ def snapshots(run: ReportedRun, records: Mapping[str, SimulationRecord]) -> tupl
             for spine in ax.spines.values():
                 spine.set_visible(False)
         row[0].set_ylabel(m.label)
-    return figure, note
+    return figure
 
 
 def tracking(

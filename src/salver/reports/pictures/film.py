@@ -34,13 +34,10 @@ _GAP = 4  # pixels between two pictures
 
 @dataclass(frozen=True)
 class Film:
-    """path: the file. frames: how many. renderer: "mujoco", or "matplotlib" when `note` says why.
-    verdicts: on the plans of the runs, by stem."""
+    """path: the file. frames: how many. verdicts: on the plans of the runs, by stem."""
 
     path: Path
     frames: int
-    renderer: str
-    note: str
     verdicts: Mapping[str, str]
 
 
@@ -59,7 +56,7 @@ def write_film(
 
     rate: pictures a second. speed: of time in the film; 0.25 shows it four times slower. width, height: of a picture.
     Formats by the ending of `path`: mp4, mkv, webm through ffmpeg; gif, webp without it. Raises SalverError for
-    what cannot be, MissingDependencyError when there is no encoder.
+    what cannot be, MissingDependencyError when there is no encoder or no OpenGL.
     """
     path = Path(path)
     if path.suffix not in (*FILMS, *STILLS):
@@ -81,10 +78,9 @@ def write_film(
             f"most {MOST_PICTURES} are drawn."
         )
     times = [np.arange(0.0, scene.seconds + 1e-9, speed / rate) for scene in scenes]
-    note = _no_opengl(scenes[0])
-    save(chain(*(_pictures(*each, note, width, height) for each in zip(scenes, times, strict=True))), rate)
+    save(chain(*(_pictures(*each, width, height) for each in zip(scenes, times, strict=True))), rate)
     verdicts = {stem: verdict for scene in scenes for stem, verdict in scene.verdicts.items()}
-    return Film(path, sum(map(len, times)), "matplotlib" if note else "mujoco", note, verdicts)
+    return Film(path, sum(map(len, times)), verdicts)
 
 
 @dataclass(frozen=True)
@@ -123,30 +119,14 @@ def _scenes(directory: Path, stem: str) -> list[_Scene]:
     return [_Scene(plans[wanted[0]].scenario, records, verdicts)]
 
 
-def _no_opengl(scene: _Scene) -> str:
-    """Why MuJoCo cannot draw here; empty where it can."""
-    from salver.simulation.pictures.render import NoOpenGLError, painter
+def _pictures(scene: _Scene, times: np.ndarray, width: int, height: int) -> Iterator[np.ndarray]:
+    """Pictures at `times`, the records side by side."""
+    from salver.simulation.pictures import frames_at, painter
 
-    try:
-        with painter(next(iter(scene.records.values())), scene.scenario, 16, 16) as paint:
-            paint(0)
-    except NoOpenGLError as error:
-        return str(error)
-    return ""
-
-
-def _pictures(scene: _Scene, times: np.ndarray, note: str, width: int, height: int) -> Iterator[np.ndarray]:
-    """Pictures at `times`, the records side by side; by MuJoCo, or the plain drawing where `note` says why not."""
-    from salver.simulation.pictures.render import frames_at, painter, snapshots
-
-    records, verdicts, scenario = scene.records, scene.verdicts, scene.scenario
+    records, verdicts = scene.records, scene.verdicts
 
     def film(record: SimulationRecord) -> Iterator[np.ndarray]:
-        if note:
-            for t in times:
-                yield snapshots(record, scenario, [t], width=width, height=height, plain=True).images[0]
-            return
-        with painter(record, scenario, width, height, path=record.p_SB[:, 0]) as paint:
+        with painter(record, scene.scenario, width, height) as paint:
             for k in frames_at(record, times):
                 yield paint(int(k))
 
