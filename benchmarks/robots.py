@@ -1,11 +1,11 @@
-"""Robots that are not their model: what they cost the tall bottle, tuned and untuned, counted in the engine.
+"""Robots that are not their model: what they cost the tall bottle, counted in the engine.
 
 python benchmarks/robots.py -n 1000 [--no-logs | --seeds 8 --seed 105] [--docs] [--only lag]
 
-Each robot is tuned with the nominal load strapped to its tray; then the same loose loads, the 32 corners of the ranges
-first, are carried by the untuned and by the tuned plan: campaigns in runs/robots (--runs), which go on where they were
-stopped. Rows are kept in docs/data/robots.json; `make pages` writes docs/howto/track.md from them. Another table has
-the excess found from noisy logs against the true one.
+Each robot carries the nominal load strapped to its tray, and its tracking is judged; then it carries loose loads, the
+32 corners of the ranges first: campaigns in runs/robots (--runs), which go on where they were stopped. Rows are kept in
+docs/data/robots.json; `make pages` writes docs/howto/track.md from them. Another table has the excess found from noisy
+logs against the true one.
 """
 
 from __future__ import annotations
@@ -21,10 +21,9 @@ import numpy as np
 
 import salver as sv
 from salver.campaigns import run_campaign
-from salver.errors import SalverError
+from salver.errors import FileFormatError
 from salver.files import read_json, write_json
 from salver.learning.tracking.track import Judge, track
-from salver.learning.tracking.tune import engine_robot, tune
 from salver.models.arm.arm import load_arm
 from salver.motion_files.samples import joint_samples
 from salver.planning.plan import Plan, load_plan
@@ -62,64 +61,55 @@ def held(folder: Path, n: int) -> int:
 
 
 def robots(plan: Plan, n: int, only: str, runs: Path) -> None:
-    """Tune each robot, and count; what was tuned and counted before is not done again."""
+    """Judge each robot, and count; what was counted before is not done again."""
     for name, changes in ROBOTS.items():
         if only not in name:
             continue
         folder = runs / re.sub(r"[^a-z0-9]+", "-", name.lower())
         real = replace(plan, scenario=plan.scenario.with_changes(**changes))
-        if not (folder / "tuned.json").exists():
-            real.save(folder / "untuned")
-            write_json(folder / "tuned.json", tuned(real, folder / "tuned"))
-        row = read_json(folder / "tuned.json") | {"robot": name, "n": n, "untuned": held(folder / "untuned", n)}
-        if row["cure"] == "none needed":  # the same plan with the same command
-            row["tuned"] = row["untuned"]
-        elif row["cure"] != "refused":
-            row["tuned"] = held(folder / "tuned", n)
+        if not (folder / "plan.npz").exists():
+            real.save(folder)
+        row = {"robot": name, "n": n, "excess": excess(real), "kept": held(folder, n)}
         kept = {old["robot"]: old for old in (read_json(KEPT) if KEPT.exists() else [])} | {name: row}
         write_json(KEPT, [kept[robot] for robot in ROBOTS if robot in kept])
-        print(of_robot(row), row["told"], file=sys.stderr, flush=True)
+        print(of_robot(row), file=sys.stderr, flush=True)
 
 
-def tuned(real: Plan, folder: Path) -> dict[str, Any]:
-    """What becomes of a robot that is tuned with the nominal load strapped to its tray; its plan is saved."""
+def names_of(plan: Plan) -> tuple[str, ...]:
+    assert plan.scenario.arm is not None
+    return tuple(load_arm(plan.scenario.arm, plan.scenario.tray).joint_names)
+
+
+def excess(real: Plan) -> float | None:
+    """The excess of a robot's run; None if it is so far astray that it is not this plan's log."""
     try:
-        rounds = list(tune(real, engine_robot))
-    except SalverError as error:  # so far astray that it is not this plan's log
-        return {"excess": None, "cure": "refused", "price": None, "told": str(error)}
-    last, margins = rounds[-1], sum(r.next == "margin" for r in rounds)
-    found = {"excess": rounds[0].tracking.excess, "cure": "refused", "price": None, "told": last.sentence}
-    if last.next == "done":
-        last.plan.save(folder)
-        commands = sum(r.next == "command" for r in rounds)
-        found["cure"] = f"{commands} corrections, {margins} margins" if commands or margins else "none needed"
-        found["price"] = last.plan.duration / real.duration - 1
-    return found
+        done = Experiment(real).strapped()
+        return track(real, joint_samples(done.t, names_of(real), done.q, None, None, "log")).excess
+    except FileFormatError:
+        return None
 
 
 def of_robot(row: dict[str, Any]) -> str:
-    excess = "" if row["excess"] is None else f"{100 * row['excess']:.1f} %"
-    price = "" if row["price"] is None else f"{100 * row['price']:+.1f} %"
-    of = [f"{row[key]} of {row['n']}" if key in row else "" for key in ("untuned", "tuned")]
-    return f"| {row['robot']} | {excess} | {row['cure']} | {price} | {of[0]} | {of[1]} |"
+    taken = "" if row["excess"] is None else f"{100 * row['excess']:.1f} %"
+    return f"| {row['robot']} | {taken} | {row['kept']} of {row['n']} |"
 
 
 def pieces() -> dict[str, str]:
     """The table of docs/howto/track.md, and what it shows, from docs/data/robots.json."""
     rows = read_json(KEPT)
-    tuned = [row for row in rows if row.get("tuned") is not None]
-    lost = sum(row["n"] - row["tuned"] for row in tuned)
-    cheap = sum(row["price"] <= 0.02 for row in tuned)
-    heads = ["| robot | first excess | cure | price | untuned | tuned |", "|---|---|---|---|---|---|"]
+    most = [row for row in rows if row["kept"] >= 0.9 * row["n"]]
+    lost = sum(row["n"] - row["kept"] for row in most)
     taken = 100 * max(row["excess"] or 0.0 for row in rows)
     findings = (
-        f"- `salver tune` makes {len(tuned)} of {len(rows)} simulated robots keep the load, {cheap} for up to 2 % of "
-        f"the duration and one for {100 * max(row['price'] for row in tuned):.0f} %; it refuses those with friction "
-        f"that nobody compensates.\n- Tuned robots lost {lost} loads in {sum(row['n'] for row in tuned)} runs.\n"
+        f"- {len(most)} of {len(rows)} simulated robots lost {lost} loads in {sum(row['n'] for row in most)} runs; the "
+        "others, with friction that nobody compensates, lost all.\n"
         f"- Tracking errors take up to {taken:.0f} % of the weight from the contact margin; an equal lag of all joints "
         "takes nothing."
     )
-    return {"robots": "\n".join([*heads, *map(of_robot, rows)]), "findings": findings}
+    return {
+        "robots": "\n".join(["| robot | excess | kept |", "|---|---|---|", *map(of_robot, rows)]),
+        "findings": findings,
+    }
 
 
 def logs(plan: Plan, seeds: int, seed: int, only: str) -> str:
@@ -130,9 +120,8 @@ def logs(plan: Plan, seeds: int, seed: int, only: str) -> str:
             continue
         real = replace(plan, scenario=plan.scenario.with_changes(**changes))
         judge = Judge.of(real.scenario)
-        assert real.scenario.arm is not None
-        names = tuple(load_arm(real.scenario.arm, real.scenario.tray).joint_names)
-        t, q = Experiment(real).joint_log()
+        names, done = names_of(real), Experiment(real).strapped()
+        t, q = done.t, done.q
         assert real.joint is not None
         if np.abs(q - real.joint.sample(t)[0]).max() > 0.2:
             continue  # the robot does not do the plan at all
@@ -156,7 +145,7 @@ def logs(plan: Plan, seeds: int, seed: int, only: str) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("-n", type=int, default=100, help="loose loads of each robot; 0: none is tuned or counted")
+    parser.add_argument("-n", type=int, default=100, help="loose loads of each robot; 0: none is counted")
     parser.add_argument("--no-logs", action="store_true", help="leave the table of noisy logs out")
     parser.add_argument("--seeds", type=int, default=4, help="noisy logs of each robot")
     parser.add_argument("--seed", type=int, default=5, help="of their noise")

@@ -268,15 +268,6 @@ def test_a_program_of_two_legs_that_is_stopped_in_the_pause_does_not_begin_the_n
     np.testing.assert_allclose(stopped.sent[-1], rest, atol=1e-8)
 
 
-@pytest.mark.slow
-def test_a_plan_that_was_tuned_takes_no_stops_along(stoppable: Path, tmp_path: Path) -> None:
-    """Its stops begin where the plan is, not where the joints are told to be."""
-    plan = load_plan(stoppable)
-    replace(plan, command=plan.joint).save(tmp_path / "run")
-    assert read_motion(stoppable).stops
-    assert read_motion(tmp_path / "run").stops == ()
-
-
 def test_a_urscript_does_not_begin_while_its_stop_is_pressed_or_its_arm_is_elsewhere(
     stoppable: Path, tmp_path: Path
 ) -> None:

@@ -11,7 +11,7 @@ from salver.motion_files import JointSamples
 from salver.motion_files.samples import joint_samples
 from salver.planning.plan import Plan
 
-UNEQUAL = [14.4, 9.6, 12.0, 13.2, 10.8, 14.4, 9.6]  # Hz: 12 and a fifth more or less  # Hz: 12 and a fifth more or less
+UNEQUAL = [14.4, 9.6, 12.0, 13.2, 10.8, 14.4, 9.6]  # Hz: 12 and a fifth more or less
 
 
 def lagging(plan: Plan, hertz: list[float], damping: float, late: float = 0.0) -> tuple[Array, Array, Array, Array]:

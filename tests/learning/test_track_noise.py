@@ -42,7 +42,8 @@ def done(plan: Plan) -> Callable[[str], tuple[Plan, Judge, Array, Array, float]]
     def by(robot: str) -> tuple[Plan, Judge, Array, Array, float]:
         real = replace(plan, scenario=plan.scenario.with_changes(**ROBOTS[robot]))
         judge = Judge.of(real.scenario)
-        t, q = Experiment(real).joint_log()
+        done = Experiment(real).strapped()
+        t, q = done.t, done.q
         dq = np.gradient(q, t, axis=0)
         terms = judge.terms(q, dq, np.gradient(dq, t, axis=0))
         return real, judge, t, q, max(0.0, float(judge.rows(terms.w, judge.drift(t, terms))[0][t > -0.2].max()))

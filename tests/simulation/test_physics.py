@@ -103,17 +103,6 @@ def test_measured_cone_coefficients_are_the_plans(baseline, nominal):
     assert body.mass * G == pytest.approx(nominal.contact_force_E[-1, 0, 2], abs=1e-3)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("tuned", [True, False])
-def test_the_engines_robot_follows_the_command_that_was_tuned_for_it(baseline, tuned):
-    command = replace(baseline.joint, q=baseline.joint.q + np.linspace(0.01, -0.02, 7))
-    controller = Experiment(replace(baseline, command=command if tuned else None)).controller
-    q, dq, _ = controller._joint.at(*controller._joint.instant(0.4))
-    expected = (command if tuned else baseline.joint).sample(0.4)
-    assert q == pytest.approx(expected[0][0], abs=1e-9)
-    assert dq == pytest.approx(expected[1][0], abs=1e-9)
-
-
 def test_a_heavier_object_weighs_more_and_sags(baseline):
     """+50 g: at rest each of the 16 coefficients grows by 0.306 / 0.256; the arm gives way to the unknown weight."""
     record = simulate(baseline, parameters={"mass": 0.306})

@@ -201,21 +201,21 @@ class Carrier:
                 f"{directory} was planned for other values of {', '.join(other)}; start with "
                 f"scenario:={directory}/scenario.toml.",
             )
-        if plan.told is None:
+        if plan.joint is None:
             return False, f"{directory} has no joint motion; plan it with an arm."
         if options.streams:
             return False, 'A plan is not streamed; start the node with output:=action or "topic".'
         if self._busy or live.stopped or self._lost or not live.settled:
             return False, self._busy or live.stopped or "The arm still moves, or has a goal; a plan begins at rest."
-        away = np.abs(self._measured - plan.told.q[0])
+        away = np.abs(self._measured - plan.joint.q[0])
         if away.max() > options.at_rest:
             k = int(away.argmax())
             return (
                 False,
-                f"{self.joints[k]} is at {self._measured[k]:.3f} rad; the plan begins at {plan.told.q[0, k]:.3f}.",
+                f"{self.joints[k]} is at {self._measured[k]:.3f} rad; the plan begins at {plan.joint.q[0, k]:.3f}.",
             )
-        stops = plan.stops if plan.command is None else None
-        self._run = Run(plan.told, t + options.ahead, stops)
+        stops = plan.stops
+        self._run = Run(plan.joint, t + options.ahead, stops)
         return (
             True,
             plan.verdict if stops else f"It has no stops (salver plan --stops): a stop finishes it. {plan.verdict}",

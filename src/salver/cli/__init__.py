@@ -40,7 +40,6 @@ COMMANDS = {
     "identify": "learning",
     "learn": "learning",
     "track": "learning",
-    "tune": "learning",
 }
 
 

@@ -98,14 +98,6 @@ def check_plan(
             'be "joints".',
         ),
         _stops(plan, arm),
-        Check(
-            "command",
-            plan.command is None,
-            "The plan is what is sent."
-            if plan.command is None
-            else "The plan has a command that was tuned for a robot's own control, which this loop does not send; "
-            "write it with salver export.",
-        ),
     ]
 
 

@@ -1,4 +1,4 @@
-"""The motion of a plan for motion files; for a tuned plan, the commanded joints."""
+"""The motion of a plan for motion files."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from salver.geometry import Array, interpolated, quat_wxyz_from_matrix
 from salver.motion_files import JointSamples, MotionSeries, TraySamples, read
 from salver.motion_files.samples import reordered
 from salver.motion_files.units import Units
-from salver.planning.plan import COMMAND_LEAD, Plan
+from salver.planning.plan import Plan
 from salver.planning.round import MultiLegPlan, load
 from salver.scenario import Scenario
 
@@ -60,16 +60,13 @@ def read_motion(
 
 def _series(plan: Plan, rate: float | None) -> MotionSeries:
     """One motion, without what its file says of it."""
-    t, duration, lead = plan.t, plan.duration, 0.0
-    if plan.command is not None:  # it begins before the plan, and goes on until the arm is where it should be
-        t, duration, lead = np.union1d(t, plan.command.t), plan.command.duration, COMMAND_LEAD
-    ns = _instants(t, duration, rate)
+    ns = _instants(plan.t, plan.duration, rate)
     t = ns * 1e-9
-    samples = plan.reference.sample(t - lead)
+    samples = plan.reference.sample(t)
     first = plan.scenario.payload.first
     R_SE = samples.R_SB @ first.R_EB.T
     p_SE = samples.p_SB - np.einsum("tij,j->ti", R_SE, first.p_EB)
-    names, (q, dq, ddq), tau = _joints(plan, t, lead)
+    names, (q, dq, ddq), tau = _joints(plan, t)
     return MotionSeries(
         ns=ns,
         joint_names=names,
@@ -90,8 +87,8 @@ def _series(plan: Plan, rate: float | None) -> MotionSeries:
 
 
 def _stops(plan: Plan, names: tuple[str, ...], rate: float | None) -> tuple[tuple[int, MotionSeries], ...]:
-    """The stops of a plan that is sent as it is. At a rate, their samples are at the instants of the plan's."""
-    if plan.stops is None or plan.command is not None or not names:
+    """The stops of a plan. At a rate, their samples are at the instants of the plan's."""
+    if plan.stops is None or not names:
         return ()
     made = []
     for k in plan.stops.taken:
@@ -141,13 +138,13 @@ def _instants(t: Array, duration: float, rate: float | None) -> Array:
     return np.unique(np.round(t * 1e9).astype(np.int64))
 
 
-def _joints(plan: Plan, t: Array, lead: float) -> tuple[tuple[str, ...], tuple[Array, Array, Array], Array]:
+def _joints(plan: Plan, t: Array) -> tuple[tuple[str, ...], tuple[Array, Array, Array], Array]:
     """Joint names, (q, dq, ddq), and feed-forward torque, between its samples by straight lines."""
     none = np.zeros((len(t), 0))
-    if plan.told is None or plan.scenario.arm is None:
+    if plan.joint is None or plan.scenario.arm is None:
         return (), (none, none, none), none
     from salver.models.arm.arm import load_arm
 
     arm = load_arm(plan.scenario.arm, plan.scenario.tray)
-    tau = none if plan.tau is None else interpolated(plan.t, plan.tau, t - lead)
-    return arm.joint_names, plan.told.sample(t), tau
+    tau = none if plan.tau is None else interpolated(plan.t, plan.tau, t)
+    return arm.joint_names, plan.joint.sample(t), tau

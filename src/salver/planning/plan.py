@@ -45,7 +45,6 @@ STEERED = (
     1e-2,
     2e-3,
 )  # s, time step of the arrays and of the check for a motion whose jerk may jump at any time
-COMMAND_LEAD = 0.1  # s by which a corrected command begins before its motion
 NEAR_ENOUGH = 1e-3  # m: largest distance at which a pose counts as passed; orientation by `passing.LEVER`
 BOUNDARY_TOLERANCE = 1e-9  # m, rad and their rates
 
@@ -113,8 +112,6 @@ class Plan(Shown, Tabular, Plotted):
         tau: (T, n) feed-forward torques at `t`, N m; None without them, as for an arm without masses.
         solver: method, cost, duality gap, iterations, times.
         stops: stops that keep the load in place (`salver.planning.stops`), or None.
-        command: joint command of one robot with which its joints perform `joint` (`salver tune`), from `COMMAND_LEAD` s
-            before it on; None: `joint` itself.
     """
 
     scenario: Scenario
@@ -126,12 +123,6 @@ class Plan(Shown, Tabular, Plotted):
     tau: Array | None = None
     solver: Mapping[str, Any] = field(default_factory=dict)
     stops: StopLibrary | None = None
-    command: JointMotion | None = None
-
-    @property
-    def told(self) -> JointMotion | None:
-        """The command to the joints: `command`, or `joint` without a correction."""
-        return self.joint if self.command is None else self.command
 
     @cached_property
     def evaluation(self) -> Evaluation:
@@ -322,7 +313,7 @@ class Plan(Shown, Tabular, Plotted):
         return "" if planned and self.scenario.motion.speeds == "any" else "how far the arm strays from the motion"
 
     def at_speed(self, factor: float) -> Plan:
-        """The same motion at a constant speed factor, 0 < factor <= 1, without torques, stops and corrected command.
+        """The same motion at a constant speed factor, 0 < factor <= 1, without torques and stops.
 
         Raises ScenarioError for another factor.
         """
@@ -333,7 +324,7 @@ class Plan(Shown, Tabular, Plotted):
         if joint is not None:
             joint = JointMotion(joint.t / factor, joint.q, joint.dq * factor, joint.ddq * factor**2)
         reference = SampledReference(MotionSamples(s.t / factor, s.p_SB, *rates))
-        return replace(self, reference=reference, joint=joint, tau=None, stops=None, command=None)
+        return replace(self, reference=reference, joint=joint, tau=None, stops=None)
 
     @cached_property
     def chain(self) -> ArmChain | None:
@@ -461,8 +452,6 @@ class Plan(Shown, Tabular, Plotted):
             out["q"], out["dq"], out["ddq"] = self.joint.sample(s.t)
             out["joint_t"], out["joint_q"] = self.joint.t, self.joint.q
             out["joint_dq"], out["joint_ddq"] = self.joint.dq, self.joint.ddq
-        if self.command is not None:
-            out |= dict(zip(_COMMAND, (getattr(self.command, x) for x in ("t", "q", "dq", "ddq")), strict=True))
         if self.tau is not None:
             out["tau"] = self.tau
         if self.stops is not None:
@@ -522,14 +511,12 @@ def plan_of(files: PlanFiles, path: Path) -> Plan:
             arrays.get("tau"),
             record["solver"],
             StopLibrary.of_arrays(arrays, float(arrays["t"][-1])),
-            JointMotion(*(arrays[key] for key in _COMMAND)) if "command_t" in arrays else None,
         )
     except (KeyError, TypeError, ValueError, IndexError):
         raise FileFormatError(f"{path}.npz and .json are not those of a plan; plan again.") from None
 
 
 _JOINT = ("joint_t", "joint_q", "joint_dq", "joint_ddq")
-_COMMAND = ("command_t", "command_q", "command_dq", "command_ddq")
 
 
 def _reference(arrays: Mapping[str, Array]) -> Reference:

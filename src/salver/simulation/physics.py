@@ -76,8 +76,7 @@ class Experiment:
         plan, stops = self.plan, self.plan.stops
         course = None if stops is None or self.stop_at is None else stops.course(self.stop_at)
         if stops is None or course is None or course.stop is None:
-            commanded = plan.command if self.stop_at is None and plan.command is not None else self.joint
-            return robot_for(plan.scenario, commanded, plan.reference, self.arm, plan.space)
+            return robot_for(plan.scenario, self.joint, plan.reference, self.arm, plan.space)
         assert plan.joint is not None
         first = robot_for(plan.scenario, plan.joint, plan.reference, self.arm, plan.space)
         stop = robot_for(plan.scenario, stops.motion(course.stop), None, self.arm, "joint")
@@ -114,14 +113,6 @@ class Experiment:
             stop = {"stop_at": self.stop_at, "stop_takes": course.rests - self.stop_at, "finishes": course.stop is None}
             record.summary.update(stop)  # type: ignore[attr-defined]
         return record
-
-    def joint_log(self, parameters: Mapping[str, float] | None = None, seed: int = 0) -> tuple[Array, Array]:
-        """t (N,) and q (N, n) at the commands as encoders log them, with noise, when the load is fixed to the tray."""
-        trace = self.strapped(parameters, seed)
-        noise = self.plan.scenario.physics.position_noise * np.random.default_rng([seed, 1]).standard_normal(
-            trace.q.shape
-        )
-        return trace.t, trace.q + noise
 
     def strapped(self, parameters: Mapping[str, float] | None = None, seed: int = 0) -> Trace:
         """The trace of a run with the load fixed to the tray, without the reaction of loose contacts on the arm."""

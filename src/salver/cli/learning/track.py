@@ -45,7 +45,7 @@ def track(
     if json:
         print_json(record(found))
     else:
-        _show(found, directory)
+        _show(found)
     if not found.ok:
         raise typer.Exit(NO_SAFE_PLAN)
 
@@ -90,7 +90,7 @@ def verdict(found: Tracking) -> str:
     )
 
 
-def _show(found: Tracking, directory: Path) -> None:
+def _show(found: Tracking) -> None:
     console = result_console()
     console.print(headed("not checked", f"{unseen(found)}."))
     console.print(headed("executed", verdict(found)))
@@ -113,8 +113,7 @@ def _show(found: Tracking, directory: Path) -> None:
     if found.ok:
         return
     console.print(headed("cause", f"{found.cause}."))
-    console.print(headed("remedy 1", f"correct the command: salver tune {directory} --log LOG -o DIRECTORY."))
-    console.print(headed("remedy 2", f"add margin: contact.margin = {found.margin:.4f}, and plan again."))
+    console.print(headed("remedy 1", f"add margin: contact.margin = {found.margin:.4f}, and plan again."))
     console.print(
-        headed("remedy 3", "if that is too slow: another robot, or this one with friction and payload configured.")
+        headed("remedy 2", "if that is too slow: another robot, or this one with friction and payload configured.")
     )

@@ -178,12 +178,6 @@ def lateness(t: Array, q: Array, plan: JointMotion) -> float:
     return float(minimize_scalar(miss, bounds=(best - 0.01, best + 0.01), method="bounded").x)
 
 
-def low_passed(values: Array, step: float, cut: float) -> Array:
-    """Values (K, n), low-passed at `cut`, Hz, without phase shift, with two derivatives (3, K, n)."""
-    f = np.arange(len(values)) / (2 * len(values) * step)
-    return _rates(dct(values, axis=0, norm="ortho") / (1 + (f / cut) ** 6)[:, None], step)
-
-
 def _rates(coefficients: Array, step: float) -> Array:
     """Values and two derivatives (3, K, n) of a cosine transform (K, n)."""
     omega = np.pi * np.arange(len(coefficients))[:, None] / (len(coefficients) * step)
