@@ -106,12 +106,11 @@ def plan(scenario: Scenario | str | Path, method: str | None = None, *, arm: boo
     return make_plan(_scenario(scenario), method, arm)
 
 
-def plan_legs(scenario: Scenario | str | Path, *, safest: bool = False, **options: Any) -> MultiLegPlan:
+def plan_legs(scenario: Scenario | str | Path, **options: Any) -> MultiLegPlan:
     """Plan a task of several legs (docs/howto/legs.md), as fast as is safe.
 
     Args:
         scenario: a Scenario with `legs`, the name of a ready-made one, or the path of a TOML file.
-        safest: plan the safest motion in the scenario's duration instead.
         options: fields of `salver.planning.fastest.FastestOptions`.
 
     Returns:
@@ -122,9 +121,8 @@ def plan_legs(scenario: Scenario | str | Path, *, safest: bool = False, **option
         UnreachableError: no motion was found; the sentence says why.
     """
     from salver.planning.fastest.legs import plan_legs as run
-    from salver.planning.fastest.safest import plan_safest_legs
 
-    return (plan_safest_legs if safest else run)(_scenario(scenario), options=_options("plan_legs", options))
+    return run(_scenario(scenario), options=_options("plan_legs", options))
 
 
 def fastest(scenario: Scenario | str | Path, *, robust: bool = True, **options: Any) -> Plan:

@@ -95,7 +95,7 @@ def test_of_the_optima_that_were_found_the_least_sensitive_is_taken():
     case = scenario.load("panda-cube").with_changes(motion__duration=0.9, motion__orientation="fixed")
     taken = plan_least_sensitive(case, options=FEW).solver
     watch = Watch(None)
-    quickest, duration = quickest_within(case, "least sensitive", True, FEW, watch)
+    quickest, duration = quickest_within(case, "least sensitive", FEW, watch)
     objective = SensitivityCost(quickest.problem, quickest.spline, duration, taken["line"])
     curve = FreeCurve(quickest.problem, Grid.of(quickest.spline, np.linspace(0, 1, 2)))
     found = [m for m in optima(objective, quickest, duration, FEW, watch) if m.status.ok]

@@ -457,8 +457,8 @@ def test_options_that_are_not_for_several_legs_are_refused(tmp_path, capsys):
     refusals = {
         ("--beside", "nominal"): "legs",
         ("--no-arm",): "legs",
-        ("--safest",): "motion.duration is missing",
-        ("--duration", "3", "--fastest"): "--safest",
+        ("--safest",): "--safest is not for a task of several legs",
+        ("--duration", "3"): "planned as fast as is safe",
     }
     for option, words in refusals.items():
         assert main_of("plan", path, "-o", tmp_path / "run", *option) == 2

@@ -191,14 +191,13 @@ def _legs(
 ) -> dict[str, Plan | MultiLegPlan]:
     """By name: the plan of a task of several legs."""
     from salver.planning.fastest.legs import plan_legs
-    from salver.planning.fastest.safest import plan_safest_legs
     from salver.run_directory import check_free
 
-    if method == "least-sensitive":
-        raise typer.BadParameter("--least-sensitive is not for a task of several legs; ask for --safest.")
+    if method != "fastest" and scenario.motion.duration is None:
+        raise typer.BadParameter(f"--{method} is not for a task of several legs, which is planned as fast as is safe.")
     check_free(directory)
     with searching(time_limit) as search:
-        found = (plan_safest_legs if method == "safest" else plan_legs)(scenario, options=options, watch=search)
+        found = plan_legs(scenario, options=options, watch=search)
     return {"plan": found}
 
 

@@ -40,8 +40,8 @@ def plan_legs(scenario: Scenario, *, options: FastestOptions | None = None, watc
         raise ScenarioError(f"{scenario.name} has one leg; plan it as such, or give it a list of [[legs]].")
     if scenario.motion.duration is not None:
         raise ScenarioError(
-            f"{scenario.name}: motion.duration = {scenario.motion.duration:g} s with legs; ask for the safest plan in "
-            "that time (--safest), or leave it out, for the fastest."
+            f"{scenario.name}: motion.duration = {scenario.motion.duration:g} s with legs; leave it out: legs are "
+            "planned as fast as is safe, and the plan says at which lower speeds it may be run."
         )
     options = options or FastestOptions()
     watch = watch or Watch(options.time_limit)

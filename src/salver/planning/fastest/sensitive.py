@@ -5,18 +5,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from salver.errors import ScenarioError, Status
+from salver.errors import ScenarioError
 from salver.geometry import Array
 from salver.linear_filter import QuadratureGrid
 from salver.planning.fastest.found import FastestMotion, FastestOptions
-from salver.planning.fastest.optimum import nearby
-from salver.planning.fastest.planned import joint_plan, judged, solver_record
-from salver.planning.fastest.safest import optima, quickest_within
-from salver.planning.fastest.speeds import at_every_speed
+from salver.planning.fastest.safest import plan_best, quickest_within
 from salver.planning.object.cost import CostWeights, cost_residual, refinement, sensitivity_cost, tray_loop
 from salver.planning.trajopt.curves import Curve, FreeCurve, Grid
 from salver.planning.trajopt.objectives import Objective, Point, QuadraticModel
@@ -124,7 +121,7 @@ def plan_least_sensitive(
     """
     options = options or FastestOptions()
     watch = watch or Watch(options.time_limit)
-    quickest, duration = quickest_within(scenario, "least sensitive", True, options, watch)
+    quickest, duration = quickest_within(scenario, "least sensitive", options, watch)
     problem = quickest.problem
     line = _cost_of_line(scenario)
     if line == 0.0:
@@ -133,31 +130,19 @@ def plan_least_sensitive(
             "mass, centre of mass or inertia must be, or ask for the safest plan."
         )
     objective = SensitivityCost(problem, quickest.spline, duration, line)
-    found = optima(objective, quickest, duration, options, watch)
 
     def cost(motion: FastestMotion) -> float:
         curve = FreeCurve(problem, Grid.of(motion.spline, np.linspace(0, 1, 2)))
         return objective.value(curve, Point(motion.coefficients, duration))
 
-    def planned(best: FastestMotion) -> tuple[FastestMotion, Plan]:
-        status, share = best.status, cost(best)
-        if status.ok:
-            ended = " The search was ended before it was done." if watch.ended else ""
-            sentence = (
-                f"The least sensitive motion found in {duration:.4g} s costs {share:.3g} times what the straight line "
-                f"does; the shortest found takes {quickest.duration:.4f} s.{ended}"
-            )
-            status = Status(watch.ended or "optimal", sentence, True)
-        record = {**solver_record(best, True), "cost": share * line, "line": line, "shortest": quickest.duration}
-        plan = joint_plan(scenario, problem, best.joint_motion(), status, record, method="least-sensitive")
-        return best, judged(plan, best.problem)
+    def told(best: FastestMotion) -> tuple[str, dict[str, Any]]:
+        share = cost(best)
+        sentence = (
+            f"The least sensitive motion found in {duration:.4g} s costs {share:.3g} times what the straight line "
+        )
+        return f"{sentence}does", {"cost": share * line, "line": line}
 
-    def again(known: FastestMotion) -> tuple[FastestMotion, Plan]:
-        return planned(nearby(known, objective, duration, options, watch=watch).after(known))
-
-    best = min(found, key=lambda motion: (not motion.status.ok, cost(motion)))
-    best = best.after(quickest, *(motion for motion in found if motion is not best))
-    return at_every_speed(*planned(best), again)[1]
+    return plan_best(quickest, duration, objective, cost, told, "least-sensitive", options=options, watch=watch)
 
 
 def _instants(loop: TrayLoop, duration: float) -> Array:
