@@ -131,6 +131,20 @@ def test_a_filter_is_told_from_where_the_noise_ends(cut, causal):
         assert "nothing faster is shown" in verdict.nominal.sentence
 
 
+@pytest.mark.parametrize(("cut", "every"), [(5.0, 1), (6.0, 5)])
+def test_a_filter_that_a_motion_in_three_directions_hides_shows_in_the_orientation(cut, every):
+    """Motion capture of a level tray, filtered as a pose, and saved with every fifth sample; the shake needs more
+    friction than there is."""
+    rng, rise = np.random.default_rng(7), truth(T)[:, 1]
+    p = truth(T, 1.2e-3) + np.outer(rise, [0.6, 0.0, 0.1]) + 2e-5 * rng.standard_normal((len(T), 3))
+    pose = np.hstack([p, [1.0, 0, 0, 0] + 4e-5 * rng.standard_normal((len(T), 4)) * [0, 1, 1, 1]])
+    pose = signal.filtfilt(*signal.butter(4, cut / (RATE / 2)), pose, axis=0)[::every]
+    columns = dict(zip(("x", "y", "z", "qw", "qx", "qy", "qz"), pose.T, strict=True))
+    verdict = audit({"t": T[::every], **columns}, CUBE)
+    assert verdict.outcome == "cannot_tell"
+    assert verdict.nominal.details["reasons"][0] == "filtered"
+
+
 @pytest.mark.parametrize("factor", [1e-3, 1e2])
 def test_positions_in_another_unit_give_no_verdict(factor):
     p = truth(T)

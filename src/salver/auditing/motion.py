@@ -135,7 +135,9 @@ def _recorded(
     doubts = [(defect.code, defect.clause) for defect in found.defects if defect.doubtful]
     suspect = [(defect.code, defect.clause) for defect in found.defects if defect.systematic]
     notes += [f"{each.clause[:1].upper()}{each.clause[1:]}." for each in found.defects if not each.doubtful]
-    shown = filtered_at(found.t, found.y[:, :3] if found.pose else found.y, options.drop, options.fewest)
+    # The orientation often shows a filter better: a level tray moves in its position only.
+    parts = (found.y[:, :3], found.y[:, 4:]) if found.pose else (found.y,)
+    shown = min(filtered_at(found.t, y, options.drop, options.fewest) for y in parts)
     if shown < options.highest:
         clause = (
             f"the samples were filtered at {shown:.2g} Hz before they were saved: nothing faster is shown; samples "

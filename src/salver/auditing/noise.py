@@ -174,7 +174,7 @@ def filtered_at(t: Array, y: Array, drop: float, fewest: int) -> float:
         even = three.max() < 8 * three.min() and np.median(times) < 5 * times.min() and calmest > 1e-3 * level**0.5
         if even and usual[gone[0]] < 30 * power[gone[0]].min():
             end = float(found.edges[np.flatnonzero(usual[:-1] > level / 4)[-1]])
-            return end if 4 * end * (t[-1] - t[0]) >= fewest else np.inf
+            return end if 4 * found.edges[gone[0] - 1] * (t[-1] - t[0]) >= fewest else np.inf
     return np.inf
 
 
