@@ -40,11 +40,7 @@ def claimed(made: Scenario, w: Array) -> Array:
 def test_worst_case_lies_between_samples_and_what_is_documented(load: str, kind: str, turning: float) -> None:
     made = LOADS[load](kind)
     rows, w = odd_loads.TrueRows(made), odd_loads.felt(odd_loads.tray_motion(6, 1, turning))
-    bound, most, reached = (
-        claimed(made, w),
-        sampled_sets.documented(rows, w),
-        sampled_sets.sampled(rows, w),
-    )
+    bound, most, reached = claimed(made, w), sampled_sets.documented(rows, w), sampled_sets.sampled(rows, w)
     # The tilt is cut off after its second order: tilt^3 / 6 of the weight, 3e-6.
     assert np.all(reached <= bound + 1e-5)
     assert np.all(bound <= most + 1e-9)

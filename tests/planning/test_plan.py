@@ -66,21 +66,6 @@ def test_same_scenario_gives_identical_arrays(plan):
         assert np.array_equal(array, again[name]), name
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("maker", [plan_object, plan_baseline])
-@pytest.mark.parametrize("name", ["panda-cube", "panda-cube-yaw"])
-def test_a_saved_plan_loads_as_it_was(tmp_path, maker, name):
-    plan = maker(load(name))
-    plan.save(tmp_path)
-    again = load_plan(tmp_path)
-    assert again.summary() == plan.summary()
-    assert again.status == plan.status
-    for key, array in plan.arrays().items():
-        assert np.array_equal(array, again.arrays()[key]), key
-    t = np.linspace(0, 2.5, 37)
-    assert np.array_equal(again.reference.sample(t).a_S, plan.reference.sample(t).a_S)
-
-
 def test_finer_grids_converge_to_the_same_sensitivities(plan):
     coarse, fine = evaluate(PAPER, plan.reference, 61), evaluate(PAPER, plan.reference, 601)
     assert coarse.state_sensitivity == pytest.approx(fine.state_sensitivity[::10], abs=1e-8)

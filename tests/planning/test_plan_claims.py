@@ -209,29 +209,6 @@ def test_a_fastest_motion_is_another_with_another_seed_and_the_same_with_the_sam
     assert not np.array_equal(one.coefficients, other.coefficients)
 
 
-@pytest.mark.slow
-def test_fastest_motions_depend_on_the_seed_and_the_best_start_is_kept() -> None:
-    """With the start posture free to choose: which is found depends on the seed, and refining a second cannot hurt.
-
-    The second of these starts ends in a slower motion than the first.
-    """
-    free = load("panda-cube").with_changes(
-        motion__duration=None,
-        motion__orientation="free",
-        motion__goal_yaw="fixed",
-        arm__start_posture=None,
-        objects__0__uncertainty={},
-    )
-    problem = transport_problem(free, robust=False)
-    one, two, other = (
-        fastest(problem, FastestOptions(spans=4, starts=starts, seed=seed)) for starts, seed in ((1, 0), (2, 0), (1, 3))
-    )
-    assert all(found.status.ok for found in (one, two, other))
-    assert two.duration <= one.duration * (1 + 1e-9)
-    assert two.iterations > one.iterations
-    assert np.abs(other.coefficients[0] - one.coefficients[0]).max() > 1e-3
-
-
 # The paper's condition for several objects ------------------------------------------------------------------------
 
 
@@ -313,8 +290,7 @@ def test_tube_and_cost_of_a_correlated_set(kind: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("load_of", "kind"),
-    [(odd_loads.stack, "ellipsoid"), (odd_loads.pair, "box"), (odd_loads.pair, "ellipsoid")],
+    ("load_of", "kind"), [(odd_loads.stack, "ellipsoid"), (odd_loads.pair, "box"), (odd_loads.pair, "ellipsoid")]
 )
 def test_exact_condition_of_a_plan_is_the_worst_case_of_the_rows(load_of: object, kind: str) -> None:
     """At full speed, and standing still and at full speed while the speed changes by 0.3 1/s either way."""

@@ -142,19 +142,13 @@ def test_missing_acceleration_is_that_of_the_true_load(name: str) -> None:
     made, chain = LOADS[name]("box"), chain_of(name, "box", 0)
     q, dq, ddq = JOINT.sample(T)
     nominal = odd_loads.nominal_bodies(made)
-    model, bare = (
-        odd_loads.with_bodies(chain.model.arm, nominal),
-        odd_loads.with_bodies(chain.model.arm, []),
-    )
+    model, bare = odd_loads.with_bodies(chain.model.arm, nominal), odd_loads.with_bodies(chain.model.arm, [])
     mass_matrix = odd_loads.mass_matrices(model, q)
     for j, parameter in enumerate(chain.uncertain.names):
         h = 1e-3 * float(chain.uncertain.half_range[j])
         ends = [
             odd_loads.torques(
-                odd_loads.with_bodies(chain.model.arm, odd_loads.true_bodies(made, {parameter: s * h})),
-                q,
-                dq,
-                ddq,
+                odd_loads.with_bodies(chain.model.arm, odd_loads.true_bodies(made, {parameter: s * h})), q, dq, ddq
             )
             for s in (1, -1)
         ]
@@ -172,10 +166,7 @@ def test_products_are_what_two_wrong_parameters_do_together(name: str) -> None:
     made, chain = LOADS[name]("box"), chain_of(name, "box", 0)
     at, n_p = slice(None, None, 10), chain.uncertain.size
     half = dict(zip(chain.uncertain.names, chain.uncertain.half_range, strict=True))
-    model, q = (
-        odd_loads.with_bodies(chain.model.arm, odd_loads.nominal_bodies(made)),
-        JOINT.sample(T)[0][at],
-    )
+    model, q = odd_loads.with_bodies(chain.model.arm, odd_loads.nominal_bodies(made)), JOINT.sample(T)[0][at]
     mass_matrix, w = odd_loads.mass_matrices(model, q), chain.nominal.w[at]
     jacobian = np.array([chain.model.arm.body_jacobian(posture) for posture in q])
 

@@ -1,24 +1,17 @@
-"""What a plan claims, against means that share nothing with the planner: an engine, another solver, samples.
+"""What a plan claims, against means that share nothing with the planner: an engine, samples.
 
 Scenarios are drawn at random near the limit of what can be done, as in a search for counterexamples.
 """
 
-from itertools import pairwise
-
-import clarabel
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from scipy import sparse
 
 from salver.contact_margins import margins
 from salver.control.object import Gains
 from salver.errors import SalverError, ScenarioError
 from salver.geometry import GRAVITY_S, Array
 from salver.planning.make import plan_baseline, plan_object
-from salver.planning.object.conditions import MotionRows, WrenchRows
-from salver.planning.object.problem import Problem
-from salver.planning.object.solvers import solve_convex
 from salver.sampling import draw
 from salver.scenario import Scenario, load, parse
 from salver.simulation.closed_loop import rollout
@@ -168,94 +161,6 @@ def test_an_object_stands_on_the_top_of_what_is_below_it_in_the_engine() -> None
     assert record.summary["outcome"] == "holds"
     assert float(record.tip_angle.max()) < 1e-3
     assert_allclose(np.abs(record.contact_points_B[:, :2]).max(), 0.04, atol=1e-9)
-
-
-# Optimal and infeasible, by another solver on all rows at once -----------------------------------------------
-
-
-def all_rows_at_once(problem: Problem, elastic: bool) -> float:
-    """The programme with a variable for every term of every spread: its cost, or the least common violation."""
-    model, n = problem.linearise(np.zeros(problem.size)), problem.size
-    value, slope, terms, term_slope, owner, balls = [], [], [], [], [], []
-    for rows in model.rows:
-        if isinstance(rows, WrenchRows):
-            v, vs = rows.wrench @ rows.map.T, np.einsum("ci,tiz->tcz", rows.map, rows.wrench_jacobian)
-            te, ts = rows.map @ rows.spread, np.einsum("ci,tipz->tcpz", rows.map, rows.spread_jacobian)
-            ball = 0 if rows.box else te.shape[2]
-        else:
-            assert isinstance(rows, MotionRows)
-            own = rows.rows
-            w, by_z = rows.felt.w, rows.felt.w_jacobian
-            v, vs = -w @ own.nominal.T, -np.einsum("ci,tiz->tcz", own.nominal, by_z)
-            ball = 0 if own.spread is None else len(own.acting)
-            first = own.parameter if own.spread is None else np.tensordot(own.spread.T, own.parameter, axes=1)
-            both = np.concatenate([first, own.remainder])
-            te, ts = np.einsum("kci,ti->tck", both, w), np.einsum("kci,tiz->tckz", both, by_z)
-        for t, c in np.ndindex(v.shape):
-            value.append(v[t, c])
-            slope.append(vs[t, c])
-            groups = [slice(0, ball)] if ball else []
-            for group in [*groups, *(slice(k, k + 1) for k in range(ball, te.shape[2]))]:
-                owner.append(len(value) - 1)
-                balls.append(te[t, c, group].size)
-                terms.append(te[t, c, group])
-                term_slope.append(ts[t, c, group])
-    m, k, extra = len(value), len(owner), int(elastic)
-    bounded = sparse.csr_matrix((np.ones(k), (owner, range(k))), shape=(m, k))
-    blocks = [sparse.hstack([-np.array(slope), -np.ones((m, extra)), bounded])]
-    right = [np.array(value) - problem.margin]
-    if elastic:
-        blocks.append(sparse.csr_matrix(([-1.0], ([0], [n])), shape=(1, n + 1 + k)))
-        right.append(np.zeros(1))
-    cones: list = [clarabel.NonnegativeConeT(m + extra)]
-    heads = np.concatenate([[0], np.cumsum(np.array(balls) + 1)])  # each cone: its head, then its terms
-    dense, constants = np.zeros((heads[-1], n)), np.zeros(heads[-1])
-    for j, (first, last) in enumerate(pairwise(heads)):
-        dense[first + 1 : last], constants[first + 1 : last] = -term_slope[j], terms[j]
-        cones.append(clarabel.SecondOrderConeT(last - first))
-    bounds = sparse.csr_matrix((-np.ones(k), (heads[:-1], range(extra, extra + k))), shape=(heads[-1], extra + k))
-    blocks.append(sparse.hstack([sparse.csr_matrix(dense), bounds]))
-    right.append(constants)
-    residual, jacobian = model.residual, model.residual_jacobian
-    constant = float(residual @ residual)
-    linear, hessian = np.zeros(n + extra + k), np.zeros((n, n))
-    if elastic:
-        linear[n] = 1.0
-    else:
-        linear[:n], hessian = 2 * jacobian.T @ residual / constant, 2 * jacobian.T @ jacobian / constant
-    quadratic = sparse.block_diag([np.triu(hessian), sparse.csc_matrix((extra + k, extra + k))]).tocsc()
-    settings = clarabel.DefaultSettings()
-    settings.verbose = False
-    settings.tol_gap_rel = settings.tol_gap_abs = settings.tol_feas = 1e-10
-    rows_all = sparse.vstack(blocks).tocsc()
-    answer = clarabel.DefaultSolver(quadratic, linear, rows_all, np.concatenate(right), cones, settings).solve()
-    return float(answer.x[n]) if elastic else constant * (1 + float(answer.obj_val))
-
-
-@pytest.mark.parametrize("condition", ["exact", "paper"])
-@pytest.mark.parametrize("kind", ["box", "ellipsoid"])
-@pytest.mark.parametrize("duration", [1.1, 0.5])
-@pytest.mark.slow
-def test_optimum_and_proof_of_infeasibility_agree_with_another_solver(
-    condition: str, kind: str, duration: float
-) -> None:
-    uncertainty: dict = {"mass": "15%", "friction": "10%"}
-    uncertainty |= {"com": [0.001, 0.002, 0.0]} if condition == "exact" else {"position": [0.004, 0.004]}
-    scenario = CUBE.with_changes(
-        motion__duration=duration,
-        motion__nodes=11,
-        contact__condition=condition,
-        objects__0__uncertainty=uncertainty,
-        uncertainty={"set": kind, "tilt_deg": [0.5, 0.5]},
-    )
-    problem = Problem(scenario, 11)
-    solution = solve_convex(problem)
-    if solution.status.ok:
-        assert solution.cost == pytest.approx(all_rows_at_once(problem, False), rel=1e-6)
-    else:
-        assert solution.violation > 1e-3
-        assert solution.violation == pytest.approx(all_rows_at_once(problem, True), rel=1e-5)
-    assert solution.status.ok == (duration > 1)
 
 
 # The paper's condition and what its loop does not know -------------------------------------------------------

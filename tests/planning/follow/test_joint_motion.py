@@ -188,12 +188,6 @@ def test_a_chosen_start_is_no_worse_than_the_given_one(panda, cube):
     assert worst(None) <= worst(POSTURE)
 
 
-@pytest.mark.slow
-def test_same_seed_same_motion(panda, cube):
-    first, second = (follow(panda, line(), cube.p_EB, cube.R_EB, seed=3)[0] for _ in range(2))
-    assert np.array_equal(first.q, second.q)
-
-
 def test_a_joint_that_turns_more_than_once_is_as_near_to_the_middle_of_its_range_as_it_can():
     case = scenario.load("ur10-bottle")
     arm = load_arm(case.arm, case.tray)
