@@ -85,7 +85,7 @@ def test_in_a_browser_the_arm_moves_as_it_was_told(joint_file, tmp_path):
         assert page.script("return document.querySelector('#names').innerText").split("\n")[:2] == [
             "Given", "as it was read",
         ]  # fmt: skip
-        assert page.script("return document.querySelectorAll('[data-chart] svg').length") == 4
+        assert page.script("return document.querySelectorAll('[data-chart] svg').length") == 7
         assert page.script("return document.documentElement.scrollWidth") <= 390
         assert page.script("return data.replay.joints") == 8
         assert page.script("return data.replay.duration") == pytest.approx(3.0)

@@ -159,24 +159,20 @@ def test_room_below_a_brim_is_no_share_of_a_weight(tmp_path: Path) -> None:
     run = read_run(tmp_path)
     left = run.contact["plan"].worst.min()
     assert left > 0
-    html = build(run, None).html  # of stops on the path nothing is known with a liquid, and the page says so
-    assert "Stops on the path" not in html
-    assert "without a chart of braking, which needs a dry load." in html
+    assert "Stops on the path" not in build(run, None).html  # nothing is known of them with a liquid
     assert plan.left == pytest.approx(left, rel=0.02)
     assert plan.facts()["left in the worst case"] == f"{100 * plan.left:.3g} % of the weight"
 
 
-def test_stops_that_keep_next_to_nothing_are_a_sentence_and_no_empty_chart(cube_plans: Path) -> None:
+def test_the_share_of_instants_from_which_a_stop_keeps_the_load(cube_plans: Path) -> None:
     run = read_run(cube_plans)
-    assert "Stops on the path" in build(run, None).html
     for curves in run.contact.values():
         known = curves.braking
         assert known is not None
         known.margin[:] = np.where(np.isfinite(known.margin), -1.0, np.nan)
         known.margin[0, 0] = 1.0  # one instant is left of 40
-    html = build(run, None).html
-    assert "Stops on the path" not in html
-    assert "A stop on the path keeps it at 2 % of the instants at most, however long it takes" in html
+    chart = next(spec for spec in build(run, None).specs.values() if spec["title"] == "Stops on the path")
+    assert max(chart["series"][0]["y"]) == pytest.approx(100 / 40, rel=0.05)
 
 
 def test_a_share_is_told_of_what_has_a_zero() -> None:
@@ -220,3 +216,17 @@ def test_parameters_that_hardly_matter_are_named_not_drawn(tmp_path: Path) -> No
         {"mass", "centre of mass x", "centre of mass y"} <= drawn <= {"mass", *(f"centre of mass {c}" for c in "xyz")}
     )
     assert "inertia xx" in chart["note"]
+
+
+def test_distributions_of_perturbed_runs_end_at_the_largest_value(cube_run: Path) -> None:
+    run = read_run(cube_run)
+    charts = [spec for key, spec in build(run, None).specs.items() if key.startswith("campaign")]
+    assert [chart["title"] for chart in charts] == [
+        "Largest position error in each run",
+        "Least cone coefficient in each run",
+    ]
+    for curve, stem in zip(charts[0]["series"], ("plan", "baseline"), strict=True):
+        errors = run.runs["e_p_peak"][run.runs["stem"] == stem].astype(float)
+        factor = 1e6 if "µm" in charts[0]["x"] else 1e3
+        assert curve["x"][-1] == pytest.approx(factor * errors.max(), rel=1e-4)
+        assert curve["y"] == pytest.approx([100 * k / 6 for k in range(1, 7)], rel=1e-4)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from salver.contact_margins import Braking, braking, margin_model, margins
+from salver.contact_margins import Braking, Margins, braking, margin_model, margins
 from salver.geometry import Array, invert, matrix_from_quat_wxyz, spread
 from salver.trajectory import MotionSamples
 
@@ -50,9 +50,6 @@ def contact_curves(scenario: Scenario, a: Mapping[str, np.ndarray]) -> ContactCu
     keep = spread(len(a["t"]), 301)
     samples = planned_samples(a).only(keep)
     found = margins(scenario, samples)
-    needed = [m.friction_needed for m in found.interfaces]
-    share = [own / m.friction for own, m in zip(needed, found.interfaces, strict=True)]
-    alone = len(found.interfaces) == 1
     worst = found.exact_worst
     if scenario.contact.condition == "exact" and "contact_slack" in a:
         slack = a["contact_slack"][keep]  # the plan's own, which knows which errors go together
@@ -60,14 +57,21 @@ def contact_curves(scenario: Scenario, a: Mapping[str, np.ndarray]) -> ContactCu
         worst = slack[:, : slack.shape[1] - others].min(axis=1)  # brims and the limit on tilt come last
     first, rigid = scenario.payload.first, not scenario.payload.dynamic
     tray = samples.of_frame(*invert(first.p_EB, first.R_EB))
+    return curves_of(found, worst, braking(margin_model(scenario), tray, worst=True) if rigid else None)
+
+
+def curves_of(found: Margins, worst: Array, braking: Braking | None = None) -> ContactCurves:
+    """The curves of margins that are known. worst: as in `ContactCurves`."""
+    needed = [m.friction_needed for m in found.interfaces]
+    share = [own / m.friction for own, m in zip(needed, found.interfaces, strict=True)]
     return ContactCurves(
-        t=samples.t,
+        t=found.t,
         friction=np.max(share, axis=0),
-        coefficient=needed[0] if alone else None,
+        coefficient=needed[0] if len(needed) == 1 else None,
         available=found.interfaces[0].friction,
         nominal=found.exact,
         worst=worst,
         tip=np.min([m.tip_over for m in found.interfaces], axis=0),
         tip_worst=np.min([m.tip_over_worst for m in found.interfaces], axis=0),
-        braking=braking(margin_model(scenario), tray, worst=True) if rigid else None,
+        braking=braking,
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -106,7 +107,8 @@ class ReportedMotion:
 class ReportedRun:
     """A run directory: the scenario, one or two motions, what later commands added.
 
-    notes: what is there but belongs to other plans, and so is not part of this, as sentences.
+    notes: what is there but belongs to other plans, and so is not part of this, as sentences. margins: what is known
+    of the motions' contact already, by stem.
     """
 
     directory: Path
@@ -115,6 +117,7 @@ class ReportedRun:
     campaign: dict[str, Any] | None = None
     runs: dict[str, np.ndarray] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
+    margins: Mapping[str, ContactCurves] = field(default_factory=dict)
 
     @cached_property
     def bodies(self) -> tuple[Body, ...]:
@@ -129,10 +132,20 @@ class ReportedRun:
         """The motion that the plan is compared with."""
         return self.motions[1] if len(self.motions) > 1 else None
 
+    @property
+    def given(self) -> bool:
+        """Whether its motion was made by somebody else."""
+        return self.plan.summary.get("method") == "given"
+
+    @property
+    def paper(self) -> bool:
+        """Whether its plan is held to the paper's contact condition."""
+        return self.scenario.contact.condition == "paper" and not self.given
+
     @cached_property
     def contact(self) -> dict[str, ContactCurves]:
         """Stem to how near the motion comes to sliding, tipping or lifting."""
-        return {m.stem: contact_curves(self.scenario, m.arrays) for m in self.motions}
+        return {m.stem: self.margins.get(m.stem) or contact_curves(self.scenario, m.arrays) for m in self.motions}
 
     def loads(self, motion: ReportedMotion) -> PayloadResponse | None:
         """What moves inside the loads along a motion as it was planned, at its times; None where nothing does."""

@@ -21,9 +21,9 @@ from salver.files import versions, write_atomic
 from salver.live import Worker
 from salver.models.arm.arm import load_arm
 from salver.playground import World
+from salver.reports.pages.cells import speed_bar
 from salver.reports.pages.page import asset, fill, framed, write_report
 from salver.reports.pages.replay import replay_scene
-from salver.reports.pages.speed_bar import speed_bar
 from salver.reports.run import read_run
 from salver.scenario import Scenario
 from salver.studio.local_page import HTML, LocalPage, Shown

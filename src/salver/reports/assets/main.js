@@ -64,11 +64,6 @@ function nearestToLimit() {
 function buildCharts() {
   for (const host of document.querySelectorAll("[data-chart]")) {
     const spec = data.charts[host.dataset.chart];
-    if (spec.groups) {
-      legend(host.previousElementSibling, { series: spec.groups });
-      histogram(host, spec);
-      continue;
-    }
     legend(host.previousElementSibling, spec);
     chart(host, spec, (t) => {
       setPlaying(false);

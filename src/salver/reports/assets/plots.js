@@ -189,21 +189,3 @@ function legend(host, spec) {
     host.append(entry);
   }
 }
-
-// spec: {x, y, edges: [...], groups: [{name, colour, counts}]}: counts side by side in each bin.
-function histogram(host, spec) {
-  const draw = () => {
-    host.replaceChildren();
-    const width = widthOf(host), height = 200, box = { left: 66, right: width - 14, top: 10, bottom: height - 38 };
-    const image = svg("svg", { viewBox: `0 0 ${width} ${height}`, width: "100%", role: "img", "aria-label": `${spec.y} by ${spec.x}` }, host);
-    const top = Math.max(1, ...spec.groups.flatMap((g) => g.counts)), last = spec.edges.length - 1;
-    const X = (v) => box.left + ((v - spec.edges[0]) / (spec.edges[last] - spec.edges[0])) * (box.right - box.left);
-    const Y = (v) => box.bottom - (v / (1.08 * top)) * (box.bottom - box.top);
-    axes(image, box, [spec.edges[0], spec.edges[last]], [0, 1.08 * top], X, Y, spec);
-    spec.groups.forEach((g, k) => g.counts.forEach((count, i) => {
-      const wide = (X(spec.edges[i + 1]) - X(spec.edges[i])) / spec.groups.length, left = X(spec.edges[i]) + k * wide;
-      if (count) svg("rect", { x: left + 0.5, y: Y(count), width: Math.max(1, wide - 1), height: box.bottom - Y(count), fill: g.colour, opacity: 0.85 }, image);
-    }));
-  };
-  drawn(host, draw);
-}

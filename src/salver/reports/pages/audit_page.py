@@ -17,17 +17,14 @@ from salver.geometry import Array, interpolated, spread
 from salver.motion_files import JointSamples
 from salver.motion_files.samples import reordered
 from salver.planning.plan import Plan
+from salver.reports.contact import curves_of
 from salver.reports.pages.cells import table
-from salver.reports.pages.charts import curve, time_chart
 from salver.reports.pages.page import filled, replay
-from salver.reports.pages.sections import Sections, tile_list
-from salver.reports.pages.speed_bar import speed_bar
+from salver.reports.pages.sections import Sections, add_margins, add_motion, margin_tiles
 from salver.reports.pages.words import Headline
 from salver.reports.parameters import ranges
 from salver.reports.run import ReportedMotion, ReportedRun
-from salver.reports.style import BLUE, VERMILION
 from salver.trajectory import SampledReference
-from salver.wording import number
 
 if TYPE_CHECKING:
     from salver.models.arm.arm import ArmModel
@@ -55,92 +52,28 @@ def audit_page(audit: Audit) -> str:
         level, headline = "bad", "The load would stay where it is, but the arm cannot go this way"
     sentence = audit.worst.sentence if audit.nominal.ok else audit.nominal.sentence
     answer = Headline(level, headline, f"{audit.arm.sentence} {sentence}")
+    factor = audit.speeds_worst.pace.details["factor"]
+    held = "no time" if factor is None else f"{factor:.3f}"
     shown = replay(run, arm)
     for variant in shown["variants"]:
         variant["caption"] = "as it was read"
     return filled(
         answer,
-        _sections(audit),
+        _sections(audit, run),
         shown,
         name=f"{Path(audit.source).name} with the load of {audit.scenario.name}",
         asked=f"A motion of {float(np.ptp(audit.motion.samples.t)):.2f} s that is given, with {run.load} on the tray.",
         notes=audit.motion.notes,
-        tiles=_tiles(audit),
+        tiles=[*margin_tiles(run), ("It would just hold in", held, "of its time, in the worst case")],
         source=audit.source,
         scenarios=[audit.scenario],
     )
 
 
-def _tiles(audit: Audit) -> Markup:
-    margins, (nominal, worst) = audit.margins, audit.reserves
-    tight = max(margins.interfaces, key=lambda m: m.friction_needed_worst / m.friction)
-    shown = [
-        ("Duration", f"{float(np.ptp(audit.motion.samples.t)):.2f} s", ""),
-        (
-            "Friction needed",
-            number(float(tight.friction_needed.max()), 3, otherwise="none suffices"),
-            f"of {tight.friction:g} · worst case {number(tight.friction_needed_worst, 3, otherwise='none suffices')}",
-        ),
-        (
-            "Left in the worst case",
-            f"{100 * float(worst.min()):.1f} %",
-            f"of the weight · nominal {100 * float(nominal.min()):.1f} %",
-        ),
-        (
-            "Tip-over margin, worst case",
-            number(1e3 * min(float(m.tip_over_worst.min()) for m in margins.interfaces), 1, " mm", "lifts"),
-            "",
-        ),
-    ]
-    factor = audit.speeds_worst.pace.details["factor"]
-    shown.append(
-        ("It would just hold in", "no time" if factor is None else f"{factor:.3f}", "of its time, in the worst case")
-    )
-    return tile_list(shown)
-
-
-def _sections(audit: Audit) -> Sections:
-    page, s, margins = Sections(), audit.motion.samples, audit.margins
-    nominal, worst = audit.reserves
-    zero = {"y": 0, "label": ""}
-    friction, tip = [], []
-    for k, m in enumerate(margins.interfaces):
-        faint = {} if k == 0 else {"opacity": 0.5}
-        friction.append(curve(m.name, BLUE, margins.t, np.minimum(m.friction_needed, 5.0), **faint))
-        tip.append(curve(f"{m.name}, worst case", BLUE, margins.t, 1e3 * m.tip_over_worst, **faint))
-        tip.append(curve(f"{m.name}, nominal", VERMILION, margins.t, 1e3 * m.tip_over, **faint))
-    lines = [{"y": m.friction, "label": f"there is {m.friction:g}"} for m in margins.interfaces[:1]]
-    charts = [
-        time_chart(
-            "Distance to sliding, tipping or lifting",
-            "margin, % of the weight",
-            [
-                curve("worst case", BLUE, s.t, 100 * worst),
-                curve("nominal", VERMILION, s.t, 100 * nominal, width=1.0, opacity=0.7),
-            ],
-            "How far inside its contact wrench cone the required wrench stays: above zero it sticks.",
-            "%",
-            lines=[zero],
-        ),
-        time_chart("Friction needed", "coefficient", friction, "Nominal. Below the line it sticks.", lines=lines),
-        time_chart("Distance to tipping", "mm", tip, "Of the zero-moment point to the edge.", "mm", lines=[zero]),
-        time_chart(
-            "The tray",
-            "m/s, m/s²",
-            [
-                curve("acceleration", BLUE, s.t, np.linalg.norm(s.a_S, axis=1)),
-                curve("speed", VERMILION, s.t, np.linalg.norm(s.v_S, axis=1)),
-            ],
-            "As the audit understands the motion.",
-        ),
-    ]
-    page.add(
-        "margins",
-        "Margins",
-        "How near the motion comes to moving what it carries.",
-        charts,
-        speed_bar(audit.speeds_worst.summary()),
-    )
+def _sections(audit: Audit, run: ReportedRun) -> Sections:
+    page = Sections()
+    add_margins(page, run, audit.speeds_worst.summary())
+    add_motion(page, run)
     page.add("known", "How the motion is known", "", extra=_known(audit))
     return page
 
@@ -189,4 +122,6 @@ def _run(audit: Audit) -> tuple[ReportedRun, ArmModel | None]:
         q = reordered(joints, arm.joint_names).q
         arrays["q"] = interpolated(joints.t, q, arrays["t"])
     summary: Mapping[str, Any] = {"ok": audit.ok, "method": "given", "thinned": len(keep) < len(samples.t)}
-    return ReportedRun(Path(audit.source), scenario, [ReportedMotion("plan", arrays, dict(summary))]), arm
+    motion = ReportedMotion("plan", arrays, dict(summary))
+    curves = {"plan": curves_of(audit.margins, audit.margins.exact_worst)}
+    return ReportedRun(Path(audit.source), scenario, [motion], margins=curves), arm

@@ -5,7 +5,8 @@ HTML is `Markup`, whose `format`, `join` and `+` escape whatever is not: no valu
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from typing import Any
 
 from markupsafe import Markup
 
@@ -46,6 +47,23 @@ def percent(share: float) -> str:
 def motion_cell(stem: str, label: str) -> Markup:
     """A motion's name with its colour."""
     return _named(ROLE_COLOURS[stem], label)
+
+
+def speed_bar(speeds: Mapping[str, Any] | None) -> Markup:
+    """At which constant shares of full speed a motion keeps its load. speeds: as `SafeSpeeds.summary`; nothing for
+    None."""
+    if speeds is None:
+        return NOTHING
+    held = joined(
+        Markup('<i style="left:{:.2f}%;width:{:.2f}%"></i>').format(100 * low, 100 * max(high - low, 0.004))
+        for low, high in speeds["intervals"]
+    )
+    ticks = joined(Markup("<span>{} %</span>").format(share) for share in (0, 25, 50, 75, 100))
+    note = f"{speeds['sentence']} Green: constant speeds at which the load stays; red: it does not."
+    return Markup(
+        '<div class="speeds"><h3>Speeds at which it holds</h3><p class="note">{}</p><div class="scale">{}</div>'
+        '<div class="ticks">{}</div></div>'
+    ).format(note, held, ticks)
 
 
 def _named(colour: str, text: object) -> Markup:

@@ -20,6 +20,9 @@ if TYPE_CHECKING:
     from salver.reports.run import Record, ReportedMotion, ReportedRun
 
 Spec = dict[str, Any]
+Units = tuple[tuple[str, float], ...]  # name and factor from SI
+LENGTHS: Units = (("mm", 1e3), ("µm", 1e6))
+ANGLES: Units = (("mrad", 1e3), ("µrad", 1e6))
 DASH = {"plan": "", "baseline": "6 3", "nominal": "6 3"}
 
 
@@ -49,10 +52,11 @@ def time_chart(title: str, y: str, curves: list[Spec], note: str = "", unit: str
 
 
 def margin_charts(run: ReportedRun) -> list[Spec]:
-    """Three ways to ask how close to sliding, tipping or lifting a motion comes, and the paper's own condition."""
+    """Three ways to ask how close to sliding, tipping or lifting a motion comes, the paper's own condition where the
+    plan is held to it, and which stops on the path keep the load."""
     curves = run.contact
     one = curves[run.plan.stem].coefficient is not None
-    margin, friction, tip, floor = [], [], [], []
+    margin, friction, tip = [], [], []
     for m in run.motions:
         c = curves[m.stem]
         margin.append(series(m, f"{m.label}, worst case", c.t, 100 * c.worst))
@@ -60,12 +64,12 @@ def margin_charts(run: ReportedRun) -> list[Spec]:
         friction.append(series(m, m.label, c.t, c.coefficient if c.coefficient is not None else 100 * c.friction))
         tip.append(series(m, f"{m.label}, worst case", c.t, 1e3 * c.tip_worst))
         tip.append(series(m, f"{m.label}, nominal", c.t, 1e3 * c.tip, width=1.0, opacity=0.55))
-        floor.append(series(m, m.label, m.t, m.cone_floor.min(axis=1)))
     zero = {"y": 0, "label": ""}
-    paper = run.scenario.contact.condition == "paper"
-    follows = "on the reference itself" if paper else "with the errors that they cause in the closed loop"
+    follows = (
+        "on the reference itself" if run.paper or run.given else "with the errors that they cause in the closed loop"
+    )
     needed = "Least friction coefficient" if one else "Largest share of its friction that any object needs"
-    return [
+    charts = [
         time_chart(
             "Distance to sliding, tipping or lifting",
             "margin, % of the weight",
@@ -94,37 +98,36 @@ def margin_charts(run: ReportedRun) -> list[Spec]:
             lines=[zero],
             range=_tip_range(tip),
         ),
-        time_chart(
-            "Least cone coefficient, lower edge of its tube",
-            "min (Λ − r), N",
-            floor,
-            "The paper's condition asks that it stay above zero. Sufficient, not necessary: it judges one distribution "
-            "of the internal forces"
-            + (f" of {run.bodies[0].name} alone" if len(run.bodies) > 1 else "")
-            + ("." if paper else "; this plan is not held to it."),
-            "N",
-            lines=[zero],
-        ),
     ]
-
-
-def braking_charts(run: ReportedRun) -> tuple[list[Spec], str]:
-    """Effect of a stop on the path on the load, and what the section's first sentence says of it; no chart with inner
-    dynamics, or where there would be next to nothing in it."""
-    found = [(m, known) for m in run.motions if (known := run.contact[m.stem].braking) is not None]
-    if not found:
-        return [], ", without a chart of braking, which needs a dry load"
-    best = max(float(known.kept.max()) for _, known in found)
-    if best < 0.1:
-        return [], f". A stop on the path keeps it at {100 * best:.0f} % of the instants at most, however long it takes"
-    curves = [series(m, m.label, known.durations, 100 * known.kept) for m, known in found]
-    note = (
-        "A protective or soft stop of the robot lets the speed fall evenly to zero on the path. Look up how long yours "
-        "takes: the load then stays if it begins at so many of the instants, in the worst case. Only stops that end "
-        "before the motion are counted. How the arm strays from its path is left out."
-    )
-    chart = {"title": "Stops on the path", "note": note, "x": "duration of the stop, s", "unit": "%", "range": [0, 100]}
-    return [{**chart, "y": "instants, %", "series": curves}], ", and what a stop of the robot does"
+    if run.paper:
+        one_alone = f" of {run.bodies[0].name} alone" if len(run.bodies) > 1 else ""
+        charts.append(
+            time_chart(
+                "Least cone coefficient, lower edge of its tube",
+                "min (Λ − r), N",
+                [series(m, m.label, m.t, m.cone_floor.min(axis=1)) for m in run.motions],
+                "The paper's condition asks that it stay above zero. Sufficient, not necessary: it judges one "
+                f"distribution of the internal forces{one_alone}.",
+                "N",
+                lines=[zero],
+            )
+        )
+    stops = [(m, known) for m in run.motions if (known := curves[m.stem].braking) is not None]
+    if stops:
+        charts.append(
+            {
+                "title": "Stops on the path",
+                "note": "A protective or soft stop of the robot lets the speed fall evenly to zero on the path. Look "
+                "up how long yours takes: the load then stays if it begins at so many of the instants, in the worst "
+                "case. Only stops that end before the motion are counted. How the arm strays is left out.",
+                "x": "duration of the stop, s",
+                "y": "instants, %",
+                "unit": "%",
+                "zero": True,
+                "series": [series(m, m.label, known.durations, 100 * known.kept) for m, known in stops],
+            }
+        )
+    return charts
 
 
 def _tip_range(curves: list[Spec]) -> list[float] | None:
@@ -172,26 +175,19 @@ def cone_charts(run: ReportedRun) -> list[Spec]:
 
 def sensitivity_charts(run: ReportedRun) -> list[Spec]:
     """Deviation of the object, and change of the contact forces, under parameter errors."""
-    wanted = [
-        (
-            "Position",
-            "tube radius, mm",
-            slice(0, 3),
-            1e3,
-            "mm",
-            "How far wrong parameters take the object off its reference.",
-        ),
-        ("Orientation", "tube radius, mrad", slice(3, 6), 1e3, "mrad", "How far they turn it."),
-    ]
+    wanted = (
+        ("Position", "mm", slice(0, 3), "How far wrong parameters take the object off its reference."),
+        ("Orientation", "mrad", slice(3, 6), "How far they turn it."),
+    )
     charts = []
-    for title, label, rows, factor, unit, note in wanted:
+    for title, unit, rows, note in wanted:
         curves = [
-            series(m, m.label, m.t, factor * np.linalg.norm(_state_radius(run, m)[:, rows], axis=1))
+            series(m, m.label, m.t, 1e3 * np.linalg.norm(_state_radius(run, m)[:, rows], axis=1))
             for m in run.motions
             if "state_sensitivity" in m.arrays
         ]
         if any(max(c["y"]) > 1e-6 for c in curves):
-            charts.append(time_chart(title, label, curves, note, unit, zero=True))
+            charts.append(time_chart(title, f"tube radius, {unit}", curves, note, unit, zero=True))
     forces = [series(m, m.label, m.t, m.arrays["cone_radius"].max(axis=1)) for m in run.motions]
     charts.append(
         time_chart(
@@ -328,15 +324,15 @@ def run_charts(records: list[tuple[ReportedMotion, Record]]) -> list[Spec]:
     """What the physics engine or an arm says: tracking errors as in Fig. 8, slip, tip angle; of the tray alone when
     the object was not seen."""
     wanted = [
-        ("e_p", "Position error of the object", "e_p", (("mm", 1e3), ("µm", 1e6))),
-        ("e_o", "Orientation error of the object", "e_o", (("mrad", 1e3), ("µrad", 1e6))),
-        ("slip", "Slip on the tray", "displacement", (("mm", 1e3), ("µm", 1e6))),
+        ("e_p", "Position error of the object", "e_p", LENGTHS),
+        ("e_o", "Orientation error of the object", "e_o", ANGLES),
+        ("slip", "Slip on the tray", "displacement", LENGTHS),
         ("tip_angle", "Tip angle", "angle", (("°", 180 / np.pi),)),
     ]
     if not any("e_p" in record.arrays for _, record in records):
         wanted += [
-            ("tray_e_p", "Position error of the tray", "e_p of the tray", (("mm", 1e3), ("µm", 1e6))),
-            ("tray_e_o", "Orientation error of the tray", "e_o of the tray", (("mrad", 1e3), ("µrad", 1e6))),
+            ("tray_e_p", "Position error of the tray", "e_p of the tray", LENGTHS),
+            ("tray_e_o", "Orientation error of the tray", "e_o of the tray", ANGLES),
         ]
     charts = []
     for key, title, label, units in wanted:
@@ -346,10 +342,15 @@ def run_charts(records: list[tuple[ReportedMotion, Record]]) -> list[Spec]:
         peak = max(float(np.nanmax(v)) for _, _, v in found)
         if key == "tip_angle" and peak < 1e-3:  # rad; less is the softness of the contact
             continue
-        unit, factor = next(((u, f) for u, f in units if f * peak >= 0.1), units[-1])
+        unit, factor = suited(peak, units)
         curves = [series(m, m.label, t, factor * v) for m, t, v in found]
         charts.append(time_chart(title, f"{label}, {unit}", curves, unit=unit, zero=True))
     return charts
+
+
+def suited(peak: float, units: Units) -> tuple[str, float]:
+    """The first of units, from coarse to fine, in which the peak is at least 0.1."""
+    return next(((unit, factor) for unit, factor in units if factor * peak >= 0.1), units[-1])
 
 
 def record_curve(record: Record | None, key: str) -> Array | None:

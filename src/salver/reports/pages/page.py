@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from datetime import UTC, datetime
 from importlib import resources
 from pathlib import Path
@@ -106,7 +106,7 @@ def filled(
     name: str,
     asked: str,
     notes: Sequence[str],
-    tiles: Markup,
+    tiles: Iterable[sections.Tile],
     source: str,
     scenarios: Sequence[Scenario],
     others: Markup = NOTHING,
@@ -122,7 +122,7 @@ def filled(
         detail=answer.detail,
         asked=asked,
         notes=joined(Markup('<p class="note">{}</p>').format(note) for note in notes),
-        tiles=tiles,
+        tiles=sections.tile_list(tiles),
         navigation=others + joined(Markup('<a href="#{}">{}</a>').format(key, title) for key, title in titles),
         replay=NOTHING if shown is None else Markup(asset("replay.html")),
         sections=made.html,

@@ -1,4 +1,4 @@
-"""The page's section on a campaign: outcomes with intervals, histograms, worst runs, how the tubes did."""
+"""The page's section on a campaign: outcomes with intervals, distributions, worst runs, how the tubes did."""
 
 from __future__ import annotations
 
@@ -9,18 +9,17 @@ from markupsafe import Markup
 
 from salver.campaigns.summary import LEFT_TUBES
 from salver.reports.pages.cells import joined, motion_cell, outcome_cell, percent, table
-from salver.reports.pages.charts import Spec
+from salver.reports.pages.charts import LENGTHS, Spec, Units, series, suited
 from salver.reports.pages.words import length
-from salver.reports.style import ROLE_COLOURS
 from salver.statistics import clopper_pearson
 
 if TYPE_CHECKING:
     from salver.reports.run import ReportedMotion, ReportedRun
 
 # What the runs are told apart by: the first two that there are. Column, title, axis, units from coarse to fine.
-HISTOGRAMS = (
-    ("peak_slip", "Largest slip in each run", "slip", (("mm", 1e3), ("µm", 1e6))),
-    ("e_p_peak", "Largest position error in each run", "e_p", (("mm", 1e3), ("µm", 1e6))),
+MEASURES = (
+    ("peak_slip", "Largest slip in each run", "slip", LENGTHS),
+    ("e_p_peak", "Largest position error in each run", "e_p", LENGTHS),
     ("cone_least", "Least cone coefficient in each run", "min Λ", (("N", 1.0),)),
 )
 
@@ -37,8 +36,8 @@ def section(run: ReportedRun, campaign: dict[str, Any]) -> tuple[str, list[Spec]
     )
     if not campaign.get("complete", True):
         intro += f" So far: {definition.get('n')} were asked for; the same command goes on."
-    specs = [spec for spec in (_histogram(run, *wanted) for wanted in HISTOGRAMS) if spec is not None][:2]
-    remarks = joined(_remarks(run, m, plans[m.stem]) for m in run.motions if m.stem in plans)
+    specs = [spec for spec in (_distribution(run, *wanted) for wanted in MEASURES) if spec is not None][:2]
+    remarks = joined(_remarks(m, plans[m.stem]) for m in run.motions if m.stem in plans)
     extra = Markup('<div class="columns" style="margin-top:14px"><div>{}{}</div><div>{}</div></div>').format(
         _outcomes(run, plans), _paired(run, campaign), remarks
     )
@@ -62,7 +61,7 @@ def _outcomes(run: ReportedRun, plans: dict[str, Any]) -> Markup:
     return table(["", "outcome", "runs", "rate", "95 % interval (Clopper–Pearson)"], rows, numeric=(2, 3))
 
 
-def _remarks(run: ReportedRun, m: ReportedMotion, own: dict[str, Any]) -> Markup:
+def _remarks(m: ReportedMotion, own: dict[str, Any]) -> Markup:
     """Worst run, how to repeat it, and how the tubes did, in sentences."""
     worst, label = own["worst_run"], m.label
     slip = f", slip {length(worst['peak_slip'])}" if worst.get("peak_slip") is not None else ""
@@ -75,27 +74,16 @@ def _remarks(run: ReportedRun, m: ReportedMotion, own: dict[str, Any]) -> Markup
         left = tube["left"]
         text += Markup(
             "<p><b>{}, tubes:</b> in {} of {} runs a coefficient left its first-order tube, at most by {:.3g} N "
-            "(run {}){}. {}</p>"
+            "(run {}). {}</p>"
         ).format(
             label,
             left["count"],
             left["of"],
             tube["worst_excess"],
             tube["worst_run"],
-            _at_start(run, m),
             LEFT_TUBES if left["count"] else "",
         )
     return text
-
-
-def _at_start(run: ReportedRun, m: ReportedMotion) -> str:
-    """Why tubes are left in the engine at the very start, if they are and only there."""
-    if "tube_excess_time" not in run.runs:
-        return ""
-    out = (run.runs["stem"] == m.stem) & (run.runs["tube_excess"].astype(float) > 0)
-    if not np.any(out) or np.max(run.runs["tube_excess_time"][out].astype(float)) > 0.02 * m.duration:
-        return ""
-    return ", all at the very start"
 
 
 def _paired(run: ReportedRun, campaign: dict[str, Any]) -> Markup:
@@ -111,26 +99,22 @@ def _paired(run: ReportedRun, campaign: dict[str, Any]) -> Markup:
     return text
 
 
-def _histogram(
-    run: ReportedRun, column: str, title: str, label: str, units: tuple[tuple[str, float], ...]
-) -> Spec | None:
-    if column not in run.runs:
+def _distribution(run: ReportedRun, column: str, title: str, label: str, units: Units) -> Spec | None:
+    """Share of the runs of each motion in which a quantity is at most so large."""
+    values = np.asarray(run.runs.get(column, ()), dtype=float)
+    finite = np.isfinite(values)
+    if not finite.any():
         return None
-    values = run.runs[column].astype(float)
-    finite = values[np.isfinite(values)]
-    if not len(finite):
-        return None
-    largest = float(np.abs(finite).max())
-    unit, factor = next(((u, f) for u, f in units if f * largest >= 0.1), units[-1])
-    values, low, high = factor * values, factor * float(finite.min()), factor * float(finite.max())
-    if low > 0 and low < 0.5 * high:
-        low = 0.0
-    edges = np.linspace(low, high if high > low else low + max(abs(low), 1e-6), 25)
-    groups = []
+    unit, factor = suited(float(np.abs(values[finite]).max()), units)
+    curves = []
     for m in run.motions:
-        own = (run.runs["stem"] == m.stem) & np.isfinite(values)
-        if np.any(own):
-            counts = np.histogram(values[own], edges)[0].tolist()
-            groups.append({"name": m.label, "colour": ROLE_COLOURS[m.stem], "counts": counts})
-    rounded = [float(f"{e:.6g}") for e in edges]
-    return {"title": title, "x": f"{label}, {unit}", "y": "runs", "edges": rounded, "groups": groups, "series": []}
+        own = np.sort(factor * values[finite & (run.runs["stem"] == m.stem)])
+        if len(own):
+            curves.append(series(m, m.label, own, 100 * np.arange(1, len(own) + 1) / len(own)))
+    shown = {
+        "title": title,
+        "note": "In so many of the runs it was no larger.",
+        "x": f"{label}, {unit}",
+        "y": "runs, %",
+    }
+    return {**shown, "unit": "%", "zero": True, "series": curves}

@@ -11,8 +11,8 @@ from markupsafe import Markup
 
 from salver.planning.plan_files import PlanFiles
 from salver.reports.pages.cells import outcome_cell, percent, table
-from salver.reports.pages.sections import Sections, tile_list
-from salver.reports.pages.words import Headline
+from salver.reports.pages.sections import Sections, Tile
+from salver.reports.pages.words import Headline, campaign_outcomes, of_campaign
 from salver.reports.run import ReportedRun
 from salver.scenario import Scenario
 from salver.wording import listed
@@ -20,10 +20,10 @@ from salver.wording import listed
 
 def overview(
     files: PlanFiles, runs: Sequence[ReportedRun], places: Sequence[Path], campaign: dict[str, Any] | None
-) -> tuple[Headline, Sections, str, Markup]:
+) -> tuple[Headline, Sections, str, list[Tile]]:
     """Content of the page of the task: verdict, sections, task, tiles. places: the pages of the legs."""
     scenario, record = files.scenario, files.record
-    held = campaign["plans"]["plan"]["outcomes"] if campaign else {}
+    runs_of = campaign_outcomes(campaign, "plan")
     made = Sections()
     rows = []
     for k, (run, place, leg) in enumerate(zip(runs, places, scenario.legs, strict=True), 1):
@@ -43,33 +43,30 @@ def overview(
         )
     head = ("", "on the tray", "to", "then", "duration", "left in the worst case", "safe, as far as checked", "engine")
     made.add("legs", "Legs", "", extra=table(head, rows, (4, 5)))
-    if campaign:
-        outcomes = [(outcome_cell(word), f"{rate['count']} of {rate['of']}") for word, rate in held.items()]
+    if runs_of:
+        total = sum(runs_of.values())
+        outcomes = [(outcome_cell(word), f"{count} of {total}") for word, count in runs_of.items()]
         intro = "The same true objects on all legs of a run; a run is called by its worst leg."
         made.add("campaign", "Perturbed runs of all legs", intro, extra=table(("outcome", "runs"), outcomes, (1,)))
     told = [(f"leg {k}", part["status"]["sentence"]) for k, part in enumerate(record["legs"], 1)]
     found = table(("", "status"), [("all", record["status"]["sentence"]), *told])
     made.add("provenance", "What was found", "", extra=found)
     least = min(float(run.contact["plan"].worst.min()) for run in runs)
-    tiles = tile_list(
-        (
-            ("Duration", f"{record['duration']:.2f} s", "of all legs, without stops"),
-            ("Legs", str(len(runs)), ""),
-            ("Left in the worst case", percent(least), "of the weight, on the leg with the least"),
-        )
-    )
-    return _verdict(record, runs, held), made, _asked(scenario, record), tiles
+    tiles = [
+        ("Duration", f"{record['duration']:.2f} s", "of all legs, without stops"),
+        ("Legs", str(len(runs)), ""),
+        ("Left in the worst case", percent(least), "of the weight, on the leg with the least"),
+    ]
+    return _verdict(record, runs, runs_of), made, _asked(scenario, record), tiles
 
 
-def _verdict(record: dict[str, Any], runs: Sequence[ReportedRun], held: dict[str, Any]) -> Headline:
+def _verdict(record: dict[str, Any], runs: Sequence[ReportedRun], outcomes: dict[str, int]) -> Headline:
     """Campaign before simulation before plan, as for one leg."""
     if not record["ok"]:
         return Headline("bad", "No safe plan of all legs was found", record["status"]["sentence"])
     blind = f"Not checked: {'; '.join(record['unchecked'])}." if record["unchecked"] else ""
-    if held:
-        count, of = held["holds"]["count"], held["holds"]["of"]
-        level = "good" if count == of else "warning" if 2 * count > of else "bad"
-        return Headline(level, f"The load stayed put on all legs in {count} of {of} perturbed runs", blind)
+    if outcomes:
+        return of_campaign("On all legs the load", outcomes, blind)
     seen = [run.plan.simulation.summary.get("outcome") if run.plan.simulation else None for run in runs]
     wrong = [f"leg {k}: {word}" for k, word in enumerate(seen, 1) if word not in (None, "holds")]
     if wrong:

@@ -2,24 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from markupsafe import Markup
 
 from salver.models.arm.arm_limits import LIMITS
 from salver.reports.pages import charts, perturbed_runs
-from salver.reports.pages.cells import NOTHING, joined, motion_cell, outcome_cell, table
-from salver.reports.pages.speed_bar import speed_bar
-from salver.reports.pages.words import length, true_parameters
+from salver.reports.pages.cells import NOTHING, joined, motion_cell, outcome_cell, speed_bar, table
+from salver.reports.pages.words import campaign_outcomes, length, true_parameters
 from salver.reports.tables import arm_usage, scenario_rows, solver_rows
 from salver.wording import listed, number
 
 if TYPE_CHECKING:
     from salver.models.arm.arm import ArmModel
 from salver.reports.run import Record, ReportedMotion, ReportedRun
+
+Tile = tuple[str, str, str]  # label, figure, and what is said below it
 
 
 @dataclass
@@ -60,14 +61,7 @@ class Sections:
 def build(run: ReportedRun, arm: ArmModel | None) -> Sections:
     """All sections for what the run directory has."""
     page = Sections()
-    stops, stopping = charts.braking_charts(run)
-    page.add(
-        "margins",
-        "Margins",
-        f"How far {run.load} is from sliding, tipping or lifting{stopping}.",
-        charts.margin_charts(run) + stops,
-        speed_bar(run.plan.summary.get("speeds")),
-    )
+    add_margins(page, run, run.plan.summary.get("speeds"))
     if run.scenario.payload.dynamic:
         page.add("inside", "What moves inside", "How near it comes to its edge.", charts.inside_charts(run))
     if run.campaign is not None:
@@ -90,8 +84,7 @@ def build(run: ReportedRun, arm: ArmModel | None) -> Sections:
         sensitivity,
         grid="three" if len(sensitivity) == 3 else "",
     )
-    motion = charts.reference_charts(run)
-    page.add("motion", "The motion", "Where the object is taken.", motion, grid="three")
+    add_motion(page, run)
     if arm is not None:
         page.add(
             "arm",
@@ -104,57 +97,56 @@ def build(run: ReportedRun, arm: ArmModel | None) -> Sections:
     return page
 
 
-def tiles(run: ReportedRun) -> Markup:
+def add_margins(page: Sections, run: ReportedRun, speeds: Mapping[str, Any] | None) -> None:
+    """speeds: as `SafeSpeeds.summary`, None where they are not known."""
+    intro = f"How far {run.load} is from sliding, tipping or lifting."
+    page.add("margins", "Margins", intro, charts.margin_charts(run), speed_bar(speeds))
+
+
+def add_motion(page: Sections, run: ReportedRun) -> None:
+    page.add("motion", "The motion", "Where the object is taken.", charts.reference_charts(run), grid="three")
+
+
+def tiles(run: ReportedRun) -> list[Tile]:
     """Key numbers below the verdict."""
-    plan = run.plan
-    base = run.compared
-    curves = [run.contact[m.stem] for m in run.motions]
-    floor = [float(m.cone_floor.min()) for m in run.motions]
-    tip = [1e3 * float(c.tip_worst.min()) for c in curves]
-    worst = [100 * float(c.worst.min()) for c in curves]
-
-    def versus(values: list[float], digits: int, unit: str = "", otherwise: str = "–") -> str:
-        return f"{base.stem} {number(values[1], digits, unit, otherwise)}" if base is not None else ""
-
-    shown = [
-        ("Duration", f"{plan.duration:.2f} s", versus([m.duration for m in run.motions], 2, " s")),
-        _friction_tile(run),
-    ]
-    shown.append(
-        ("Left in the worst case", f"{number(worst[0], 1)} %", f"of the weight · {versus(worst, 1, ' %')}".rstrip(" ·"))
-    )
-    if run.scenario.contact.condition == "paper":
-        shown.append(("Least coefficient in its tube", f"{number(floor[0], 3)} N", versus(floor, 3, " N")))
-    shown.append(("Tip-over margin, worst case", number(tip[0], 1, " mm", "lifts"), versus(tip, 1, " mm", "lifts")))
+    plan, base = run.plan, run.compared
+    shown = margin_tiles(run)
     slips = [charts.record_curve(m.simulation, "slip") for m in run.motions]
     if slips[0] is not None:
         moved = [length(float(np.max(s))) if s is not None else "not run" for s in slips]
         shown.append(("Slip in simulation", moved[0], f"{base.stem} {moved[1]}" if base is not None else ""))
-    if run.campaign is not None:
-        held = run.campaign["plans"].get(plan.stem, {}).get("outcomes", {}).get("holds")
-        if held:
-            shown.append(
-                (
-                    "Perturbed runs that held",
-                    f"{held['count']} of {held['of']}",
-                    f"95 % interval {100 * held['low']:.0f} to {100 * held['high']:.0f} %",
-                )
-            )
-    solver = plan.summary.get("solver") or {}
-    seconds = solver.get("seconds")
-    if isinstance(seconds, int | float):
-        shown.append(
-            (
-                "Planned in",
-                f"{1e3 * seconds:.3g} ms" if seconds < 1 else f"{seconds:.3g} s",
-                str(solver.get("name", "")),
-            )
-        )
-    return tile_list(shown)
+    held = campaign_outcomes(run.campaign, plan.stem).get("holds")
+    if held is not None:
+        rate = run.campaign["plans"][plan.stem]["outcomes"]["holds"]  # type: ignore[index]
+        interval = f"95 % interval {100 * rate['low']:.0f} to {100 * rate['high']:.0f} %"
+        shown.append(("Perturbed runs that held", f"{held} of {rate['of']}", interval))
+    return shown
 
 
-def tile_list(shown: Iterable[tuple[str, str, str]]) -> Markup:
-    """Label, figure, and what is said below it."""
+def margin_tiles(run: ReportedRun) -> list[Tile]:
+    """Duration and margins of the plan, beside those of what it is compared with."""
+    curves, base = [run.contact[m.stem] for m in run.motions], run.compared
+
+    def tile(label: str, values: list[float], digits: int, unit: str, of: str = "", otherwise: str = "–") -> Tile:
+        said = [number(value, digits, unit, otherwise) for value in values]
+        return label, said[0], " · ".join(filter(None, [of, f"{base.stem} {said[1]}" if base is not None else ""]))
+
+    needed = [float(c.coefficient.max()) for c in curves if c.coefficient is not None]
+    shown = [tile("Duration", [m.duration for m in run.motions], 2, " s")]
+    if needed:
+        shown.append(tile("Friction needed", needed, 3, "", f"of {curves[0].available:g}", "none suffices"))
+    else:
+        used = [100 * float(c.friction.max()) for c in curves]
+        shown.append(tile("Friction in use", used, 0, " %", "of what there is", "more than any"))
+    shown.append(tile("Left in the worst case", [100 * float(c.worst.min()) for c in curves], 1, " %", "of the weight"))
+    if run.paper:
+        floor = [float(m.cone_floor.min()) for m in run.motions]
+        shown.append(tile("Least coefficient in its tube", floor, 3, " N"))
+    tip = [1e3 * float(c.tip_worst.min()) for c in curves]
+    return [*shown, tile("Tip-over margin, worst case", tip, 1, " mm", otherwise="lifts")]
+
+
+def tile_list(shown: Iterable[Tile]) -> Markup:
     return joined(Markup("<div><dt>{}</dt><dd>{}<small>{}</small></dd></div>").format(*tile) for tile in shown)
 
 
@@ -173,32 +165,6 @@ RUNS = {
         "The control loop that drives the real arm: what it tracked, and how well it kept its period.",
     ),
 }
-
-
-def _friction_tile(run: ReportedRun) -> tuple[str, str, str]:
-    curves = [run.contact[m.stem] for m in run.motions]
-    if curves[0].coefficient is None:
-        used = [number(100 * float(c.friction.max()), 0, " %", "more than any") for c in curves]
-        return (
-            "Friction in use",
-            used[0],
-            " · ".join(
-                ["of what there is", *(f"{m.stem} {x}" for m, x in zip(run.motions[1:], used[1:], strict=True))]
-            ),
-        )
-    needed = [
-        number(float(c.coefficient.max()), 3, otherwise="none suffices") for c in curves if c.coefficient is not None
-    ]
-    return (
-        "Friction needed",
-        needed[0],
-        " · ".join(
-            [
-                f"of {curves[0].available:g}",
-                *(f"{m.stem} {x}" for m, x in zip(run.motions[1:], needed[1:], strict=False)),
-            ]
-        ),
-    )
 
 
 def _run_section(page: Sections, run: ReportedRun, kind: str) -> None:

@@ -36,16 +36,9 @@ def verdict(run: ReportedRun) -> Headline:
     blind = plan.summary.get("unchecked", [])
     exactly = "" if run.scenario.uncertain.size else "For exactly these values: "
     promise = (f"Not checked: {'; '.join(blind)}. " if blind else "") + exactly + _promise(run)
-    outcomes = campaign_outcomes(run, plan.stem)
+    outcomes = campaign_outcomes(run.campaign, plan.stem)
     if outcomes:
-        total, held = sum(outcomes.values()), outcomes.get("holds", 0)
-        others = ", ".join(f"{n} {word}" for word, n in outcomes.items() if word != "holds")
-        if held == total:
-            return Headline("good", f"{load} stayed put in all {total} perturbed runs", f"{promise}.")
-        level = "warning" if held > total / 2 else "bad"
-        return Headline(
-            level, f"{load} stayed put in {held} of {total} perturbed runs", f"The others: {others}. {promise}."
-        )
+        return of_campaign(load, outcomes, f"{promise}.")
     if plan.simulation is not None:
         outcome = str(plan.simulation.summary.get("outcome", "unknown"))
         slip = record_curve(plan.simulation, "slip")
@@ -66,6 +59,16 @@ def verdict(run: ReportedRun) -> Headline:
     )
 
 
+def of_campaign(load: str, outcomes: Mapping[str, int], promise: str) -> Headline:
+    """The answer of perturbed runs. outcomes: number of runs of each."""
+    total, held = sum(outcomes.values()), outcomes.get("holds", 0)
+    level = "good" if held == total else "warning" if held > total / 2 else "bad"
+    count = f"all {total}" if held == total else f"{held} of {total}"
+    others = ", ".join(f"{n} {word}" for word, n in outcomes.items() if word != "holds" and n)
+    detail = f"The others: {others}. {promise}" if others else promise
+    return Headline(level, f"{load} stayed put in {count} perturbed runs", detail)
+
+
 def _promise(run: ReportedRun) -> str:
     """The plan's guarantees in figures, with its stops."""
     stops = run.plan.summary.get("stops", {}).get("sentence", "")
@@ -78,18 +81,16 @@ def _margins(run: ReportedRun) -> str:
         text = f"Needs a friction coefficient of {float(curves.coefficient.max()):.3f}, there is {curves.available:g}"
     else:
         text = f"Needs at most {100 * float(curves.friction.max()):.0f} % of the friction there is"
-    if run.scenario.contact.condition == "paper":
+    if run.paper:
         return f"{text}; least cone coefficient within its tube {number(float(plan.cone_floor.min()), 3)} N"
     left = 100 * float(curves.worst.min())
     return f"{text}; in the worst case {left:.1f} % of the weight are left before anything moves"
 
 
-def campaign_outcomes(run: ReportedRun, stem: str) -> dict[str, int]:
+def campaign_outcomes(campaign: Mapping[str, Any] | None, stem: str) -> dict[str, int]:
     """Outcome to number of runs of one motion; empty without a campaign."""
-    if run.campaign is None or stem not in run.campaign["plans"]:
-        return {}
-    outcomes = run.campaign["plans"][stem]["outcomes"]
-    return {word: int(rate["count"]) for word, rate in outcomes.items() if rate["count"] or word == "holds"}
+    known = {} if campaign is None else campaign["plans"].get(stem, {}).get("outcomes", {})
+    return {word: int(rate["count"]) for word, rate in known.items()}
 
 
 def asked(run: ReportedRun) -> str:
