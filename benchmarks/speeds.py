@@ -104,7 +104,7 @@ def overridden(plan: Plan, t: Array, s: Array, u: Array) -> Plan:
         at.omega_B * s[:, None],
         at.alpha_B * s[:, None] ** 2 + at.omega_B * rate[:, None],
     )
-    return replace(plan, reference=SampledReference(samples), joint=joint, tau=None, stops=None, command=None)
+    return replace(plan, reference=SampledReference(samples), joint=joint, tau=None, stops=None)
 
 
 def corner(plan: Plan, rng: np.random.Generator) -> dict[str, float]:
