@@ -7,7 +7,6 @@ import signal
 import subprocess
 import sys
 import time
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -233,23 +232,9 @@ def _alive(pid: int) -> bool:
         return False
 
 
-def test_every_batch_is_waited_for_and_few_are_handed_out_at_a_time(monkeypatch):
-    from salver.campaigns import workers
-
-    handed, taken = [], []
-    monkeypatch.setattr(workers, "_execute", lambda batch: handed.append(batch) or [batch])
-    batches = [("plan", (k,)) for k in range(9)]
-    with ThreadPoolExecutor(2) as pool:
-        for (result,), batch in workers._as_completed(pool, batches, {}, 4):
-            assert result == batch
-            taken.append(batch)
-            assert len(handed) <= len(taken) + 4
-    assert sorted(taken) == batches
-
-
 @needs_proc
 @pytest.mark.slow
-def test_two_workers_one_of_which_dies_give_the_table_of_one(finished, run_dir):
+def test_a_campaign_one_of_whose_workers_died_goes_on_and_gives_the_table_of_one(finished, run_dir):
     import threading
 
     journal, killed = run_dir / "campaign" / "journal.jsonl", []  # with how many runs done
@@ -267,9 +252,11 @@ def test_two_workers_one_of_which_dies_give_the_table_of_one(finished, run_dir):
 
     thread = threading.Thread(target=kill_one)
     thread.start()
-    run_campaign(run_dir, n=N, engine="closed-loop", jobs=2)
+    with pytest.raises(SalverError, match=r"died .* repeat the command"):
+        run_campaign(run_dir, n=N, engine="closed-loop", jobs=2)
     thread.join()
     assert 0 < killed[0] < 2 * N
+    run_campaign(run_dir, n=N, engine="closed-loop", jobs=2)
     assert parquet(run_dir) == (finished.folder / "runs.parquet").read_bytes()
 
 

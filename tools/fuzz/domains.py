@@ -283,12 +283,10 @@ def journal(rng: Rng, folder: Path) -> None:
     (folder / "journal.jsonl").write_bytes(damaged)
     with Journal(folder) as opened:
         assert all(record in written for record in opened.records.values()), "a record that nobody wrote"
-        left, notes = len(opened.records), len(opened.notes)
+        left = len(opened.records)
         opened.append(written[0])
     with Journal(folder) as again:
-        assert not again.notes, "damage is told twice"
         assert len(again.records) in (left, left + 1), "records were lost"
-    assert notes <= 1
 
 
 def command(rng: Rng, folder: Path) -> None:

@@ -43,8 +43,7 @@ Progress = Callable[[int, int, Counter[tuple[str, str]]], None]
 class Campaign(Shown):
     """A finished campaign.
 
-    folder: holds campaign.json and runs.parquet. summary: content of campaign.json. notes: sentences about damaged
-    records that were made again.
+    folder: holds campaign.json and runs.parquet. summary: content of campaign.json.
     """
 
     folder: Path
@@ -58,8 +57,6 @@ class Campaign(Shown):
             for stem, plan in self.summary["plans"].items()
         }
         return {"scenario": str(self.summary["provenance"]["scenario"]), **outcomes}
-
-    notes: tuple[str, ...] = ()
 
     def to_pandas(self) -> pandas.DataFrame:
         """The runs, one row each: parameters, outcome, peaks. Raises MissingDependencyError without pandas."""
@@ -100,9 +97,8 @@ def run_campaign(
     for stem in stems:
         load(directory, stem)  # raises when it was edited, even if no run is missing
     place = directory / folder
-    _claim(place, definition)
     with Journal(place) as journal:
-        previous = _claim(place, definition)  # again, because another process may have been faster
+        previous = _claim(place, definition)
         if previous is None and journal.records:
             raise SalverError(f"{place} holds runs but no {SUMMARY} that describes them; use another --folder.")
         wanted = {(stem, run) for stem in stems for run in range(n)}
@@ -133,7 +129,7 @@ def run_campaign(
         "provenance": _provenance(directory),
     }
     write_json(place / SUMMARY, sealed(summary))
-    return Campaign(place, definition, summary, tuple(journal.notes))
+    return Campaign(place, definition, summary)
 
 
 def _chosen(directory: Path, stems: Sequence[str], stops: bool) -> list[str]:

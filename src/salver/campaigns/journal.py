@@ -1,8 +1,7 @@
 """The journal of a campaign: one line for each finished run, written at once, so that an interruption loses none.
 
-When a journal is read, an incomplete last line is dropped, and that run is repeated; so are damaged lines (each has a
-checksum), and the damaged journal is kept, numbered, beside the repaired one. A lock, which the operating system
-releases when the process ends, admits only one process.
+When a journal is read, incomplete and damaged lines (each has a checksum) are dropped, and those runs are repeated. A
+lock, which the operating system releases when the process ends, admits only one process.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from salver.errors import SalverError
-from salver.files import set_aside, write_atomic
+from salver.files import write_atomic
 
 Record = Mapping[str, Any]
 Item = tuple[str, int]  # (stem, run)
@@ -29,7 +28,6 @@ class Journal:
         self.path = folder / "journal.jsonl"
         self._lock_path = folder / "lock"
         self.records: dict[Item, Record] = {}
-        self.notes: list[str] = []  # sentences about damaged lines
 
     def __enter__(self) -> Journal:
         try:
@@ -74,25 +72,14 @@ class Journal:
         self.records[record["stem"], record["run"]] = record
 
     def _repair(self) -> None:
-        """Read all valid lines; if others are damaged, keep the old file with a note; drop an incomplete last one."""
+        """Read all valid lines, and drop others from the file."""
         if not self.path.is_file():
             return
         *lines, cut = self.path.read_bytes().split(b"\n")
-        sound, damaged = [], []
-        for number, line in enumerate(lines, 1):
-            record = _record(line)
-            if record is None:
-                damaged.append(number)
-            else:
-                sound.append(line)
-                self.records[record["stem"], record["run"]] = record
-        if damaged:
-            set_aside(self.path)
-            shown = ", ".join(map(str, damaged[:5])) + (", ..." if len(damaged) > 5 else "")
-            what = f"line {shown} is" if len(damaged) == 1 else f"{len(damaged)} lines ({shown}) are"
-            self.notes.append(f"{self.path}: {what} damaged; those runs are repeated, the damaged file is kept.")
-        if damaged or cut:
-            write_atomic(self.path, b"".join(line + b"\n" for line in sound))
+        found = [(line, _record(line)) for line in lines]
+        self.records = {(record["stem"], record["run"]): record for _, record in found if record is not None}
+        if cut or not all(record for _, record in found):
+            write_atomic(self.path, b"".join(line + b"\n" for line, record in found if record is not None))
 
 
 def _line(record: Record) -> bytes:

@@ -22,7 +22,7 @@ MAGIC = b"PAR1"  # at both ends of a Parquet file
 TUBE_TOLERANCE = 0.01  # excess, as a share of the largest radius, up to which a run counts as inside its tube
 
 # From best to worst; an outcome that is not listed is worst.
-SEVERITY = ("holds", "leaves cone", "limit", "slides", "swings", "spills", "lifts", "tips", "lost", "crashed", "error")
+SEVERITY = ("holds", "leaves cone", "limit", "slides", "swings", "spills", "lifts", "tips", "lost", "error")
 SUMMARISED = (
     "peak_slip",
     "final_slip",

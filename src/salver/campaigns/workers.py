@@ -6,18 +6,17 @@ import multiprocessing
 import os
 import threading
 from collections.abc import Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from multiprocessing import connection
 from typing import Any
 
 from salver.campaigns.runners import Context
+from salver.errors import SalverError
 
 Batch = tuple[str, tuple[int, ...]]  # (stem, runs)
 Records = list[dict[str, Any]]
-
-ATTEMPTS = 3  # after so many workers have died on a batch, its runs have the outcome "crashed"
 
 # One thread of linear algebra for each worker, because all cores are in use.
 _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
@@ -32,49 +31,22 @@ def serial(context: Context, batches: Sequence[Batch]) -> Iterator[Records]:
 
 
 def processes(context: Context, batches: Sequence[Batch], jobs: int) -> Iterator[Records]:
-    """Run batches in `jobs` processes. The batch of a worker that dies (killed, out of memory) is repeated."""
-    attempts = dict.fromkeys(batches, 0)
-    left = list(batches)
-    while left:
-        done: set[Batch] = set()
-        with (
-            _single_threaded(),
-            ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn"), _initialise, (context,)) as pool,
-        ):
-            futures: dict[Future[Records], Batch] = {}
-            try:
-                for records, batch in _as_completed(pool, left, futures, 2 * jobs):
-                    done.add(batch)
-                    yield records
-            except BrokenProcessPool:
-                for batch in {futures[f] for f in futures} - done:
-                    attempts[batch] += 1
-            except BaseException:
-                pool.shutdown(wait=False, cancel_futures=True)
-                raise
-        left = [batch for batch in left if batch not in done]
-        for stem, runs in [batch for batch in left if attempts[batch] >= ATTEMPTS]:
-            left.remove((stem, runs))
-            yield [_crashed(context, stem, run) for run in runs]
-
-
-def _as_completed(
-    pool: ProcessPoolExecutor, batches: Sequence[Batch], futures: dict[Future[Records], Batch], in_flight: int
-) -> Iterator[tuple[Records, Batch]]:
-    """Results as they finish; few batches are submitted at a time, so that an interrupt has little to cancel."""
-    waiting = iter(batches)
-    pending: set[Future[Records]] = set()
-    while True:
-        while len(pending) < in_flight and (batch := next(waiting, None)) is not None:
-            future = pool.submit(_execute, batch)
-            futures[future] = batch
-            pending.add(future)
-        if not pending:
-            return
-        finished, pending = wait(pending, return_when=FIRST_COMPLETED)
-        # Results first, because all pending futures fail when a pool breaks.
-        for future in sorted(finished, key=lambda f: f.exception() is not None):
-            yield future.result(), futures[future]
+    """Run batches in `jobs` processes. Raises SalverError when one of them dies (killed, out of memory)."""
+    with (
+        _single_threaded(),
+        ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn"), _initialise, (context,)) as pool,
+    ):
+        try:
+            for future in as_completed([pool.submit(_execute, batch) for batch in batches]):
+                yield future.result()
+        except BrokenProcessPool:
+            raise SalverError(
+                "A process that made runs died (killed, or out of memory); finished runs are kept: repeat the command "
+                "to continue, with fewer --jobs if memory is short."
+            ) from None
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
 
 
 @contextmanager
@@ -109,14 +81,3 @@ def _end_with(sentinel: int) -> None:
 def _execute(batch: Batch) -> Records:
     assert _context is not None
     return _context.execute(*batch)
-
-
-def _crashed(context: Context, stem: str, run: int) -> dict[str, Any]:
-    return {
-        "stem": stem,
-        "run": run,
-        "seconds": None,
-        "parameters": context.parameters(run),
-        "outcome": "crashed",
-        "scalars": {"sentence": f"The process that made this run died, {ATTEMPTS} times."},
-    }

@@ -56,14 +56,12 @@ def campaign(
     except KeyboardInterrupt:
         say("salver: stopped; finished runs are kept: repeat the command to continue.")
         raise typer.Exit(130) from None
-    for note in result.notes:
-        say(f"salver: {note}")
     if json:
         print_json(result.summary)
     else:
         show(result.summary)
         result_console().print(f"Runs: {result.folder / 'runs.parquet'}, summary: {result.folder / 'campaign.json'}")
-    if any(set(plan["outcomes"]) & {"error", "crashed"} for plan in result.summary["plans"].values()):
+    if any("error" in plan["outcomes"] for plan in result.summary["plans"].values()):
         raise typer.Exit(NOT_ACHIEVED)
 
 
