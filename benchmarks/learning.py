@@ -169,7 +169,7 @@ def of_coverage(row: dict[str, Any]) -> str:
 
 
 def carried(friction: str, sensor: str, loads: int, count: int, folder: Path) -> dict[str, object]:
-    """Trips with hidden loads: durations, whether anything was lost, how far tilts moved them. What is in the folder
+    """Trips with hidden loads: durations, whether anything was lost. What is in the folder
     already is not made again."""
     fixed, first = bottle(friction), None
     folder.mkdir(parents=True, exist_ok=True)
@@ -182,7 +182,6 @@ def carried(friction: str, sensor: str, loads: int, count: int, folder: Path) ->
         elif first is None:
             first = plan_fastest(fixed, options=LEARNING.effort)
         done = list(trips(scenario, count, seed, sensor, first))  # type: ignore[arg-type]
-        tilts = [tilt for trip in done for tilt in trip.tilts]
         excitation = [trip.excitation.outcome for trip in done if trip.excitation is not None]
         known, true = done[-1].known.payload, true_load(scenario, seed)
         off = np.abs(true[:4] - [known.first.inertial.mass, *known.first.com_G])
@@ -191,11 +190,8 @@ def carried(friction: str, sensor: str, loads: int, count: int, folder: Path) ->
                 "durations": [trip.plan.duration for trip in done],
                 "held": sum(trip.outcome == "holds" for trip in done),
                 "softer": [in_soft_contacts(trip.plan, true, seed) for trip in done],
-                "moved": [tilt.moved for tilt in tilts],
-                "lost": sum(tilt.found is None for tilt in tilts) + sum(x != "holds" for x in excitation),
+                "lost": sum(x != "holds" for x in excitation),
                 "excitation": excitation,
-                "least": known.least_friction(known.first),
-                "true": float(true[10]),
                 "inside": bool((off <= known.uncertain.half_range[:4] + 1e-12).all()),
                 "told": sorted({trip.told for trip in done if trip.told}),
             }
@@ -205,11 +201,9 @@ def carried(friction: str, sensor: str, loads: int, count: int, folder: Path) ->
         print(f"  {sensor} load {seed}: {lines[-1]}", file=sys.stderr, flush=True)
     lines = lines[:loads]
     durations = [line["durations"] for line in lines]
-    moved = [x for line in lines for x in line["moved"]]
     sums: dict[str, object] = {key: sum(line[key] for line in lines) for key in ("held", "lost", "inside")}
-    below = sum(line["least"] <= line["true"] for line in lines)
     sums["softer"] = sum(x == "holds" for line in lines for x in line["softer"])
-    sums |= {"trips": sum(map(len, durations)), "tilts": len(moved), "moved": max(moved, default=0.0), "below": below}
+    sums["trips"] = sum(map(len, durations))
     return {"friction": friction, "sensor": sensor, "count": count, "durations": durations} | sums
 
 
@@ -226,12 +220,11 @@ def of_carried(row: dict[str, Any]) -> str:
     whole = np.array([d for d in row["durations"] if len(d) == row["count"]])
     ratio, (first, second, *rest) = whole / whole[:, :1], np.median(whole, axis=0)
     last = f"{rest[-1]:.3f} s, {np.median(ratio[:, -1]):.3f}" if rest else "-"
-    tilts = f"{row['tilts']}, {row['lost']}, {1e3 * row['moved']:.1f} mm" if row["tilts"] else "-"
     loads, held = len(row["durations"]), f"{row['held']}, {row.get('softer', '-')} of {row['trips']}"
     return (
         f"| {FRICTION[row['friction']]} | {row['sensor']} | {loads} | {first:.3f} s | {second:.3f} s | "
         f"{np.median(ratio[:, 1]):.3f} | {ratio[:, 1].max():.3f} | {last} | {held} | "
-        f"{tilts} | {row['inside']}, {row['below']} |"
+        f"{row['lost']} | {row['inside']} |"
     )
 
 
@@ -283,7 +276,7 @@ def pieces() -> dict[str, str]:
         "| refused | time",
         "wrong": "error | bound | loads | held, refused, missed: as large as the bound | 3 times | 10 times",
         "learnt": "friction | sensor | loads | trip 1, median | trip 2 | second over first, median | worst | sixth "
-        "| held, with steps of .5 ms | tilts, lost, moved at most | truth in the ranges; of friction",
+        "| held, with steps of .5 ms | lost between trips | truth in the ranges",
     }
     rows = {
         "identified": map(of_coverage, identified),

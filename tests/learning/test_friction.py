@@ -10,15 +10,16 @@ from typer.testing import CliRunner
 
 from salver.cli import app
 from salver.errors import SalverError, ScenarioError
-from salver.geometry import Array
+from salver.geometry import Array, log
 from salver.learning.friction.friction import USUAL, friction, needed
-from salver.learning.friction.tilts import tilt_test
+from salver.learning.friction.tilts import _motion, tilt_test
 from salver.models.arm.arm import load_arm
 from salver.models.tray_motion import at_rest
 from salver.motion_files.samples import joint_samples
 from salver.planning.plan import Plan
 from salver.scenario import load
 from salver.simulation.physics import Experiment
+from salver.trajectory import MotionSamples
 
 SHOWN = 0.35
 
@@ -80,6 +81,24 @@ def test_a_tray_planned_to_tilt_proves_what_was_asked(plan: Plan) -> None:
     assert shakier < found.low
 
 
+@pytest.mark.parametrize("heading", [0.7, -2.0])
+def test_from_a_start_that_is_turned_rates_are_those_of_the_turn(heading: float) -> None:
+    """Against differences of R_SB; the tray falls towards the heading, and its frame stays where it is."""
+    turned = load("panda-cube").with_changes(motion__start__rpy_deg=[10.0, -5.0, 110.0])
+    t, h = np.linspace(0.0, 1.0, 21), 1e-5
+
+    def at(t: Array) -> MotionSamples:
+        return _motion(turned, heading, t, 0.3 * np.sin(2 * t), 0.6 * np.cos(2 * t), -1.2 * np.sin(2 * t))
+
+    now, before, after = at(t), at(t - h), at(t + h)
+    turns = log(np.swapaxes(before.R_SB, 1, 2) @ after.R_SB) / (2 * h)
+    np.testing.assert_allclose(now.omega_B, turns, atol=1e-8)
+    np.testing.assert_allclose(now.alpha_B, (after.omega_B - before.omega_B) / (2 * h), atol=1e-8)
+    fallen = (now.R_SB @ turned.motion.start.rotation.T)[-1, :, 2]  # of what was upright
+    np.testing.assert_allclose(fallen[:2], np.sin(0.3 * np.sin(2.0)) * np.array([np.cos(heading), np.sin(heading)]))
+    assert np.ptp(now.p_SB, axis=0).max() == 0
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("true", [0.34, 0.5])
 def test_ranges_hold_what_the_engine_had(plan: Plan, true: float) -> None:
@@ -90,14 +109,14 @@ def test_ranges_hold_what_the_engine_had(plan: Plan, true: float) -> None:
     assert plan.scenario.arm is not None
     names = tuple(load_arm(plan.scenario.arm, plan.scenario.tray).joint_names)
     noisy = record.q + 2e-5 * np.random.default_rng(1).standard_normal(record.q.shape)
-    log = joint_samples(record.t, names, noisy, None, None, "log")
+    seen = joint_samples(record.t, names, noisy, None, None, "log")
     if not len(slipped):
-        low = friction(plan, log).low
+        low = friction(plan, seen).low
         assert low is not None
         assert SHOWN <= low <= true
         return
     still = float(record.t[record.slip[:, 0] < 2e-4][-1])
-    found = friction(plan, log, held=min(still, slipped[0] - 0.1), slid=float(slipped[0]))
+    found = friction(plan, seen, held=min(still, slipped[0] - 0.1), slid=float(slipped[0]))
     assert found.low is not None
     assert found.high is not None
     assert found.low <= true <= found.high

@@ -11,7 +11,6 @@ from typer.testing import CliRunner
 from salver.cli import app
 from salver.errors import ScenarioError
 from salver.learning import trips as made
-from salver.learning.friction.friction import USUAL
 from salver.learning.load.ranges import NAMES
 from salver.learning.trips import _Hidden, trips, true_load
 from salver.planning.fastest import plan_fastest
@@ -29,7 +28,6 @@ def test_second_trip_is_quicker_nothing_is_lost_and_the_truth_stays_within_the_r
     assert made[0].excitation is not None
     assert made[0].excitation.outcome == "holds"
     assert made[1].excitation is None
-    assert made[1].tilts == ()
     widths = [scenario.payload.uncertain.half_range[:4]]
     for trip in made:
         assert trip.learnt is not None
@@ -39,43 +37,7 @@ def test_second_trip_is_quicker_nothing_is_lost_and_the_truth_stays_within_the_r
         for name, value in zip(NAMES, values, strict=True):
             assert trip.learnt.ranges[name].low - 1e-9 <= value <= trip.learnt.ranges[name].high + 1e-9
         widths.append(trip.known.payload.uncertain.half_range[:4])
-        assert trip.known.payload.least_friction(trip.known.payload.first) <= true[10]
     assert np.all(np.diff(widths, axis=0) <= 1e-12)
-
-
-@pytest.mark.slow
-def test_tilts_raise_the_least_friction_and_stop_when_the_load_moves(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of two loads one slides early, by less than is said; what is known of both stays true, and neither is lost.
-
-    Cubes: a tall bottle would tip before it slides. The second is not excited before, which takes most of the time."""
-    wide = {"mass": "50%", "com": [0.004, 0.004, 0.01], "friction": 0.2}
-    scenario = load("panda-cube").with_changes(objects__0__uncertainty=wide, objects__0__friction=0.4)
-    first = plan_fastest(scenario)
-    for seed, slides in ((3, True), (8, False)):
-        if not slides:
-            monkeypatch.setattr(_Hidden, "excite", lambda hidden: None)
-        true = true_load(scenario, seed)
-        trip = next(trips(scenario, 2, seed, first=first))
-        moved = [tilt.moved for tilt in trip.tilts]
-        assert {tilt.outcome for tilt in trip.tilts[:-1]} <= {"holds", "slides"}
-        assert max(moved) <= USUAL.farthest
-        assert (moved[-1] > USUAL.unnoticed) == slides
-        assert all(x <= USUAL.unnoticed for x in moved[:-1])
-        least = trip.known.payload.least_friction(trip.known.payload.first)
-        assert 0.2 < least <= true[10]
-        assert not slides or least > true[10] - 0.02
-
-
-@pytest.mark.slow
-def test_friction_is_looked_for_unless_it_is_not_to_be(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of a load of which nothing else is unknown."""
-    monkeypatch.setattr(_Hidden, "excite", lambda hidden: None)
-    friction = {"objects__0__uncertainty": {"friction": 0.2}, "objects__0__friction": 0.4}
-    first = plan_fastest(load("panda-tall-bottle").with_changes(**friction))
-    tilted, not_tilted = (next(trips(first.scenario, 2, 2, "torques", first, tilts=x)) for x in (True, False))
-    assert tilted.tilts
-    assert not_tilted.learnt is not None
-    assert not_tilted.tilts == ()
 
 
 @pytest.mark.slow
@@ -84,10 +46,9 @@ def test_a_plan_that_is_slower_is_not_taken(cube: Scenario, monkeypatch: pytest.
     case = cube.with_changes(objects__0__uncertainty={"mass": "10%"}, motion__speeds="full")
     plan = plan_fastest(case.with_changes(contact__margin=0.02))
     monkeypatch.setattr(_Hidden, "excite", lambda hidden: None)
-    monkeypatch.setattr(_Hidden, "climb", lambda hidden, level: pytest.fail("a tilt that was not to be"))
     for others, kept in ((plan.at_speed(0.9), True), (plan_fastest(case), False)):
         monkeypatch.setattr(made, "plan_fastest", lambda known, options, others=others: others)
-        second = list(trips(case, 2, 1, "torques", plan, tilts=False))[1]
+        second = list(trips(case, 2, 1, "torques", plan))[1]
         assert second.kept == kept
         assert second.plan is (plan if kept else others)
 
@@ -139,7 +100,7 @@ def test_joint_torques_locate_a_load_by_an_excitation_trajectory() -> None:
     the ranges."""
     wide = {"mass": "50%", "com": [0.015, 0.015, 0.015], "friction": 0.2}
     scenario, seed = load("panda-tall-bottle").with_changes(objects__0__uncertainty=wide, objects__0__friction=0.4), 1
-    careful, second = trips(scenario, 2, seed, "torques", tilts=False)
+    careful, second = trips(scenario, 2, seed, "torques")
     assert [careful.outcome, careful.excitation.outcome, second.outcome] == ["holds"] * 3
     assert second.plan.duration < 0.9 * careful.plan.duration
     known, true = second.known.payload, true_load(scenario, seed)

@@ -5,10 +5,8 @@ the load should stay on every trip. If a plan is slower than the one before, tha
 for wider ranges.
 
 A first trip is gentle and does not show the height of the centre of mass. Therefore an excitation trajectory, as safe
-as any trip, follows (`salver.learning.load.excite`), by which joint torques locate the centre of mass too. A trip does
-not show more friction than its plan assumes. Therefore short tilts of the tray follow, each a little steeper
-(`salver.learning.friction.tilts`), until the load moves by more than a mark on the tray can hide, or could tip; it
-moves by two centimetres at most, and is put back.
+as any trip, follows (`salver.learning.load.excite`), by which joint torques locate the centre of mass too. Trips do not
+show friction, because no plan needs more than its scenario assumes.
 
 The true load is known to the physics engine only, in which it is carried and judged. The readings of the arm's sensors
 (`salver.learning.load.sensors`) are simulated along the motion of the engine's arm with the load fixed to the tray, and
@@ -25,15 +23,11 @@ import numpy as np
 
 from salver.errors import SalverError, ScenarioError, UnreachableError
 from salver.geometry import Array
-from salver.learning.friction.friction import USUAL, Friction, friction
-from salver.learning.friction.tilts import short_tilt
 from salver.learning.load.excite import plan_excite
 from salver.learning.load.identify import Identified, LoggedRun, identify_runs
 from salver.learning.load.sensors import Defects, Done, SensedArm, Sensors
 from salver.learning.load.systematic import SensorBounds
-from salver.models.arm.arm import load_arm
 from salver.models.uncertain.parameters import INERTIAL, inertial_vector
-from salver.motion_files.samples import joint_samples
 from salver.planning.fastest import EFFORTS, FastestOptions, plan_fastest
 from salver.planning.plan import Plan
 from salver.sampling import draw
@@ -52,34 +46,16 @@ class LearningOptions:
         rate: samples per second of the simulated sensors.
         effort: of the search for each plan.
         excitation: s, duration of the excitation trajectory; doubled, ranges are narrower and a trip takes longer.
-        tilts: largest number of short tilts.
-        worth: least increase of the friction's lower bound for which a tilt is made.
         timestep: s, largest step of the engine; with longer ones a tall load rocks on its soft contacts.
     """
 
     rate: float = 1000.0
     effort: FastestOptions = EFFORTS["thorough"]
     excitation: float = 4.0
-    tilts: int = 12
-    worth: float = 0.003
     timestep: float = 2e-4
 
 
 LEARNING = LearningOptions()
-
-
-@dataclass(frozen=True)
-class Tilt:
-    """A short tilt.
-
-    moved: measured displacement of the load, m. outcome: of the engine; "slides" for a load that moved. found: the
-    friction that it proves, or None if the load was lost.
-    """
-
-    plan: Plan
-    moved: float
-    outcome: str
-    found: Friction | None
 
 
 @dataclass(frozen=True)
@@ -96,7 +72,7 @@ class Trip:
 
     plan: its scenario has the ranges that it was planned for. outcome: of the engine. kept: whether the plan is that of
     the trip before. learnt: the load identified from all logs so far; None if they contradict the ranges or the load
-    was lost; `told` says which. known: the scenario with all ranges after the trip. excitation, tilts: made after the
+    was lost; `told` says which. known: the scenario with all ranges after the trip. excitation: made after the
     trip, before the next.
     """
 
@@ -107,14 +83,12 @@ class Trip:
     learnt: Identified | None
     known: Scenario
     excitation: Excitation | None = None
-    tilts: tuple[Tilt, ...] = ()
     told: str = ""
 
     @property
     def lost(self) -> bool:
-        """Whether the load was lost on the trip, the excitation trajectory or a tilt."""
-        then = self.excitation is not None and self.excitation.outcome != "holds"
-        return self.outcome != "holds" or then or any(tilt.found is None for tilt in self.tilts)
+        """Whether the load was lost on the trip or the excitation trajectory."""
+        return self.outcome != "holds" or (self.excitation is not None and self.excitation.outcome != "holds")
 
     @property
     def margin(self) -> float:
@@ -144,17 +118,12 @@ def trips(
     seed: int = 0,
     sensor: Sensor = "wrist",
     first: Plan | None = None,
-    *,
-    tilts: bool = True,
-    level: float = USUAL.levelled,
 ) -> Iterator[Trip]:
     """Trips with one hidden true load, which the seed determines; they end early when the load is lost.
 
     Args:
         count: number of trips.
         first: plan of the first trip, of this scenario; default: it is planned.
-        tilts: whether friction is measured after the first trip.
-        level: deg, largest tilt error of the robot's base.
 
     Raises:
         ScenarioError: no arm, several objects, or no safe motion.
@@ -173,18 +142,16 @@ def trips(
             told = "The load did not stay: nothing is learnt from this trip."
             yield Trip(number, plan, outcome, not better, None, hidden.known, told=told)
             return
-        told, learnt, excitation, made_tilts = "", None, None, list[Tilt]()
+        told, learnt, excitation = "", None, None
         try:
             learnt = hidden.identify(plan, f"trip {number}")
             if number == 1 and count > 1:
                 excitation = hidden.excite()
-                if tilts and (excitation is None or excitation.outcome == "holds"):
-                    made_tilts += hidden.climb(level)
         except SalverError as error:
             told = str(error)
         if learnt is not None:
             learnt = hidden.learnt  # with its messages
-        trip = Trip(number, plan, outcome, not better, learnt, hidden.known, excitation, tuple(made_tilts), told)
+        trip = Trip(number, plan, outcome, not better, learnt, hidden.known, excitation, told)
         yield trip
         if trip.lost:
             return
@@ -234,7 +201,7 @@ class _Hidden:
         )
         found = identify_runs(self.base, [*self.runs, run], self.known)
         self.runs.append(run)
-        self.learnt, self.known = found, _with_friction(found.learnt_scenario(), self.known)
+        self.learnt, self.known = found, found.learnt_scenario()
         return found
 
     def excite(self) -> Excitation | None:
@@ -247,34 +214,6 @@ class _Hidden:
         if outcome == "holds":
             self.identify(plan, "excitation trajectory")
         return Excitation(plan, outcome)
-
-    def climb(self, level: float) -> Iterator[Tilt]:
-        """Make short tilts, each as steep as the known friction allows, until the load moves or could tip."""
-        for number in range(1, LEARNING.tilts + 1):
-            plan = short_tilt(self.known, level=level)
-            promised, before = friction(plan, level=level).low, self.known.payload
-            if (promised or 0.0) < before.least_friction(before.first) + LEARNING.worth:
-                return
-            record = self.carried(plan)
-            moved = float(record.slip.max())
-            if record.outcome not in ("holds", "slides"):  # should not happen
-                yield Tilt(plan, moved, record.outcome, None)
-                return
-            assert plan.scenario.arm is not None
-            names = load_arm(plan.scenario.arm, plan.scenario.tray).joint_names
-            done = joint_samples(record.t, tuple(names), record.q, None, None, f"tilt {number}")
-            found = friction(plan, done, moved=moved, level=level)
-            self.known = _with_friction(self.known, found.learnt_scenario(self.known))
-            yield Tilt(plan, moved, record.outcome, found)
-            if moved > USUAL.unnoticed:
-                return
-
-
-def _with_friction(scenario: Scenario, other: Scenario) -> Scenario:
-    """The scenario with the friction, and its range, of another scenario with the same load."""
-    item = other.objects[0]
-    half = None if item.uncertainty is None else item.uncertainty.friction
-    return scenario.with_changes(objects__0__friction=item.friction, objects__0__uncertainty__friction=half)
 
 
 def _empty(plan: Plan, named: dict[str, float]) -> tuple[Plan, dict[str, float]]:

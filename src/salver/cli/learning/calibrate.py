@@ -27,19 +27,12 @@ def calibrate(
     shows: Annotated[
         float | None, typer.Option(help="Friction that the test is to prove; a larger one needs a steeper tilt.")
     ] = None,
-    short: Annotated[
-        bool,
-        typer.Option("--short", help="A short tilt, on which no load in the ranges moves by more than 20 mm."),
-    ] = False,
     log: Annotated[Path | None, typer.Option(help="Log of the joints, from rest to rest; default: as planned.")] = None,
     held: Annotated[float | None, typer.Option(help="Time, s, until which the load certainly did not slide.")] = None,
     slid: Annotated[float | None, typer.Option(help="Time, s, at which the load certainly had begun to slide.")] = None,
-    moved: Annotated[float | None, typer.Option(help="Measured displacement of the load on a short tilt, m.")] = None,
     level: Annotated[
         float | None,
-        typer.Option(
-            min=0.0, max=5.0, help="Largest tilt error of the robot's base, deg; default 0.5, on short tilts 0.1."
-        ),
+        typer.Option(min=0.0, max=5.0, help="Largest tilt error of the robot's base, deg; default 0.5."),
     ] = None,
     scenario: Annotated[
         str | None, typer.Option(help="The scenario whose friction is to be narrowed; default: the plan's.")
@@ -56,32 +49,28 @@ def calibrate(
     Run the test and give its run directory; without further options it means that the load did not slide. A run of any
     plan without slip proves some friction; a load that slid in the test has at most the friction needed there.
 
-    A `--short` tilt is as steep as the least friction in the ranges allows, so that the load moves by 20 mm at most.
-    Its displacement (measured with a mark, to 1 mm) gives a lower bound of friction, and the next tilt is steeper.
-
     Example: `salver calibrate friction panda-cube --shows 0.4 -o runs/tilt`
 
     Ends with 0 when a test was planned or a range was found.
     """
     if (Path(source) / "scenario.toml").is_file():
-        _read(Path(source), log, {"held": held, "slid": slid, "moved": moved}, level, scenario, out, json)
+        _read(Path(source), log, {"held": held, "slid": slid}, level, scenario, out, json)
     else:
-        named = {"log": log, "held": held, "slid": slid, "moved": moved, "scenario": scenario}
+        named = {"log": log, "held": held, "slid": slid, "scenario": scenario}
         for name, value in named.items():
             if value is not None:
                 raise ScenarioError(f"--{name} needs the run directory of a plan; {source} is not one.")
-        _plan(source, shows, short, level, out, json)
+        _plan(source, shows, level, out, json)
 
 
-def _plan(source: str, shows: float | None, short: bool, level: float | None, out: Path | None, json: bool) -> None:
+def _plan(source: str, shows: float | None, level: float | None, out: Path | None, json: bool) -> None:
     from salver import scenario as scenarios
-    from salver.learning.friction.tilts import short_tilt, tilt_test
+    from salver.learning.friction.tilts import tilt_test
 
-    if (shows is None) != short or out is None:
-        raise ScenarioError("To plan the test, give --shows FRICTION or --short, and --out DIRECTORY.")
+    if shows is None or out is None:
+        raise ScenarioError("To plan the test, give --shows FRICTION and --out DIRECTORY.")
     check_no_plan(out)
-    known = scenarios.load(source)
-    plan = short_tilt(known, level=level) if shows is None else tilt_test(known, shows, level)
+    plan = tilt_test(scenarios.load(source), shows, level)
     save_test_motion(plan, out, f"salver execute {out}, then salver calibrate friction {out}", json)
 
 
@@ -106,7 +95,7 @@ def _read(
         raise ScenarioError(f"{plan.scenario.name} has no arm; friction is measured by tilting a tray on an arm.")
     arm = None if log is None or plan.scenario.arm is None else load_arm(plan.scenario.arm, plan.scenario.tray)
     samples = None if log is None or arm is None else read_joints(log, arm)
-    found = friction(plan, samples, held=seen["held"], slid=seen["slid"], moved=seen["moved"], level=level)
+    found = friction(plan, samples, held=seen["held"], slid=seen["slid"], level=level)
     if out is not None:
         save_scenario(found.learnt_scenario(None if scenario is None else scenarios.load(scenario)), out)
     if json:

@@ -21,16 +21,6 @@ def learn(
     sensor: Annotated[
         Literal["wrist", "torques"], typer.Option(help="Sensor of the arm: a wrist sensor, or joint torques.")
     ] = "wrist",
-    tilts: Annotated[
-        bool,
-        typer.Option(
-            "--tilts/--no-tilts",
-            help="After the first trip, tilt the tray to measure friction, on which the load may move by 20 mm.",
-        ),
-    ] = True,
-    level: Annotated[
-        float, typer.Option(min=0.0, max=5.0, help="Largest tilt error of the robot's base, deg, for tilts.")
-    ] = 0.1,
     out: Annotated[
         Path | None, typer.Option("-o", "--out", help="Write the scenario with the learnt ranges to this .toml file.")
     ] = None,
@@ -40,8 +30,8 @@ def learn(
 
     Each trip is the fastest safe motion for the ranges so far. A hidden load is carried in the physics engine, and the
     readings of the arm's sensors narrow the ranges for the next trip. Between the first trip and the second the arm
-    makes an excitation trajectory, and the tray tilts, a little steeper each time, for a lower bound of friction. See
-    `salver excite`, `salver identify` and `salver calibrate` for real arms.
+    makes an excitation trajectory. See `salver excite` and `salver identify` for real arms, and `salver calibrate` for
+    friction, which trips do not show.
 
     Example: `salver learn panda-tall-bottle --trips 6 -o learnt.toml`
 
@@ -52,13 +42,11 @@ def learn(
 
     check_new_toml(out)
     made: list[Trip] = []
-    for trip in carried(scenarios.load(scenario), trips, seed, sensor, tilts=tilts, level=level):
+    for trip in carried(scenarios.load(scenario), trips, seed, sensor):
         made.append(trip)
         say(f"Trip {trip.number} of {trips}: {trip.plan.duration:.3f} s, {trip.outcome}. {trip.told}".rstrip())
         if trip.excitation is not None:
             say(f"An excitation trajectory of {trip.excitation.plan.duration:g} s: {trip.excitation.outcome}.")
-        if trip.tilts:
-            say(_tilted(trip))
         if out is not None and trip.learnt is not None:
             save_scenario(trip.known, out)
     if json:
@@ -71,24 +59,6 @@ def learn(
         raise typer.Exit(NO_SAFE_PLAN)
 
 
-def _tilted(trip: Trip) -> str:
-    """The result of the tilts after a trip, in words."""
-    count, moved = len(trip.tilts), 1e3 * max(tilt.moved for tilt in trip.tilts)
-    if trip.tilts[-1].found is None:
-        return f"A tilt: {trip.tilts[-1].outcome}. No further tilts."
-    return (
-        f"{count} short tilts: friction is at least {_friction(trip)[0]:.3f}; the load moved by {moved:.1f} mm at "
-        "most, and was put back."
-    )
-
-
-def _friction(trip: Trip) -> tuple[float, float]:
-    """Least and largest friction that are known after a trip."""
-    body = trip.known.payload.first
-    least = trip.known.payload.least_friction(body)
-    return least, 2 * body.friction - least
-
-
 def _record(trip: Trip) -> dict[str, Any]:
     ranges = {} if trip.learnt is None else trip.learnt.ranges
     return {
@@ -98,15 +68,13 @@ def _record(trip: Trip) -> dict[str, Any]:
         "margin_worst_case": trip.margin,
         "plan_of_the_trip_before": trip.kept,
         "learnt": {name: [r.low, r.high] for name, r in ranges.items()},
-        "friction": list(_friction(trip)),
         "excitation": None if trip.excitation is None else trip.excitation.outcome,
-        "tilts": [{"moved": tilt.moved, "outcome": tilt.outcome} for tilt in trip.tilts],
         "told": trip.told,
     }
 
 
 def _show(made: list[Trip]) -> None:
-    titles = ("trip", "duration", "load", "margin", "mass after, g", "centre of mass after, +- mm", "friction after")
+    titles = ("trip", "duration", "load", "margin", "mass after, g", "centre of mass after, +- mm")
     rows = []
     for trip in made:
         learnt = trip.learnt
@@ -115,7 +83,6 @@ def _show(made: list[Trip]) -> None:
             heavy = learnt.ranges["mass"]
             mass = f"{1e3 * heavy.low:.1f} to {1e3 * heavy.high:.1f}"
             half = ", ".join(f"{1e3 * learnt.ranges[f'com_{a}'].half:.2f}" for a in "xyz")
-        known = "{:.3f} to {:.3f}".format(*_friction(trip))
         duration, margin = f"{trip.plan.duration:.3f} s", f"{100 * trip.margin:.1f} %"
-        rows.append((str(trip.number), duration, trip.outcome, margin, mass, half, known))
+        rows.append((str(trip.number), duration, trip.outcome, margin, mass, half))
     print_table(titles, rows)

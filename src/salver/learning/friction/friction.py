@@ -11,13 +11,11 @@ smallest such ratio,
 The bound holds for this base and this pressure, not for each of its points, and not for torsional friction.
 
 If a load begins to slide on a slowly tilted tray, which exerts no torsional moment, its friction is at most the
-friction needed there. On a short tilt (`salver.learning.friction.tilts`) a load with less friction slides farther: a
-displacement below d implies at least the friction with which the load would have moved by d.
+friction needed there.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import product
 
@@ -35,7 +33,7 @@ from salver.scenario import Scenario
 from salver.sensitivity.arm.terms import motion_terms
 
 GRAVITY = float(np.linalg.norm(GRAVITY_S))
-METHOD, SHORT = "tilt", "short tilt"
+METHOD = "tilt"
 
 
 @dataclass(frozen=True)
@@ -43,30 +41,19 @@ class FrictionOptions:
     """Options of a friction test: its errors, which make the bounds conservative, and its motion.
 
     Attributes:
-        level: deg, largest tilt error of a robot's base; doubled, a slow tilt proves 0.01 less.
-        levelled: deg, tilt error of a base that was levelled for short tilts; doubled, each proves 0.004 less.
+        level: deg, largest tilt error of a robot's base; doubled, a tilt proves 0.01 less.
         unseen: deg, largest deviation of the tray from the plan, without a log.
         shakes: vibration that the joints do not show, as a share of gravity, and that may start a slip.
-        unnoticed: m, displacement of the load that a mark on the tray does not show; doubled, a short tilt proves 0.003
-            less.
-        farthest: m, largest displacement of a load on a short tilt; doubled, it proves more and the load needs more
-            room.
-        speed: deg/s of a slow tilt; doubled, the test is shorter and vibrates more.
-        hold: s at the angle of a slow tilt.
-        bends: rad/s^2, angular accelerations of short tilts that are tried: larger ones are shorter and nearer to
-            tipping. Without the least, the first tilt of a tall bottle proves less than is known, and none is made.
+        speed: deg/s of a tilt; doubled, the test is shorter and vibrates more.
+        hold: s at the angle of a tilt.
         spare: margin of a test to tipping, as a share of the weight, and additional friction that it demands.
     """
 
     level: float = 0.5
-    levelled: float = 0.1
     unseen: float = 0.2
     shakes: float = 0.02
-    unnoticed: float = 1e-3
-    farthest: float = 0.02
     speed: float = 4.0
     hold: float = 1.0
-    bends: tuple[float, ...] = (2.0, 4.0, 8.0)
     spare: float = 0.02
 
 
@@ -139,7 +126,10 @@ def needed(w: Array, com_E: Array, reach: Array, off: float) -> tuple[Array, Arr
 
     w: (T, 12) of the tray frame E. off: m/s^2, error of the specific force in any direction.
     """
-    force = _forces(w, com_E, reach)
+    corner = com_E + np.array(list(product((-1.0, 1.0), repeat=3))) * reach
+    omega = w[:, [6, 7, 9, 7, 8, 10, 9, 10, 11]].reshape(-1, 3, 3)  # omega omega^T
+    spin = omega - np.trace(omega, axis1=1, axis2=2)[:, None, None] * np.eye(3)
+    force = w[:, None, :3] + np.cross(w[:, None, 3:6], corner) + np.einsum("tij,cj->tci", spin, corner)
     along, normal = np.linalg.norm(force[..., :2], axis=2), force[..., 2]
     angle = np.linspace(0.0, 2 * np.pi, 72, endpoint=False)
     round_ = np.broadcast_to(np.column_stack([np.cos(angle), np.sin(angle)]), (len(w), len(angle), 2))
@@ -152,48 +142,12 @@ def needed(w: Array, com_E: Array, reach: Array, off: float) -> tuple[Array, Arr
     return ratio.min(axis=2).max(axis=1), most.max(axis=1)
 
 
-def _forces(w: Array, com_E: Array, reach: Array) -> Array:
-    """Specific force (T, 8, 3) at the corners of a box for the centre of mass, in E, m/s^2."""
-    corner = com_E + np.array(list(product((-1.0, 1.0), repeat=3))) * reach
-    omega = w[:, [6, 7, 9, 7, 8, 10, 9, 10, 11]].reshape(-1, 3, 3)  # omega omega^T
-    spin = omega - np.trace(omega, axis1=1, axis2=2)[:, None, None] * np.eye(3)
-    return np.asarray(w[:, None, :3] + np.cross(w[:, None, 3:6], corner) + np.einsum("tij,cj->tci", spin, corner))
-
-
-def ways(t: Array, w: Array, scenario: Scenario, lean: float) -> Callable[[float], tuple[float, float]]:
-    """A function of friction that gives the least and the largest slip, m, on a tray that tilts in one direction, for
-    any centre of mass and position within the ranges.
-
-    t (T,), w (T, 12) of the tray frame E. lean: rad, error of the tilt.
-    """
-    body = scenario.payload.first
-    box = body.p_EB, _reach(scenario, body)
-    off, normal = GRAVITY * lean, _forces(w, *box)[..., 2]
-    ratios = needed(w, *box, off)
-    lowest, highest, steps = np.maximum(normal.min(axis=1) - off, 0.0), normal.max(axis=1) + off, np.diff(t).tolist()
-
-    def far(beyond: Array, faster: Array, slower: Array) -> float:
-        pull = (np.where(beyond > 0, faster, slower) * beyond).tolist()
-        speed, way = 0.0, 0.0
-        for step, before, after in zip(steps, pull[:-1], pull[1:], strict=True):
-            then = max(0.0, speed + 0.5 * step * (before + after))
-            way, speed = way + 0.5 * step * (speed + then), then
-        return way
-
-    def both(coefficient: float) -> tuple[float, float]:
-        least, most = (ratio - coefficient for ratio in ratios)
-        return far(least, lowest, highest), far(most, highest, lowest)
-
-    return both
-
-
 def friction(
     plan: Plan,
     samples: JointSamples | None = None,
     *,
     held: float | None = None,
     slid: float | None = None,
-    moved: float | None = None,
     level: float | None = None,
     options: FrictionOptions = USUAL,
 ) -> Friction:
@@ -204,9 +158,7 @@ def friction(
         held: s from the start of the motion, until when the load certainly did not slide; default: the whole motion,
             unless `slid` is given.
         slid: s, when it certainly had begun to slide.
-        moved: m, measured displacement on a short tilt, to `options.unnoticed`; default 0.
-        level: deg, largest tilt error of the robot's base; default: `options.levelled` on a short tilt, else
-            `options.level`.
+        level: deg, largest tilt error of the robot's base; default: `options.level`.
 
     Raises:
         ScenarioError: the plan or the observations do not allow it.
@@ -216,9 +168,8 @@ def friction(
     body = lone_load(scenario)
     if plan.joint is None:
         raise ScenarioError(f"{scenario.name}: this plan has no motion of an arm, from which friction is identified.")
-    short = plan.method == SHORT
-    _can_be_seen(plan, held, slid, moved)
-    level = level if level is not None else options.levelled if short else options.level
+    _can_be_seen(plan, held, slid)
+    level = options.level if level is None else level
     arm = load_arm(plan.scenario.arm, scenario.tray)  # type: ignore[arg-type]
     if samples is None:
         t = np.linspace(0.0, plan.duration, 1 + int(np.ceil(plan.duration / 0.02)))
@@ -229,10 +180,6 @@ def friction(
     terms = motion_terms(with_load(arm, scenario.payload.bodies).pin_model, arm.tray_id, *motion)
     lean = leaning(scenario, lean)
     least, most = needed(terms.w, body.p_EB, _reach(scenario, body), GRAVITY * lean)
-    if short:
-        at = int(np.argmax(least))
-        known = proves(t, terms.w, scenario, lean, (moved or 0.0) + options.unnoticed)
-        return Friction(plan, known or None, float(t[at]), None, 0.0)
     high = most + options.shakes * (1 + most)
     until = plan.duration if held is None else held
     before = (t >= 0) & (t <= until) & (held is not None or slid is None)
@@ -247,7 +194,7 @@ def friction(
     )
 
 
-def _can_be_seen(plan: Plan, held: float | None, slid: float | None, moved: float | None) -> None:
+def _can_be_seen(plan: Plan, held: float | None, slid: float | None) -> None:
     """Raise ScenarioError for impossible observations, or for those that prove nothing."""
     if slid is not None and plan.method != METHOD:
         raise ScenarioError(
@@ -259,24 +206,6 @@ def _can_be_seen(plan: Plan, held: float | None, slid: float | None, moved: floa
             raise ScenarioError(f"{name} = {value:g} s is not within the {plan.duration:.3g} s of the motion.")
     if held is not None and slid is not None and held >= slid:
         raise ScenarioError(f"held = {held:g} s must be before slid = {slid:g} s.")
-    if moved is not None and not (plan.method == SHORT and 0 <= moved < 1):
-        raise ScenarioError(
-            f"moved = {moved:g} m must be from 0 to 1 m, and tells friction on a short tilt only (salver calibrate "
-            "friction SCENARIO --short)."
-        )
-    if plan.method == SHORT and (held is not None or slid is not None):
-        raise ScenarioError("A short tilt is over before anybody can tell when a load slid: give by how much it moved.")
-
-
-def proves(
-    t: Array, w: Array, scenario: Scenario, lean: float, moved: float = 0.0, unnoticed: float = USUAL.unnoticed
-) -> float:
-    """The friction that a short tilt proves: with less, a load slides farther than `moved`, m."""
-    slides, low, high = ways(t, w, scenario, lean), 0.0, 2.0
-    for _ in range(24):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if slides(middle)[0] > moved else (low, middle)
-    return low
 
 
 def leaning(scenario: Scenario, level: float) -> float:
