@@ -115,15 +115,12 @@ def main() -> None:
     asked = argparse.ArgumentParser(description=__doc__.splitlines()[0])  # type: ignore[union-attr]
     asked.add_argument("-n", type=int, default=1000, help="how many faults")
     asked.add_argument("--seed", type=int, default=0, help="number of the first")
-    asked.add_argument("--lies", action="store_true", help="faults that look like readings")
     given = asked.parse_args()
-    if given.lies:
-        from plausible_faults import lie
     counts: Counter[str] = Counter()
     with tempfile.TemporaryDirectory() as folder:
         rigs = Rig(Path(folder) / "cool"), Rig(Path(folder) / "safe", every=0.1)
         for seed in range(given.seed, given.seed + given.n):
-            faults = lie(seed) if given.lies else draw(seed)
+            faults = draw(seed)
             outcome = rigs[seed % 2].throw(faults, franka=seed % 3 == 0 and not any(fault.odd for fault in faults))
             wrong = outcome.wrong()
             counts["runs"] += 1

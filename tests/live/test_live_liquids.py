@@ -82,26 +82,14 @@ def test_waves_that_go_on_from_motion_to_motion_are_those_of_all_as_one(changed)
 
 
 @pytest.mark.slow
-def test_nothing_is_spilt_along_what_was_told_nor_after_it(changed):
+def test_nothing_is_spilt_when_goals_change_and_it_is_stopped(changed):
+    """By the rows of all that was told and of the rest after it; in the engine at both ends of what is uncertain."""
     live, _, told = changed
-    rest = drive(live, 1.0, begins=1.7)
-    check(live, in_turn(told, rest))
-    assert live.state.refused == ""
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("true", [FULL, LOW], ids=["full", "low"])
-def test_nothing_is_spilt_in_the_engine_when_goals_change_and_it_is_stopped(coffee, true):
-    live = Live(coffee, lead=LEAD)
-    wishes = [
-        (0.0, place(0.45, 0.1, 0.45)),
-        (0.4, place(0.5, -0.35, 0.5)),
-        (0.9, place(0.45, 0.1, 0.4)),
-        (1.2, Live.stop),
-    ]
-    told = in_turn(drive(live, 1.3, wishes), drive(live, 1.5, [(0.0, Live.stop)], begins=1.3))
+    told = in_turn(told, drive(live, 1.5, [(0.0, Live.stop)], begins=1.7))
     check(live, told)
-    assert holds(live, told, true)
+    assert holds(live, told, FULL)
+    assert holds(live, told, LOW)
+    assert live.state.refused == ""
 
 
 def test_rows_of_waves_change_with_a_bend_as_differences_say(changed, monkeypatch):

@@ -76,9 +76,9 @@ def test_waves_of_a_motion_that_goes_on_are_those_of_both_together(shape):
 def test_a_slow_plan_with_coffee_is_stopped_long_before_its_end_and_nothing_spills():
     """In the engine too, at the fullest and with the least damping, when the tray is at its fastest."""
     case = sv.load_scenario("panda-coffee").with_changes(motion__duration=1.6, motion__speeds="full")
-    bare = sv.plan(case, method="safest")
+    bare = sv.plan(case, method="baseline")
     assert bare.joint is not None
-    plan = replace(bare, stops=plan_stops(stop_problem(bare), bare.joint, every=0.2, space=bare.space))
+    plan = replace(bare, stops=plan_stops(stop_problem(bare), bare.joint, every=0.4, space=bare.space))
     assert plan.stops is not None
     assert plan.stops.longest < 1.0
     now = 0.8
