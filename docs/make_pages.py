@@ -29,7 +29,7 @@ from typer.testing import CliRunner
 
 from salver import scenario
 from salver.cli import app
-from salver.scenario.fields import Model
+from salver.fields import Model
 from salver.validation import in_words
 
 DOCS = Path(__file__).parent

@@ -38,11 +38,11 @@ from salver.live.script import Prompter, script
 from salver.live.standing import live_scenario
 from salver.models.arm.arm import ArmModel, load_arm, with_load
 from salver.models.arm.arm_limits import JointLimits
+from salver.models.arm.tables import ArmLimits
 from salver.planning import plan_files
 from salver.planning.fastest import joint_plan, transport_problem
 from salver.planning.plan import Plan
 from salver.scenario import Scenario
-from salver.scenario.cell import ArmLimits
 from salver.trajectory import JointMotion
 
 

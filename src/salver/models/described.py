@@ -1,96 +1,87 @@
-"""Interfaces that the models require of arm, tray and obstacles; the tables of a scenario implement them.
-
-Units and frames are those of the scenario file (docs/scenario-file.md).
-"""
+"""Tables of a scenario for the tray, obstacles and the floor. Units and frames: docs/scenario-file.md."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Annotated, ClassVar, Literal
+
+from pydantic import Field, model_validator
+
+from salver.fields import File, Inertia, Metres, Model, Name, Number, Place, Point, Scale, Turns
 
 
-class TrayDescription(Protocol):
-    """A plate at a pose in the flange's frame."""
+class Tray(Model):
+    """The tray on the flange.
+
+    height: m, of the centre of its top surface along the flange's z. offset: m, along the flange's x and y, for a tray
+    on a bracket. rpy_deg: roll, pitch, yaw of the tray in the flange's frame. inertia: kg m^2, principal moments about
+    its centre of mass, along its own axes.
+    """
+
+    size: tuple[Metres, Metres] = (0.2, 0.2)
+    thickness: Metres = 0.01
+    height: Annotated[Number, Field(ge=-5, le=5)] = 0.05
+    offset: tuple[Place, Place] = (0.0, 0.0)
+    rpy_deg: Turns = (0.0, 0.0, 0.0)
+    mass: Annotated[Number, Field(ge=0, le=100)] = 0.150
+    inertia: tuple[Inertia, Inertia, Inertia] = (1.25e-4, 1.25e-4, 1.25e-4)
+
+    @model_validator(mode="after")
+    def _physical(self) -> Tray:
+        """Raise ValueError when no body between flange and tray surface, as wide as the tray, has such an inertia."""
+        low, middle, high = sorted(self.inertia)
+        if low < 0 or high > (low + middle) * (1 + 1e-6):
+            raise ValueError(
+                f"inertia = {list(self.inertia)} kg m^2 is impossible: no value may be negative or larger than the sum "
+                "of the other two"
+            )
+        away = max(self.thickness, *(abs(x) for x in self.p_FE))
+        most = self.mass * (0.25 * (self.size[0] ** 2 + self.size[1] ** 2) + away**2)
+        if high > most * (1 + 1e-6):
+            raise ValueError(
+                f"inertia = {list(self.inertia)} kg m^2 is too large: {self.mass:g} kg between the flange and the "
+                f"tray's surface, no wider than the tray, has at most {most:.3g}"
+            )
+        return self
 
     @property
-    def size(self) -> tuple[float, float]: ...
-    @property
-    def thickness(self) -> float: ...
-    @property
-    def p_FE(self) -> tuple[float, float, float]: ...
-    @property
-    def rpy_deg(self) -> tuple[float, float, float]: ...
-    @property
-    def mass(self) -> float: ...
-    @property
-    def inertia(self) -> tuple[float, float, float]: ...
+    def p_FE(self) -> tuple[float, float, float]:
+        """Origin of E in the flange's frame F, m."""
+        return (*self.offset, self.height)
 
 
-class ArmDescription(Protocol):
-    """An arm by name or URDF, with its base pose, limits and collision settings."""
+class Obstacle(Model):
+    """A keep-out region in the world S. A mesh is replaced by the convex hulls of its separate pieces."""
 
-    @property
-    def model(self) -> str: ...
-    @property
-    def flange(self) -> str | None: ...
-    @property
-    def package_dirs(self) -> Sequence[str]: ...
-    @property
-    def srdf(self) -> str | None: ...
-    @property
-    def joint_limits(self) -> str | None: ...
-    @property
-    def collisions(self) -> str: ...
-    @property
-    def base_position(self) -> tuple[float, float, float]: ...
-    @property
-    def base_yaw_deg(self) -> float: ...
-    @property
-    def given_limits(self) -> Mapping[str, float | Sequence[float]]: ...
-    @property
-    def limit_shares(self) -> Mapping[str, float]: ...
+    type: Literal["box", "sphere", "capsule", "cylinder", "mesh"]
+    name: Name = "obstacle"
+    position: Point
+    rpy_deg: Turns = (0.0, 0.0, 0.0)
+    size: tuple[Metres, Metres, Metres] | None = None
+    radius: Metres | None = None
+    length: Metres | None = None
+    file: File | None = None
+    scale: Scale = 1.0
 
-
-class ObstacleDescription(Protocol):
-    """A fixed shape in the world; its type determines which of its sizes are given."""
-
-    @property
-    def name(self) -> str: ...
-    @property
-    def type(self) -> str: ...
-    @property
-    def position(self) -> tuple[float, float, float]: ...
-    @property
-    def rpy_deg(self) -> tuple[float, float, float]: ...
-    @property
-    def size(self) -> tuple[float, float, float] | None: ...
-    @property
-    def radius(self) -> float | None: ...
-    @property
-    def length(self) -> float | None: ...
-    @property
-    def file(self) -> str | None: ...
-    @property
-    def scale(self) -> float: ...
+    @model_validator(mode="after")
+    def _sized(self) -> Obstacle:
+        needed = {
+            "box": ("size",),
+            "sphere": ("radius",),
+            "capsule": ("radius", "length"),
+            "cylinder": ("radius", "length"),
+            "mesh": ("file",),
+        }[self.type]
+        for key in needed:
+            if getattr(self, key) is None:
+                raise ValueError(f"a {self.type} needs {' and '.join(needed)}")
+        return self
 
 
 @dataclass(frozen=True)
 class Floor:
-    """The half-space below a height in the world, m, as an obstacle; clear: m, clearance that plans keep from it."""
+    """The half-space below a height in S, m, as an obstacle. clear: m, clearance that plans keep from it."""
 
     height: float
-    clear: float = 0.01
-    name: str = "floor"
-    type: str = "floor"
-    rpy_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    size: None = None
-    radius: None = None
-    length: None = None
-    file: None = None
-    scale: float = 1.0
-
-    @property
-    def position(self) -> tuple[float, float, float]:
-        """A point of its surface, m."""
-        return (0.0, 0.0, self.height)
+    clear: ClassVar[float] = 0.01
+    name: ClassVar[str] = "floor"

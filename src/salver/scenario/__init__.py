@@ -4,7 +4,9 @@ A scenario is a TOML file, or the name of a ready-made one. It is checked in ful
 computed; each mistake is one sentence with the key, the value and what would be accepted.
 """
 
-from salver.scenario.cell import Arm, ArmLimits, Obstacle, Physics, RobotBehaviour, Surroundings, Tray
+from salver.models.arm.tables import Arm, ArmLimits
+from salver.models.described import Obstacle, Tray
+from salver.scenario.cell import Physics, RobotBehaviour, Surroundings
 from salver.scenario.files import SCENARIO_DIR, load, names
 from salver.scenario.legs import Leg
 from salver.scenario.liquid import LiquidIn

@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from typing import TYPE_CHECKING, ClassVar
 
-from salver.scenario.fields import Model
+from salver.fields import Model
 
 if TYPE_CHECKING:
     from salver.models.load_dynamics import LoadDynamics

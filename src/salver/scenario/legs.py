@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from pydantic import Field
 
-from salver.scenario.fields import Model
+from salver.fields import Model
 from salver.scenario.objects import CarriedObject
 from salver.scenario.task import Pose
 from salver.wording import listed

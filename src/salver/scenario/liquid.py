@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from salver.scenario.fields import Metres, Number
+from salver.fields import Metres, Number
 from salver.scenario.inner import InnerDynamics
 
 if TYPE_CHECKING:

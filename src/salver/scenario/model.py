@@ -17,10 +17,11 @@ from pydantic import Field, ValidationError, model_validator
 
 from salver.display import Shown
 from salver.errors import ScenarioError
+from salver.fields import Model, Text, Whole
 from salver.geometry import lean
-from salver.models.described import Floor, ObstacleDescription
-from salver.scenario.cell import Arm, Obstacle, Physics, Surroundings, Tray
-from salver.scenario.fields import Model, Text, Whole
+from salver.models.arm.tables import Arm
+from salver.models.described import Floor, Obstacle, Tray
+from salver.scenario.cell import Physics, Surroundings
 from salver.scenario.legs import Leg, fixed_to_tray, loads
 from salver.scenario.objects import CarriedObject, UncertaintySet
 from salver.scenario.task import Contact, Control, Motion, Planning, Pose, SensitivityWeighting
@@ -255,7 +256,7 @@ class Scenario(Shown, Model):
         return self.arm.base_position[2] if given == "base" else given
 
     @property
-    def around(self) -> tuple[ObstacleDescription, ...]:
+    def around(self) -> tuple[Obstacle | Floor, ...]:
         """Everything that arm, tray and load must not touch: the obstacles and the floor."""
         return (*self.obstacles, *(() if self.floor is None else (Floor(self.floor),)))
 

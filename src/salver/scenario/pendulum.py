@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 import numpy as np
 from pydantic import Field
 
-from salver.scenario.fields import Mass, Metres, Number
+from salver.fields import Mass, Metres, Number
 from salver.scenario.inner import InnerDynamics
 
 if TYPE_CHECKING:

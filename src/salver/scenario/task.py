@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import ConfigDict, Field, model_validator
 
-from salver.scenario.fields import Degrees, Model, Number, Point, Turns, Whole
+from salver.fields import Degrees, Model, Number, Point, Turns, Whole
 
 
 class Pose(Model):

@@ -20,9 +20,10 @@ from salver.errors import ScenarioError
 from salver.geometry import GRAVITY_S, Array, adjoint, invert, matrix_from_rpy
 from salver.models.arm.arm_limits import JointLimits, VelocityByPosition, joint_limits, read_joint_limits
 from salver.models.arm.known_arms import KNOWN_ARMS, robot_file
+from salver.models.arm.tables import Arm
 from salver.models.arm.urdf import SUFFIXES, installed_chain, read_chain, read_disabled_pairs
 from salver.models.contact.contact import ContactSet
-from salver.models.described import ArmDescription, TrayDescription
+from salver.models.described import Tray
 
 if TYPE_CHECKING:
     from salver.models.bodies import Body
@@ -154,7 +155,7 @@ def tray_to_object(p_EB: Array, R_EB: Array) -> Array:
     return adjoint(*invert(p_EB, R_EB))
 
 
-def load_arm(arm: ArmDescription, tray: TrayDescription) -> ArmModel:
+def load_arm(arm: Arm, tray: Tray) -> ArmModel:
     """The arm of a scenario with its tray. `arm.model` is a name of `KNOWN_ARMS` or a URDF file, which needs
     `arm.flange`, the link that carries the tray.
 
@@ -298,7 +299,7 @@ def _move_base(model: Any, position: Array, yaw: float) -> None:
             frame.placement = base * frame.placement
 
 
-def _attach_tray(model: Any, flange: str, tray: TrayDescription, pose_FE: Any, com_E: Array) -> int:
+def _attach_tray(model: Any, flange: str, tray: Tray, pose_FE: Any, com_E: Array) -> int:
     """Add the tray's inertia, its centre of mass in the middle of the plate, and the frame E."""
     frame_id = model.getFrameId(flange, pin.FrameType.BODY)
     frame = model.frames[frame_id]
@@ -329,7 +330,7 @@ def _velocity_by_position(model: Any, given: Mapping[str, tuple[float, float]]) 
     return VelocityByPosition(lower, upper, 2 * deceleration, offset)
 
 
-def _scenario_limits(arm: ArmDescription, name: str, n: int) -> dict[str, Array]:
+def _scenario_limits(arm: Arm, name: str, n: int) -> dict[str, Array]:
     """Limits from the table arm.limits, in which one number applies to all joints."""
     found = {}
     for key, value in arm.given_limits.items():

@@ -22,7 +22,7 @@ from salver.models.arm.arm import ArmModel
 from salver.models.arm.link_pairs import Links, Pair, add, bulky, comparable, placed, postures_of
 from salver.models.arm.link_shapes import LinkShapes, link_shapes
 from salver.models.bodies import Body
-from salver.models.described import Floor, ObstacleDescription
+from salver.models.described import Floor, Obstacle
 from salver.models.shapes.obstacle_shapes import obstacle_shapes
 from salver.wording import listed
 
@@ -232,9 +232,7 @@ class ArmGeometry:
         return None
 
 
-def arm_geometry(
-    arm: ArmModel, bodies: Sequence[Body] = (), obstacles: Sequence[ObstacleDescription] = ()
-) -> ArmGeometry:
+def arm_geometry(arm: ArmModel, bodies: Sequence[Body] = (), obstacles: Sequence[Obstacle | Floor] = ()) -> ArmGeometry:
     """Shapes of an arm's links, its tray, the boxes around its load, and obstacles.
 
     All pairs that move relative to each other are compared by their hulls, or by a few convex pieces of strongly

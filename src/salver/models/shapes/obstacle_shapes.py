@@ -11,23 +11,23 @@ import pinocchio as pin
 
 from salver.errors import ScenarioError
 from salver.geometry import Array, matrix_from_rpy
-from salver.models.described import ObstacleDescription
+from salver.models.described import Floor, Obstacle
 from salver.models.shapes.convex_shapes import convex
 from salver.models.shapes.mesh_files import read_mesh_file
 
 MOST_PIECES = 64  # of one mesh
 
 
-def obstacle_shapes(obstacle: ObstacleDescription) -> list[tuple[Any, Any]]:
+def obstacle_shapes(obstacle: Obstacle | Floor) -> list[tuple[Any, Any]]:
     """Coal's shapes of an obstacle with their placements in S (pin.SE3); several for a mesh of several pieces.
 
     Raises ScenarioError when its mesh cannot be used.
     """
+    if isinstance(obstacle, Floor):
+        return [(coal.Halfspace(np.array([0.0, 0.0, 1.0]), 0.0), pin.SE3(np.eye(3), np.array([0, 0, obstacle.height])))]
     placement = pin.SE3(matrix_from_rpy(np.deg2rad(obstacle.rpy_deg)), np.array(obstacle.position))
     if obstacle.type == "mesh":
         return [(convex(points), placement) for points in mesh_pieces(obstacle)]
-    if obstacle.type == "floor":
-        return [(coal.Halfspace(np.array([0.0, 0.0, 1.0]), 0.0), placement)]
     if obstacle.type == "box":
         return [(coal.Box(*(obstacle.size or ())), placement)]
     if obstacle.type == "sphere":
@@ -36,7 +36,7 @@ def obstacle_shapes(obstacle: ObstacleDescription) -> list[tuple[Any, Any]]:
     return [(kind(obstacle.radius or 0.0, obstacle.length or 0.0), placement)]
 
 
-def mesh_pieces(obstacle: ObstacleDescription) -> list[Array]:
+def mesh_pieces(obstacle: Obstacle) -> list[Array]:
     """Corners (n, 3) of the convex hull of each separate piece of an obstacle's mesh, in the obstacle's frame, m."""
     try:
         return [obstacle.scale * points for points in _pieces(obstacle.file or "")]

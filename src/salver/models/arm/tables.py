@@ -1,0 +1,65 @@
+"""Tables of a scenario for the arm and the limits of its joints."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from salver.fields import Degrees, File, Model, Name, Number, Point, Share
+from salver.models.arm.arm_limits import PLANNING_SHARES
+from salver.models.arm.urdf import MOST_JOINTS
+
+Limit = Annotated[Number, Field(ge=1e-6, le=1e9)]
+EachJoint = Annotated[
+    Limit | Annotated[list[Limit], Field(max_length=MOST_JOINTS)],
+    Field(description="a number at least 1e-06 and at most 1e+09, or a list of such numbers, one for each joint"),
+]
+Angle = Annotated[Number, Field(ge=-100, le=100)]  # rad, or m for a prismatic joint
+
+
+class ArmLimits(Model):
+    """Limits of the joints, one number for all or one for each: rad/s, rad/s^2, rad/s^3, N m, N m/s.
+
+    Prismatic joints have m and N for rad and N m. These limits replace those of the maker, a URDF or a
+    `joint_limits.yaml`.
+    """
+
+    velocity: EachJoint | None = None
+    acceleration: EachJoint | None = None
+    jerk: EachJoint | None = None
+    torque: EachJoint | None = None
+    torque_rate: EachJoint | None = None
+
+
+class Arm(Model):
+    """The arm: a known name (see `salver.models.arm.arm`) or a URDF file with the frame that carries the tray.
+
+    package_dirs: folders of the packages whose meshes the URDF names. collisions: how links whose geometry cannot be
+    read are treated: refused, replaced by capsules, or not checked.
+    """
+
+    model: File = Field(default="panda", description="a known arm, or the path of a URDF")
+    flange: Name | None = None
+    package_dirs: list[File] = Field(default=[], max_length=50, description="a list of folders, at most 50")
+    srdf: File | None = None
+    collisions: Literal["meshes", "capsules", "unchecked"] = "meshes"
+    limits: ArmLimits = ArmLimits()
+    joint_limits: File | None = None
+    base_position: Point = (0.0, 0.0, 0.0)
+    base_yaw_deg: Degrees = 0.0
+    start_posture: Annotated[list[Angle], Field(max_length=MOST_JOINTS)] | None = None
+    velocity_scale: Share = PLANNING_SHARES["velocity"]
+    acceleration_scale: Share = PLANNING_SHARES["acceleration"]
+    jerk_scale: Share = PLANNING_SHARES["jerk"]
+    torque_scale: Share = PLANNING_SHARES["torque"]
+
+    @property
+    def given_limits(self) -> dict[str, float | list[float]]:
+        """The limits that the table arm.limits sets."""
+        return self.limits.model_dump(exclude_none=True)
+
+    @property
+    def limit_shares(self) -> dict[str, float]:
+        """The share of each kind of limit (`salver.models.arm.arm_limits.LIMITS`, by key) that a plan may use."""
+        return {key: getattr(self, f"{key}_scale", share) for key, share in PLANNING_SHARES.items()}
