@@ -266,9 +266,8 @@ class Audit(Shown, Tabular):
         return self._speeds(worst=True)
 
     def _speeds(self, worst: bool) -> SafeSpeeds:
-        few = len(self._w) <= AT_ONCE
-        index = slice(None) if few or self._loads is not None else self._decisive
-        return safe_speeds(self._model, self.motion.samples.only(index), worst, rate=few)
+        few = len(self._w) <= AT_ONCE or self._loads is not None
+        return safe_speeds(self._model, self.motion.samples.only(slice(None) if few else self._decisive), worst)
 
     def _recording(self) -> dict[str, Any] | None:
         seen = self.motion.recording

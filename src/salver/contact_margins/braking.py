@@ -39,19 +39,12 @@ class BrakingOptions:
 class Braking:
     """Margins of the load during stops on the path.
 
-    t (K,): s, beginnings of the stops. durations (M,): s. margin (K, M): least contact margin during a stop, as a share
-    of the weight; NaN if the motion itself ends sooner.
+    durations (M,): s. margin (K, M): least contact margin during a stop from each of K instants, evenly over the
+    motion, as a share of the weight; NaN if the motion itself ends sooner.
     """
 
-    t: Array
     durations: Array
     margin: Array
-
-    @property
-    def shortest(self) -> Array:
-        """Duration (K,) of the shortest stop that keeps the load, s; NaN if none does before the motion ends."""
-        kept = np.where(self.margin >= 0, self.durations, np.inf).min(axis=1)
-        return np.where(np.isfinite(kept), kept, np.nan)
 
     @property
     def kept(self) -> Array:
@@ -70,15 +63,14 @@ def braking(model: MarginModel, tray: MotionSamples, worst: bool, options: Braki
     begins = np.linspace(0.0, duration, options.instants, endpoint=False)
     durations = np.geomspace(min(options.shortest, 0.5 * duration), 1.9 * duration, options.durations)
     share = np.linspace(0.0, 1.0, options.steps)  # shares of the duration of a stop
-    ends = begins[:, None] + 0.5 * durations  # time of the motion at which the stop ends
-    k, m = np.nonzero(ends <= duration)
+    k, m = np.nonzero(begins[:, None] + 0.5 * durations <= duration)
     places = tray.t[0] + begins[k, None] + durations[m, None] * (share - 0.5 * share**2)
-    factor, rate = np.broadcast_to(1.0 - share, places.shape).ravel(), np.repeat(-1.0 / durations[m], len(share))
-    at = places.ravel()
-    static, moving, twist = (interpolated(tray.t, x, at) for x in (scaled.static, scaled.moving, scaled.twist))
-    w = static + factor[:, None] ** 2 * moving + rate[:, None] * twist
+    factor = np.broadcast_to(1.0 - share, places.shape).ravel()[:, None]
+    static, moving, twist = (
+        interpolated(tray.t, x, places.ravel()) for x in (scaled.static, scaled.moving, scaled.twist)
+    )
+    w = static + factor**2 * moving - np.repeat(1.0 / durations[m], len(share))[:, None] * twist
     margins = Margins(model, np.arange(len(w), dtype=float), w)
-    least = (margins.exact_worst if worst else margins.exact).reshape(places.shape).min(axis=1)
     found = np.full((options.instants, options.durations), np.nan)
-    found[k, m] = least
-    return Braking(tray.t[0] + begins, durations, found)
+    found[k, m] = (margins.exact_worst if worst else margins.exact).reshape(places.shape).min(axis=1)
+    return Braking(durations, found)

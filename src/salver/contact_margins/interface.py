@@ -7,14 +7,15 @@ from functools import cached_property
 
 import numpy as np
 
-from salver.contact_margins.model import friction_rows
 from salver.contact_margins.values import RowValues
 from salver.geometry import Array, Indices
+from salver.models.contact.contact import ContactSet
 from salver.models.contact.wrench_cone import friction_needed, tip_over_margin
-from salver.models.contact_rows import ContactRows
+from salver.models.contact_rows import ContactRows, Labels, cone_rows
 from salver.models.interfaces import Interface, needed_at_tray, to_tray
 
 _TOLERANCE = 1e-9  # tolerance of a margin, as a share of the weight
+HIGHEST = 5.0  # friction coefficient beyond which no contact is looked at
 _FINE = 32  # edges of the pyramids of the nominal verdict: at most 0.5 % short of the round cone
 
 
@@ -129,34 +130,32 @@ class InterfaceMargins:
     def friction_needed_worst(self) -> float:
         """Least friction coefficient of this interface at which the whole motion does not slide in the worst case.
 
-        It is at least the nominal one, and infinite if no friction suffices. By bisection to 1e-4.
+        It is at least the nominal one, and infinite if no friction suffices; to 1e-4.
         """
-        if float(self.tipping_worst.min()) < -_TOLERANCE:
-            return float("inf")
-        model = self.whole.model
-        rows = model.rows(self.network, model.uncertain, friction_rows, False)
-        own = np.flatnonzero(rows.interface == self.index)
-        tangential, normal = (_only(rows, own[rows.label[own] == kind]) for kind in (0, 1))
-        w, w_0 = self.whole.w, self._internal_worst
-        high = 5.0
+        from scipy.optimize import brentq
 
-        def values(mu: float, keep: Indices) -> Array:
-            at_mu = _combined(tangential, normal, mu)
-            return np.asarray((self.whole.at(keep).worst_case(at_mu) + w_0[keep] @ at_mu.internal.T).max(axis=1))
-
-        low = float(np.clip(0.999 * self.friction_needed.max(), 1e-4, high))
-        failing = np.arange(len(w))
-        failing = failing[values(low, failing) > 0]
-        if len(failing) and (values(high, failing) > 0).any():
+        whole, least = self.whole, max(0.999 * float(self.friction_needed.max()), 1e-4)
+        if float(self.tipping_worst.min()) < -_TOLERANCE or least >= HIGHEST:
             return float("inf")
-        while high - low > 1e-4:
-            middle = 0.5 * (low + high)
-            beyond = failing[values(middle, failing) > 0] if len(failing) else failing
-            if len(beyond):
-                low, failing = middle, beyond
-            else:
-                high = middle
-        return high
+
+        def beyond(inverse: float, at: Indices) -> Array:
+            """Largest friction-limited row at instants with a friction of 1 / inverse: negative where it holds."""
+
+            def rows_of(contacts: ContactSet) -> tuple[Array, Labels]:
+                return cone_rows(replace(contacts, friction=np.full(contacts.count, 1.0 / inverse)))
+
+            rows = whole.model.rows(self.network, whole.model.uncertain, rows_of, True)
+            value = whole.at(at).worst_case(rows) + self._internal_worst[at] @ rows.internal.T
+            return -self._margin(rows, value, True)
+
+        every = np.arange(len(whole.w))
+        failing = every[beyond(1.0 / least, every) > 0]
+        if not len(failing):
+            return least
+        if beyond(1.0 / HIGHEST, failing).max() > 0:
+            return float("inf")
+        found = brentq(lambda x: beyond(x, failing).max(), 1.0 / HIGHEST, 1.0 / least, xtol=1e-6, rtol=1e-6)
+        return 1.0 / float(found)
 
     @property
     def least_friction(self) -> float:
@@ -203,28 +202,3 @@ class InterfaceMargins:
         finely = self._finely_needed[after:]
         needed = float(finely[np.isfinite(finely)].max())
         return f"it needs friction up to {needed:.3f} and has {self.friction:.3f}"
-
-
-def _only(rows: ContactRows, index: Indices) -> ContactRows:
-    return replace(
-        rows.only(index),
-        interface=rows.interface[index],
-        label=rows.label[index],
-        internal=rows.internal[index],
-        wrench=rows.wrench[:, index],
-    )
-
-
-def _combined(tangential: ContactRows, normal: ContactRows, mu: float) -> ContactRows:
-    """Facets at coefficient mu."""
-    return replace(
-        normal,
-        nominal=tangential.nominal / mu + normal.nominal,
-        parameter=tangential.parameter / mu + normal.parameter,
-        remainder=tangential.remainder / mu + normal.remainder,
-        internal=tangential.internal / mu + normal.internal,
-        fillings=tuple(
-            replace(n, rows=t.rows / mu + n.rows) for t, n in zip(tangential.fillings, normal.fillings, strict=True)
-        ),
-        wrench=tangential.wrench / mu + normal.wrench,
-    )

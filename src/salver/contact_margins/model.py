@@ -10,7 +10,7 @@ import numpy as np
 from salver.display import Outlined
 from salver.geometry import Array
 from salver.models.contact.contact import ContactSet
-from salver.models.contact.wrench_cone import support_rows, unit_friction_rows
+from salver.models.contact.wrench_cone import support_rows
 from salver.models.contact_rows import MOST_GENERATORS, ContactRows, Labels, RowsOf, cone_rows, network_rows
 from salver.models.interfaces import ContactNetwork
 from salver.models.payload import Payload
@@ -101,9 +101,3 @@ def edge_rows(contacts: ContactSet) -> tuple[Array, Labels]:
     """Rows of the support polygon's edges (label 0), of f_z (1) and of -f_z (2)."""
     edges, normal = support_rows(contacts)
     return np.vstack([edges, normal, -normal]), np.array([0] * len(edges) + [1, 2])
-
-
-def friction_rows(contacts: ContactSet) -> tuple[Array, Labels]:
-    """Tangential (label 0) and normal (1) parts of the facets that friction limits."""
-    tangential, normal = unit_friction_rows(contacts)
-    return np.vstack([tangential, normal]), np.array([0] * len(tangential) + [1] * len(normal))

@@ -1,4 +1,4 @@
-"""Speed factors at which a motion keeps its load, and the rate at which the factor may change.
+"""Speed factors at which a motion keeps its load.
 
 A motion run at speed factor s, which changes at the rate s' (1/s), has velocities s v and accelerations s^2 a + s' v.
 So the motion regressor of the tray is
@@ -15,7 +15,7 @@ The tray is assumed to follow its motion exactly at every speed.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import groupby, pairwise
@@ -32,12 +32,10 @@ from salver.models.tray_motion import motion_vector
 from salver.trajectory import MotionSamples
 
 TRIED = np.append(0.0, 1.04 ** np.arange(-59.0, 1.0))  # factors that are checked with a liquid or pendulum
+FINEST = 1e-3  # resolution of the limits of the factor with a liquid or pendulum
 FEW = 4  # step through these factors for a quick look
 RIPPLE = 0.02  # share of the limits by which what is left varies at low factors without a resonance
-FINEST = 1e-3  # resolution of the limits of the factor with a liquid or pendulum
 SLOWEST, FASTEST = 0.01, 5.0  # limits of the search for factors
-MOST_RATE = 100.0  # 1/s, limit of the search for a rate
-BEYOND = 1.001  # safety factor of a bound, because worst cases of contents are known to a thousandth of their curvature
 _TOLERANCE = 1e-9  # tolerance of a margin, as a share of the weight
 _HAPPENS = {"unsettled": "still sloshes"}
 
@@ -50,9 +48,8 @@ class SafeSpeeds:
 
     intervals: safe intervals of factors from 0 to 1, in order. fastest: largest safe factor, possibly above 1; None if
     there is none. fails_at, failure: a factor just below the uppermost interval (or above it, if that begins at 0), and
-    the status there; None if all factors from 0 to 1 are safe. rate: largest rate of the factor (1/s, up or down) at
-    which contact holds for all factors from 0 to 1; None if unknown. tried: number of factors that were checked; 0 if
-    the intervals are exact. lacking: for each unsafe range the checked factor with the largest violation. unchecked:
+    the status there; None if all factors from 0 to 1 are safe. tried: number of factors that were checked; 0 if the
+    intervals are exact. lacking: for each unsafe range the checked factor with the largest violation. unchecked:
     limitations at other speeds, in words.
     """
 
@@ -61,7 +58,6 @@ class SafeSpeeds:
     worst: bool
     fails_at: float | None = None
     failure: Status | None = None
-    rate: float | None = None
     tried: int = 0
     lacking: tuple[float, ...] = ()
     unchecked: str = ""
@@ -117,16 +113,14 @@ class SafeSpeeds:
             "fails_at": self.fails_at,
             "code": None if self.failure is None else self.failure.code,
             "posture_time": None if self.failure is None else self.failure.details["posture_time"],
-            "rate": self.rate,
             "tried": self.tried,
         }
 
 
-def safe_speeds(model: MarginModel, tray: MotionSamples, worst: bool, *, rate: bool = True) -> SafeSpeeds:
+def safe_speeds(model: MarginModel, tray: MotionSamples, worst: bool) -> SafeSpeeds:
     """The speed factors at which a motion of the tray frame E keeps the load.
 
-    tray: (T,) instants of E at full speed. worst: over the whole uncertain set, else at nominal parameters. rate:
-    compute the largest rate of the factor too; it is unknown with a liquid or pendulum.
+    tray: (T,) instants of E at full speed. worst: over the whole uncertain set, else at nominal parameters.
     """
     scaled = TimeScaled(model, tray, worst)
     tried, lacking = 0, tuple[float, ...]()
@@ -134,11 +128,8 @@ def safe_speeds(model: MarginModel, tray: MotionSamples, worst: bool, *, rate: b
         intervals, fastest, tried, lacking = _tried(scaled)
     else:
         intervals, fastest = _exact(scaled)
-    most = None
-    if rate and not model.payload.dynamic:
-        most = scaled.largest_rate() if intervals == ((0.0, 1.0),) else None
     fails_at, failure = scaled.failure(intervals)
-    return SafeSpeeds(intervals, fastest, worst, fails_at, failure, most, tried, lacking)
+    return SafeSpeeds(intervals, fastest, worst, fails_at, failure, tried, lacking)
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,41 +177,13 @@ class TimeScaled:
         """At full speed."""
         return PayloadResponse.along(self.model.payload, self.tray.t, self.w(1.0))
 
-    @cached_property
-    def _solid(self) -> list[tuple[Array, Array]]:
-        """(T, n) the worst case of the rows of each network at rest and at full speed, without what loads add."""
-        return [(rows.worst(self.static), rows.worst(self.w(1.0))) for rows in self.model.robust]
-
     def slack(self, factor: float) -> float:
         """Least of all contact margins and slacks of liquids and pendulums, as shares."""
         margins = self.margins(factor)
-        swings = self.inside(margins)
-        return swings if swings < 0 else min(swings, self.contact(factor, margins))
-
-    def inside(self, margins: Margins) -> float:
-        """The least of what inner dynamics keep of their limits, as a share."""
-        return min((float(each.slack.min()) for each in margins.load_verdicts(self.worst)), default=np.inf)
-
-    def contact(self, factor: float, margins: Margins) -> float:
-        """The least of all contact margins at a factor, as a share. margins: there."""
-        if not self.worst:
-            least = float(margins.exact.min())
-        elif factor > 1 or any(rows.internal.size for rows in self.model.robust):
-            least = float(margins.exact_worst.min())
-        else:
-            surely = self.surely(factor, margins)
-            least = float(margins.at(np.array([np.argmin(surely)])).exact_worst[0])
-            least = float(margins.at(np.flatnonzero(surely <= least)).exact_worst.min(initial=least))
-        return least + _TOLERANCE
-
-    def surely(self, factor: float, margins: Margins) -> Array:
-        """(T,) what no contact margin is below at a factor up to 1: a row is convex in its square, so between rest and
-        full speed it is below the chord. margins: there."""
-        most = [
-            margins.with_loads(rows, still + factor**2 * (full - still)).max(axis=1)
-            for rows, (still, full) in zip(self.model.robust, self._solid, strict=True)
-        ]
-        return np.asarray(-np.max(most, axis=0))
+        inside = min((float(each.slack.min()) for each in margins.load_verdicts(self.worst)), default=np.inf)
+        if inside < 0:
+            return inside
+        return min(inside, float((margins.exact_worst if self.worst else margins.exact).min()) + _TOLERANCE)
 
     def failure(self, intervals: Intervals) -> tuple[float | None, Status | None]:
         """An unsafe factor beside the uppermost interval, and the status there."""
@@ -243,53 +206,17 @@ class TimeScaled:
         posture = float(status.details["time"]) * (factor or SLOWEST)
         return factor, replace(status, details={**status.details, "posture_time": posture})
 
-    def largest_rate(self) -> float:
-        """Largest rate of the factor, up or down, 1/s, at which every contact holds for all factors from 0 to 1."""
-        corners = [(squared, sign) for squared in (0.0, 1.0) for sign in (1.0, -1.0)]
-
-        def margin(rate: float) -> Array:
-            return np.concatenate([self.margin(squared, sign * rate) for squared, sign in corners])
-
-        begin, high = margin(0.0), 1.0
-        while (end := margin(high)).min() >= 0 and high < MOST_RATE:
-            high *= 10.0
-        failing = np.flatnonzero(end < 0)
-        T = len(self.tray.t)
-
-        def some(rate: float, which: Indices) -> Array:
-            found = np.empty(len(which))
-            for k, (squared, sign) in enumerate(corners):
-                own = np.flatnonzero(failing[which] // T == k)
-                if len(own):
-                    found[own] = self.margin(squared, sign * rate, failing[which][own] % T)
-            return found
-
-        return least_root(some, 0.0, high, begin[failing], end[failing])
-
 
 def _exact(scaled: TimeScaled) -> tuple[Intervals, float | None]:
     """The interval of factors of a load without inner dynamics, and the largest of them."""
-    still, full = scaled.margin(0.0), scaled.margin(1.0)
-    squared, here = (1.0, full) if full.min() >= 0 else (0.0, still)
-    if here.min() < 0:
-        found = _between(scaled)
-        if found is None:
-            return (), None
-        squared, here = found, scaled.margin(found)
-    low = squared - _edge(scaled, squared, here, 0.0, still)
-    most, beyond = (1.0, full) if full.min() < 0 and squared < 1 else (FASTEST**2, None)
-    if beyond is None:
-        # By concavity no factor is safe beyond the root of the line through rest and this factor.
-        ends = np.divide(still, still - here, out=np.full(len(here), np.inf), where=still > here)
-        most = min(most, BEYOND * squared * float(ends.min()))
-        beyond = scaled.margin(most)
-        if beyond.min() >= 0 and most < FASTEST**2:
-            most, beyond = FASTEST**2, scaled.margin(FASTEST**2)
-    high = squared + _edge(scaled, squared, here, most, beyond)
+    still, full = (scaled.margin(squared).min() >= 0 for squared in (0.0, 1.0))
+    inside = 1.0 if full else 0.0 if still else _between(scaled)
+    if inside is None:
+        return (), None
+    low, high = _edge(scaled, inside, 0.0), _edge(scaled, inside, 1.0 if inside < 1 and not full else FASTEST**2)
     if high < SLOWEST**2:
         return (), None
-    inside = ((float(np.sqrt(low)), float(np.sqrt(min(high, 1.0)))),) if low <= 1 else ()
-    return inside, float(np.sqrt(high))
+    return ((float(np.sqrt(low)), float(np.sqrt(min(high, 1.0)))),) if low <= 1 else (), float(np.sqrt(high))
 
 
 def _between(scaled: TimeScaled) -> float | None:
@@ -306,16 +233,18 @@ def _between(scaled: TimeScaled) -> float | None:
     return float(found.x) if found.fun <= 0 else None
 
 
-def _edge(scaled: TimeScaled, begin: float, here: Array, end: float, there: Array) -> float:
-    """The last safe squared factor between a safe one (`begin`) and another (`end`), with their margins (T,)."""
-    failing, way = np.flatnonzero(there < 0), np.sign(end - begin)
-    return least_root(
-        lambda away, some: scaled.margin(begin + way * away, 0.0, failing[some]),
-        0.0,
-        abs(end - begin),
-        here[failing],
-        there[failing],
-    )
+def _edge(scaled: TimeScaled, inside: float, outside: float) -> float:
+    """The last safe squared factor on the way from a safe one (`inside`) to another (`outside`), to a millionth of it.
+
+    By concavity only the instants that fail at the end can fail on the way.
+    """
+    from scipy.optimize import brentq
+
+    failing = np.flatnonzero(scaled.margin(outside) < 0)
+    if not len(failing):
+        return outside
+    root = brentq(lambda squared: scaled.margin(squared, at=failing).min(), inside, outside, xtol=1e-9)
+    return float(inside + (1 - 1e-6) * (root - inside))
 
 
 def _tried(scaled: TimeScaled) -> tuple[Intervals, float | None, int, tuple[float, ...]]:
@@ -334,16 +263,11 @@ def _tried(scaled: TimeScaled) -> tuple[Intervals, float | None, int, tuple[floa
         if not between:
             break
         known |= {s: scaled.slack(s) for s in between}
-    holds: list[tuple[float, float]] = []
-    lacking: list[float] = []
-    for kept, run in groupby(factors, key=lambda s: known[s] >= 0):
-        together = list(run)
-        if kept:
-            holds.append((together[0], together[-1]))
-        else:
-            lacking.append(min(together, key=known.__getitem__))
+    runs = [(kept, list(run)) for kept, run in groupby(factors, key=lambda s: known[s] >= 0)]
+    holds = tuple((run[0], run[-1]) for kept, run in runs if kept)
+    lacking = tuple(min(run, key=known.__getitem__) for kept, run in runs if not kept)
     fastest = holds[-1][1] if holds else None
-    return tuple(holds), _above(scaled) if fastest == 1.0 else fastest, len(known), tuple(lacking)
+    return holds, _above(scaled) if fastest == 1.0 else fastest, len(known), lacking
 
 
 def lacking_of_few(model: MarginModel, tray: MotionSamples) -> tuple[float, ...]:
@@ -374,28 +298,3 @@ def _above(scaled: TimeScaled) -> float:
         middle = 0.5 * (low + high)
         low, high = (middle, high) if scaled.slack(middle) >= 0 else (low, middle)
     return low
-
-
-def least_root(f: Callable[[float, Indices], Array], low: float, high: float, begin: Array, end: Array) -> float:
-    """The least root of n concave functions between low, with values begin (n,) >= 0, and high, with values end (n,).
-
-    To 1e-6, on the side where all are positive; high if none is negative there. f: a function of a point and the
-    indices of the functions to evaluate. A concave function lies above its chord, so that functions whose chord has its
-    root beyond a known root need no further evaluation.
-    """
-    if not len(begin):
-        return high
-    some, root = np.arange(len(begin)), high
-    while len(some):
-        ending = low + (root - low) * begin / (begin - end)
-        k = int(np.argmin(ending))
-        one, near = some[[k]], ending < root
-        near[k] = False
-        inside = low
-        while root - inside > 1e-7 * root:
-            middle = 0.5 * (inside + root)
-            inside, root = (middle, root) if f(middle, one)[0] >= 0 else (inside, middle)
-        some, begin = some[near], begin[near]
-        end = f(root, some) if len(some) else begin
-        some, begin, end = some[end < 0], begin[end < 0], end[end < 0]
-    return max(low, root * (1 - 1e-6))

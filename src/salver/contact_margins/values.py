@@ -14,7 +14,7 @@ from salver.models.contact.internal_wrench import internal_wrenches
 from salver.models.contact_rows import ContactRows
 from salver.models.uncertain.worst_case import ALL
 
-AT_ONCE = 256  # instants that are computed at once that are computed at once that are computed at once
+AT_ONCE = 256  # instants that are computed at once
 
 
 @dataclass(frozen=True)
@@ -50,10 +50,7 @@ class RowValues:
 
     def worst_case(self, rows: ContactRows) -> Array:
         """Worst case of the rows (T, n)."""
-        return self.with_loads(rows, rows.worst(self.w))
-
-    def with_loads(self, rows: ContactRows, value: Array) -> Array:
-        """Values (T, n) of the rows, with what loads add to them in the worst case."""
+        value = rows.worst(self.w)
         if self.loads is not None:  # in pieces of time, because all cases at all instants would need too much memory
             for first in range(0, len(value), AT_ONCE):
                 at = slice(first, first + AT_ONCE)

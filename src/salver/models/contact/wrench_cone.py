@@ -116,15 +116,6 @@ def tip_over_margin(contacts: ContactSet, wrench_B: Array) -> Array:
     return np.where(pressing, distance, -np.inf)
 
 
-def unit_friction_rows(contacts: ContactSet) -> tuple[Array, Array]:
-    """Rows t and n, each (n_f, 6), of the friction-limited facets: (t / mu + n) F_B <= 0 with coefficient mu."""
-    length = support_length(contacts)
-    unit = _unit_facets(_polygon_key(contacts, length), contacts.edges, contacts.phase)
-    unit = unit[np.any(np.abs(unit[:, _TANGENTIAL]) > 1e-9, axis=1)]
-    back = _shift_to_centre(contacts) / np.array([1, 1, 1, length, length, length])[:, None]
-    return np.where(_TANGENTIAL, unit, 0.0) @ back, np.where(_TANGENTIAL, 0.0, unit) @ back
-
-
 def support_rows(contacts: ContactSet) -> tuple[Array, Array]:
     """Rows (n, 6), m, one for each edge of the support polygon, and the row (6,) of f_z.
 
