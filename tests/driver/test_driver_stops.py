@@ -15,7 +15,7 @@ from salver.control.arm import ArmState, controller_for
 from salver.driver.execution import Drive, Watchdog
 from salver.driver.robots.simulated import SimulatedRobot
 from salver.driver.signals import Signals
-from salver.driver.stops import PlannedStop, PlannedStops, controlled_stops, stops_of
+from salver.driver.stops import PlannedStops, controlled_stops, stops_of
 from salver.geometry import Array
 from salver.models.arm.arm import load_arm
 from salver.planning.plan import Plan
@@ -156,6 +156,3 @@ def test_an_arm_that_is_elsewhere_is_not_drawn_back_but_goes_the_same_way_beside
         assert np.all(np.sign(difference) == np.sign(faster))
         assert np.all(np.abs(difference) < np.abs(faster) * 0.15)
     assert np.abs(beside.reference(beside.duration)[1]).max() < 1e-9
-    again = beside.renewed(ArmState(q, dq), 0.06)
-    assert isinstance(again, PlannedStop)
-    assert np.allclose(again.course(0.1)[0], beside.course(0.16)[0])

@@ -363,7 +363,7 @@ def test_a_franka_is_sent_what_it_does_not_add_by_itself(plan: Plan, monkeypatch
     for said, wrong, known in ((off, "", off), (-off, "it froze", off), (-off, "", -off)):
         differs[0] = said
         for _ in range(3):  # within the limits of the torque rate
-            robot.write(arm.gravity(q) + wanted, Sensed(ArmState(q, 0 * q), 1e-3, wrong))
+            robot.write(arm.gravity(q) + wanted, Sensed(ArmState(q, 0 * q), np.ones(7, dtype=bool), 1e-3, wrong))
         assert fake.commands[-1] == pytest.approx(wanted - known, abs=1e-9)
 
 

@@ -38,7 +38,7 @@ LEFT_TURNING = (20082, 20033, 20749, 20903, 20595, 20621, 20873, 20069, 20243, 2
 def test_one_reading_that_cannot_be_true_stops_the_arm_with_its_load(
     safe: Rig, name: str, value: float, words: str, franka: bool
 ) -> None:
-    """At 500 the arm moves fast. The model stands in for one period; all of the stop is seen."""
+    """At 500 the arm moves fast. The command stands in for one period; all of the stop is seen."""
     outcome = one(safe, Fault("read", 500, 1, "", spoilt(name, value)), franka=franka)
     summary = outcome.result.summary
     assert summary["stopped"].startswith(f"What the arm reports at t = 0.450 s cannot be true: {words}")
@@ -55,7 +55,7 @@ def test_one_reading_that_cannot_be_true_stops_the_arm_with_its_load(
 def test_a_stop_surely_keeps_its_load_when_ten_periods_are_bridged_and_not_eleven(
     safe: Rig, lasts: int, franka: bool
 ) -> None:
-    """Without any believable state the arm is braked by the model alone, and rests."""
+    """Without any believable state the arm is braked by what is commanded alone, and rests."""
     outcome = one(safe, Fault("read", 500, lasts, "", spoilt("dq", NAN)), franka=franka)
     summary = outcome.result.summary
     assert summary["stopped"].startswith(

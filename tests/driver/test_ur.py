@@ -194,7 +194,7 @@ def test_a_program_whose_commands_stay_away_stops_the_arm_by_itself(plan: Plan, 
     q = plan.joint.q[0]  # type: ignore[union-attr]
     for k in range(10):
         driven.read()
-        driven.write(q + 1e-3 * (k + 1), Sensed(ArmState(q, 0 * q), 2e-3))
+        driven.write(q + 1e-3 * (k + 1), Sensed(ArmState(q, 0 * q), np.ones(6, dtype=bool), 2e-3))
     with pytest.raises(SalverError, match=r"The arm at 127\.0\.0\.1 says: the program has ended\."):
         [driven.read() for _ in range(2000)]
     assert 100 <= len(robot.commands) < 400
@@ -363,7 +363,7 @@ def test_messages_between_states_delay_none(plan: Plan, controller: Make) -> Non
     q, began = plan.joint.q[0], time.monotonic()  # type: ignore[union-attr]
     for _ in range(5):
         driven.read()
-        driven.write(q, Sensed(ArmState(q, 0 * q), 2e-3))
+        driven.write(q, Sensed(ArmState(q, 0 * q), np.ones(6, dtype=bool), 2e-3))
     assert time.monotonic() - began < 1.0
 
 

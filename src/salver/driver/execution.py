@@ -42,8 +42,7 @@ class Watchdog:
     manufacturer's limit.
 
     late_periods: missed control periods in a row. at_rest: rad/s; control ends only below this velocity, or
-    longest_wait seconds after the expected end of the stop. elsewhere: deviation from the predicted state, rad, above
-    which a stop is planned again; renewals: at most.
+    longest_wait seconds after the expected end of the stop.
     """
 
     joint_error: float = 0.05
@@ -51,8 +50,6 @@ class Watchdog:
     late_periods: int = 20
     at_rest: float = 0.02
     longest_wait: float = 1.0
-    elsewhere: float = 0.02
-    renewals: int = 3
 
     def complaint(self, arm: ArmModel, state: ArmState, q_wanted: Array, missed: int, t: float) -> str:
         """The reason to stop, in one sentence; "" without one."""
@@ -88,9 +85,9 @@ class ExecutionLog:
     t (K,): s, 0 when the motion starts. q, dq, q_wanted (K, n). sent (K, n): commands.
 
     woken (K,): clock time at which the state arrived, s. spent (K,): time until the torque was sent, s. elapsed (K,):
-    time since the last state according to the robot, s. bridged (K,): whether the state is predicted, because the
-    reported one was implausible. stopped: why it was stopped early; "" if it was not. keeps_load: whether the stop is
-    verified to keep the load; None when it was not stopped by torque.
+    time since the last state according to the robot, s. bridged (K,): whether the reported state was implausible; of
+    such joints q and dq are the commanded ones. stopped: why it was stopped early; "" if it was not. keeps_load:
+    whether the stop is verified to keep the load; None when it was not stopped by torque.
     """
 
     t: Array
@@ -143,7 +140,7 @@ class Drive:
         self.gate: Gate | None = None
         self.stopped, self.since, self.interruptions, self.unsure = "", 0.0, 0, False
         self.stopping = 0  # periods of the stop
-        self.renewals, self.seen = 0, True  # all along the stop
+        self.seen = True  # all along the stop
         self.factor = 1.0  # of full speed
         # Time never advances by less than half a period, so this is enough.
         self.book = _Book(2 * int((self.end - self.start + STOP_ROOM) / self.period), self.arm.n)
@@ -179,9 +176,8 @@ class Drive:
 
     def begin(self) -> Gate:
         state = self.robot.look()
-        self.senses = Senses(self.arm, self.bodies, self.period, state, by_torque=self.by_torque)
+        self.senses = Senses(self.arm, self.period, state)
         q, limits = np.array(state.q, dtype=float), self.arm.limits
-        self.state = state
         if self.by_torque:
             first, least, most, rate = self.loaded.gravity(q), -limits.torque, limits.torque, limits.torque_rate
         elif self.robot.takes == "position":
@@ -192,6 +188,7 @@ class Drive:
         # Commanded references, the first of them a period and a lag ago: an arm with its own control should be there.
         count = 2 + round(self.robot.lag / self.period)
         self.late = deque([(self.reference()[0], 0.0 * q)] * count, count)
+        self.expected = ArmState(*self.late[0])  # in which the arm should be by now
         self.robot.start()
         return self.gate
 
@@ -200,15 +197,12 @@ class Drive:
         try:
             answer = self.robot.read()
             woken = time.perf_counter()
-            blind = self.senses.blind
-            sensed = self.senses.take(answer, self.sent if self.by_torque else self.late[0][1])
+            sensed = self.senses.take(answer, self.expected)
             slowed = self.scaled(sensed.elapsed)
             self.t += sensed.elapsed * (self.factor if self.stop is None else 1.0)
-            if not self.by_torque:
-                self.late.append(self.reference()[:2])
-            if blind and not sensed.wrong:
-                self.seen_again(sensed.state)
-            self.state = sensed.state
+            self.late.append(self.reference()[:2])
+            self.expected = ArmState(*self.late[-1 if self.by_torque else 0])
+            sensed.take_for(self.expected)
             wish = "" if self.stop is not None else self.signals.wish(self.t)
             demanded = self.demand(sensed.state, wish or self.complaint(sensed) or slowed)
             if self.stop is not None:
@@ -327,29 +321,19 @@ class Drive:
                 self.stopped += f" A stop could not begin ({named(error)})."
         raise SalverError("No stop could begin.")
 
-    def seen_again(self, state: ArmState) -> None:
-        """Plan a stop again from the measured state if it began from a predicted one that was wrong."""
-        elsewhere = np.abs(state.q - self.state.q).max() > self.watchdog.elsewhere
-        if self.by_torque and self.stop is not None and elsewhere and self.renewals < self.watchdog.renewals:
-            self.renewals += 1
-            stop, s = self.stop, self.s
-            self.stops.insert(0, lambda state, t: stop.renewed(state, s))
-            self.brake(state, f"The arm was elsewhere when it was seen again at t = {self.t:.3f} s.")
-
     def over(self, sensed: Sensed) -> bool:
-        """Whether torque control may end: the arm is at rest, and stays at rest with the last torque."""
+        """Whether control may end: the arm is at rest."""
         if self.stop is None:
             due, waited = self.t >= self.end - 0.5 * self.period, self.t - self.end
         else:
             # Counted in periods: a robot's clock that runs ahead must not end a stop while the arm still moves.
             due, waited = self.s >= self.stop.duration, self.stopping * self.period - self.stop.duration
-            if not self.senses.sees:
-                # No holding without measurements: the model's errors would add up until torque control ends.
+            if not self.senses.sees:  # no holding without measurements
                 return min(self.s, self.stopping * self.period) >= self.stop.duration - self.stop_options.hold
         return due and (waited >= self.watchdog.longest_wait or self.at_rest(sensed))
 
     def at_rest(self, sensed: Sensed) -> bool:
-        return self.senses.rests(sensed.state, self.sent, self.watchdog.at_rest)
+        return bool((np.abs(sensed.state.dq) <= self.watchdog.at_rest).all())
 
     def leave(self) -> None:
         """Leave torque control, with several attempts if necessary."""

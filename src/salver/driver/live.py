@@ -102,9 +102,6 @@ class LiveStop(Along):
     def following(self, state: ArmState, s: float) -> Array | None:
         return self._controller.step(state, self._begun + s)
 
-    def renewed(self, state: ArmState, s: float) -> Stop:
-        return LiveStop(self._live, self._course, self._controller, self._loaded, state, self._begun + s)
-
     def course(self, s: float) -> tuple[Array, Array, Array]:
         return self._course.at(*self._course.instant(self._begun + s))
 

@@ -3,32 +3,27 @@
 A reading is a position and a speed. The reading of a joint is plausible if
 
 - it is possible: finite, near the joint's range, not faster than any joint turns;
-- its speed follows from the speed before it, or from the model under the torque that acted;
+- its speed does not jump, except to the commanded one;
 - its position follows from its speeds: from one reading to the next it changes by a value between both speeds times the
   time. What it changes beyond that is summed, fades over `window`, and may not exceed `drift`;
-- it is new: a reading that is repeated bit by bit is stale once the model says that the joint moves.
+- it is new: a reading that is repeated bit by bit is stale where the joint is commanded to move otherwise.
 
-So an arm that is pushed or held is believed. While the arm stops, the model stands in for a joint whose reading was not
-plausible, until a reading agrees with the model, or `confirmations` in a row follow from one another.
+So an arm that is pushed or held is believed. While the arm stops, a joint whose reading was not plausible is taken to
+be where it is commanded to be, until it is seen there, or `confirmations` readings in a row are plausible.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
-import pinocchio as pin
 
 from salver.control.arm import ArmState
 from salver.errors import SalverError
 from salver.geometry import Array, Mask
-from salver.models.arm.arm import ArmModel, with_load
-
-if TYPE_CHECKING:
-    from salver.models.bodies import Body
+from salver.models.arm.arm import ArmModel
 
 
 @dataclass(frozen=True)
@@ -37,11 +32,12 @@ class Plausible:
 
     outside: rad beyond the maker's range. speed_share: of the maker's speed limit. speed_change: share of that limit by
     which a speed may change in one period.
-    drift, window: rad, s; how far positions may leave the integral of their speeds, and how soon that fades.
+    drift, window: rad, s; how far positions may leave the integral of their speeds, and how soon that fades. A joint so
+        near to where it is commanded to be is believed again at once.
     confirmations: readings in a row after which a joint is believed again; enough for `drift` to show a false speed.
-    moving: rad/s by the model from which on an identical reading is stale; more for a coarse sensor.
-    gap: s between two readings. settling: s within which the torque that an arm is left with has ended.
-    bridged: periods in a row for which the model stands in so well that a stop still surely keeps the load.
+    moving: rad/s beside the commanded speed from which on an identical reading is stale; more for a coarse sensor.
+    gap: s between two readings.
+    bridged: periods in a row without a plausible reading in which a stop still surely keeps the load.
     """
 
     outside: float = 0.2
@@ -52,17 +48,24 @@ class Plausible:
     confirmations: int = 8
     moving: float = 0.01
     gap: float = 1.0
-    settling: float = 0.002
     bridged: int = 10
 
 
 @dataclass(slots=True)
 class Sensed:
-    """state: measured, or from the model. elapsed: s since the last one. wrong: what was not plausible, or empty."""
+    """state: as read. believed: (n,) which joints are. elapsed: s since the last one. wrong: what was not plausible, or
+    empty."""
 
     state: ArmState
+    believed: Mask
     elapsed: float
     wrong: str = ""
+
+    def take_for(self, commanded: ArmState) -> None:
+        """Take joints that are not believed to be as commanded."""
+        if not self.believed.all():
+            q, dq = np.where(self.believed, (self.state.q, self.state.dq), (commanded.q, commanded.dq))
+            self.state = ArmState(q, dq)
 
 
 class Senses:
@@ -71,35 +74,24 @@ class Senses:
     blind: periods since the last sample that was plausible in every joint.
     """
 
-    def __init__(
-        self,
-        arm: ArmModel,
-        bodies: Sequence[Body],
-        period: float,
-        state: ArmState,
-        plausible: Plausible = Plausible(),
-        *,
-        by_torque: bool = True,
-    ) -> None:
-        """state: of the arm before the first sample. by_torque: whether the arm moves by torques that are sent, or by
-        itself, with speeds that are commanded. Raises SalverError when the state is not possible."""
-        self._arm, self._period, self._plausible, self._by_torque = arm, period, plausible, by_torque
-        self._loaded = with_load(arm, bodies)
+    def __init__(self, arm: ArmModel, period: float, state: ArmState, plausible: Plausible = Plausible()) -> None:
+        """state: of the arm before the first sample. Raises SalverError when it is not possible."""
+        self._arm, self._period, self._plausible = arm, period, plausible
         self.blind, self._first = 0, True
         q, dq, wrong = self._numbers(state)
         if wrong := wrong or self._impossible(q, dq)[1]:
             raise SalverError(f"The arm's state cannot be believed: {wrong}.")
-        self._believed = self._read = ArmState(q, dq)
+        self._read = ArmState(q, dq)
         self._drift = np.zeros(arm.n)  # rad by which positions left the integral of their speeds, fading
         self._followed = np.full(arm.n, plausible.confirmations)  # plausible readings in a row
 
     @property
     def sees(self) -> bool:
-        """Whether the arm is where it is believed to be: the model stood in for a few periods at most."""
+        """Whether the arm is where it is believed to be: readings were missing for a few periods at most."""
         return self.blind <= self._plausible.bridged
 
-    def take(self, answer: Any, acting: Array) -> Sensed:
-        """A robot's (state, elapsed), as it came. acting: (n,) since the last one, N m, or rad/s."""
+    def take(self, answer: Any, commanded: ArmState) -> Sensed:
+        """A robot's (state, elapsed), as it came. commanded: state in which the arm should have been a period ago."""
         state, elapsed, late = self._clock(answer)
         self._first = False
         q, dq, odd = self._numbers(state)
@@ -111,29 +103,20 @@ class Senses:
             if (steady_in_one & self._bounded(drift_in_one)).all():
                 late = f"its clock says that {elapsed:g} s passed, and its joints went as far as in {self._period:g} s"
                 elapsed, steady, drift = self._period, steady_in_one, drift_in_one
-        model = self._ahead(acting, elapsed)
-        change = self._plausible.speed_change * self._arm.limits.velocity
-        agrees = (np.abs(q - model.q) <= self._plausible.drift) & (np.abs(dq - model.dq) <= change)
         identical = (q == self._read.q) & (dq == self._read.dq)
-        stale = identical & (np.abs(model.dq - dq) > self._plausible.moving)
-        plausible = possible & (steady | agrees) & self._bounded(drift) & ~stale
+        stale = identical & (np.abs(commanded.dq - dq) > self._plausible.moving)
+        change = self._plausible.speed_change * self._arm.limits.velocity
+        there = np.abs(q - commanded.q - elapsed * commanded.dq) <= self._plausible.drift
+        there &= np.abs(dq - commanded.dq) <= change
+        plausible = possible & (steady | there) & self._bounded(drift) & ~stale
         strange = "" if plausible.all() else self._why(q, dq, int(np.argmin(plausible)), identical, drift)
         self._followed = np.where(plausible, self._followed + 1, 0)
-        sure = plausible & (agrees | (self._followed >= self._plausible.confirmations))
-        # An identical reading tells nothing: the model goes on from the one before it, and shows whether it is stale.
-        good = sure & ~identical
-        self._believed = ArmState(np.where(good, q, model.q), np.where(good, dq, model.dq))
+        believed = plausible & (there | (self._followed >= self._plausible.confirmations))
         self._read, self._drift = ArmState(q, dq), drift
-        wrong = late or odd or impossible or strange or ("" if sure.all() else "it is not believed again yet")
+        wrong = late or odd or impossible or strange
+        wrong = wrong or ("" if believed.all() else "it is not believed again yet")
         self.blind = self.blind + 1 if wrong else 0
-        return Sensed(self._believed, elapsed, wrong)
-
-    def rests(self, state: ArmState, torque: Array, speed: float) -> bool:
-        """Whether no joint turns faster, rad/s, nor does within `settling` under this torque (n,)."""
-        if not self._by_torque:
-            return bool((np.abs(state.dq) <= speed).all())
-        change = self._plausible.settling * self._acceleration(state.q, state.dq, torque)
-        return bool((np.abs(state.dq) + np.abs(change) <= speed).all())
+        return Sensed(self._read, believed, elapsed, wrong)
 
     def _clock(self, answer: Any) -> tuple[Any, float, str]:
         try:
@@ -189,20 +172,6 @@ class Senses:
 
     def _bounded(self, drift: Array) -> Mask:
         return np.asarray(np.abs(drift) <= self._plausible.drift)
-
-    def _ahead(self, acting: Array, elapsed: float) -> ArmState:
-        """The state that the model predicts from the last accepted one."""
-        if not self._by_torque:
-            return ArmState(self._believed.q + elapsed * acting, acting)
-        q, dq = self._believed.q, self._believed.dq
-        most = self._plausible.speed_share * self._arm.limits.velocity
-        for _ in range(max(1, round(elapsed / self._period))):
-            dq = np.clip(dq + self._period * self._acceleration(q, dq, acting), -most, most)
-            q = q + self._period * dq
-        return ArmState(q, dq)
-
-    def _acceleration(self, q: Array, dq: Array, torque: Array) -> Array:
-        return np.asarray(pin.aba(self._loaded.pin_model, self._loaded.data, q, dq, torque))
 
     def _why(self, q: Array, dq: Array, j: int, identical: Mask, drift: Array) -> str:
         name, unit = self._arm.joint_names[j], self._arm.unit(j)

@@ -67,10 +67,6 @@ class Stop(Protocol):
         """Torque (n,), N m, for a state a time s after it began."""
         ...
 
-    def renewed(self, state: ArmState, s: float) -> Stop:
-        """The same stop when the arm is seen elsewhere a time s after it began; its time begins anew."""
-        ...
-
 
 StopFrom = Callable[[ArmState, float], Stop]
 """The stop from a state that can be believed, at time t of the motion, s."""
@@ -133,9 +129,6 @@ class ControlledStop:
 
     def step(self, state: ArmState, s: float) -> Array:
         return _torque(self._loaded, state, self.reference(s), self._options.gains)
-
-    def renewed(self, state: ArmState, s: float) -> Stop:
-        return ControlledStop(self._loaded, state, self._options)
 
 
 def stops_of(plan: Plan, controller: ArmController, arm: ArmModel, bodies: Sequence[Body]) -> StopFrom:
@@ -200,10 +193,6 @@ class Along(ABC):
     def following(self, state: ArmState, s: float) -> Array | None:
         """Torque (n,) of who follows the motion anyway, while it does."""
 
-    @abstractmethod
-    def renewed(self, state: ArmState, s: float) -> Stop:
-        """As `Stop` has it."""
-
     @property
     def exact(self) -> bool:
         """Whether it is that motion itself that is followed, not one beside it."""
@@ -254,9 +243,6 @@ class PlannedStop(Along):
     def following(self, state: ArmState, s: float) -> Array | None:
         return None if self._left(s) else self._stops.controller.step(state, min(self._begun + s, self._leaves))
 
-    def renewed(self, state: ArmState, s: float) -> Stop:
-        return PlannedStop(self._stops, state, self._begun + s, self._leaves, self._k, self._rests)
-
     def course(self, s: float) -> tuple[Array, Array, Array]:
         t = self._begun + s
         table, now = self._stops.plan, min(t, self._leaves)
@@ -295,11 +281,6 @@ class PathStop(Along):
 
     def following(self, state: ArmState, s: float) -> Array | None:
         return None
-
-    def renewed(self, state: ArmState, s: float) -> Stop:
-        now = self._t + (self._factor - 0.5 * self._rate * s) * s
-        factor = max(self._factor - self._rate * s, 0.0)
-        return PathStop(self._loaded, self._gains, state, self._path, now, factor, self._rate)
 
 
 def _torque(
