@@ -23,6 +23,7 @@ import threading
 from collections import deque
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
+from itertools import takewhile
 from typing import Any
 
 import numpy as np
@@ -67,7 +68,7 @@ class ScriptOptions:
     shown: int = 60
 
 
-SCRIPT = ScriptOptions()
+STANDARD = ScriptOptions()
 
 
 @dataclass(frozen=True)
@@ -109,6 +110,11 @@ class Said:
         return "stop" in self.words
 
     @property
+    def overtakes(self) -> bool:
+        """Whether it is carried out at once, whatever waits before it."""
+        return self.stops and self.t is None
+
+    @property
     def lasts(self) -> float:
         """s for which it is sent again and again."""
         return float(self.words.get("for", 0.0))
@@ -121,28 +127,33 @@ def _rotation(quat: Any) -> Any:
     return matrix_from_quat_wxyz(found / np.linalg.norm(found))
 
 
-def understood(text: str, line: int, source: str, last: float) -> Said:
+def understood(text: str, line: int, source: str, last: float, options: ScriptOptions = STANDARD) -> Said:
     """A line of a script. last: time of the line before. Raises SalverError."""
 
     def wrong(what: str) -> SalverError:
         return SalverError(f"{source}, line {line}: {what}.")
 
+    def shown(value: Any) -> str:
+        """A value of JSON as it stands there, or its beginning."""
+        text = json.dumps(value)
+        return text if len(text) <= options.shown else f"{text[: options.shown]}..."
+
     def seconds(key: str, low: float, what: str) -> float | None:
         value = words.get(key)
         number = isinstance(value, int | float) and not is_flag(value)
-        if value is not None and not (number and low <= value <= SCRIPT.longest):
-            raise wrong(f"{key} is {_shown(value)}; it must be {what}, at most {SCRIPT.longest:g}")
+        if value is not None and not (number and low <= value <= options.longest):
+            raise wrong(f"{key} is {shown(value)}; it must be {what}, at most {options.longest:g}")
         return None if value is None else float(value)
 
     try:
         words = json.loads(text)
     except (ValueError, RecursionError):
         raise wrong(
-            f'{text[: SCRIPT.shown]!r} is no JSON; a line is like {{"t": 0.5, "goto": [0.45, 0.1, 0.5]}}'
+            f'{text[: options.shown]!r} is no JSON; a line is like {{"t": 0.5, "goto": [0.45, 0.1, 0.5]}}'
         ) from None
     if not isinstance(words, dict):
         raise wrong("it is no object of JSON with names and values")
-    if _deep(words, SCRIPT.deepest):
+    if _deep(words, options.deepest):
         raise wrong("it is nested deeper than any request is")
     found = [key for key in KEYS if key in words]
     if len(found) != 1:
@@ -150,28 +161,22 @@ def understood(text: str, line: int, source: str, last: float) -> Said:
     t = seconds("t", last, f"a number of seconds from {last:g} on, the time of the line before")
     unknown = sorted(set(words) - {found[0], "t", "source"} - KEYS[found[0]])
     if unknown:
-        raise wrong(f'nobody knows what "{unknown[0][: SCRIPT.shown]}" means beside {found[0]}')
+        raise wrong(f'nobody knows what "{unknown[0][: options.shown]}" means beside {found[0]}')
     seconds("for", 0.0, "a number of seconds, at least 0")
     for key in ("stop", "resume", "hold", "release"):
         if key in words and words[key] is not True:
-            raise wrong(f"{key} is {_shown(words[key])}; it must be true")
+            raise wrong(f"{key} is {shown(words[key])}; it must be true")
     if not is_flag(words.get("queued", False)):
-        raise wrong(f"queued is {_shown(words['queued'])}; it must be true or false")
+        raise wrong(f"queued is {shown(words['queued'])}; it must be true or false")
     if not isinstance(words.get("reason", ""), str):
-        raise wrong(f"reason is {_shown(words['reason'])}; it must be a text")
+        raise wrong(f"reason is {shown(words['reason'])}; it must be a text")
     if not (isinstance(by := words.get("source", OPERATOR), str) and by in PRIORITY):
-        raise wrong(f"source is {_shown(by)}; it must be one of {', '.join(PRIORITY)}")
+        raise wrong(f"source is {shown(by)}; it must be one of {', '.join(PRIORITY)}")
     twist = words.get("twist", [])
     if not (isinstance(twist, list) and len(twist) in (0, 3, 4, 6) and ("twist" not in words or twist)):
         raise wrong("twist must be three numbers, m/s, or those and one or three more, rad/s")
     words.pop("t", None)
     return Said(t, line, words)
-
-
-def _shown(value: Any) -> str:
-    """A value of JSON as it stands there, or its beginning."""
-    text = json.dumps(value)
-    return text if len(text) <= SCRIPT.shown else f"{text[: SCRIPT.shown]}..."
 
 
 def _deep(value: Any, most: int) -> bool:
@@ -180,14 +185,14 @@ def _deep(value: Any, most: int) -> bool:
     return most < 0 or any(_deep(one, most - 1) for one in inside)
 
 
-def script(lines: Iterable[str], source: str, first: int = 1) -> Iterator[Said]:
+def script(lines: Iterable[str], source: str, first: int = 1, options: ScriptOptions = STANDARD) -> Iterator[Said]:
     """The requests of a script, line by line, the first of which has that number; empty lines and those that begin with
     # say nothing. Raises SalverError."""
     last = 0.0
     for number, text in enumerate(lines, first):
         if not text.strip() or text.lstrip().startswith("#"):
             continue
-        said = understood(text, number, source, last)
+        said = understood(text, number, source, last, options)
         last = last if said.t is None else said.t
         yield said
 
@@ -202,16 +207,17 @@ class Prompter:
     """
 
     live: Live
+    options: ScriptOptions = STANDARD
     notes: list[dict[str, Any]] = field(default_factory=list)
     accepted: int = 0
     refused: int = 0
     dropped: int = 0
 
     def __post_init__(self) -> None:
-        self._waiting: deque[Said | str] = deque()  # requests, and sentences about lines that cannot be understood
-        self._stops: deque[tuple[Said, int]] = deque()  # and how many lines came before
-        self._came = self._left = 0  # lines so far; and those that do not wait any more
-        self._lasting: deque[tuple[Said, float]] = deque(maxlen=1)  # a twist, and until when
+        # Filled by whoever listens, emptied by the loop: requests, and sentences about lines that cannot be understood.
+        self._waiting: deque[Said | str] = deque()
+        self._overtaking: deque[Said] = deque()  # those of them that do not wait
+        self._lasting: tuple[Said, float] | None = None  # a twist, and until when
         self._again = 0.0
         self._ended = False
         self._refusal = ""
@@ -226,71 +232,63 @@ class Prompter:
     def listening(self, lines: Iterable[str | bytes], source: str) -> Prompter:
         """It comes while the arm moves; a line that cannot be understood is noted, and no more."""
 
-        def heard(text: str | bytes, number: int) -> None:
+        def heard(text: str | bytes, number: int) -> list[Said | str]:
             try:
-                words = text.decode() if isinstance(text, bytes) else text
-                found: list[Said | str] = list(script([words], source, number))
+                return list(script([text.decode() if isinstance(text, bytes) else text], source, number, self.options))
             except UnicodeDecodeError:
-                found = [f"{source}, line {number}: it is no text in UTF-8."]
+                return [f"{source}, line {number}: it is no text in UTF-8."]
             except SalverError as error:
-                found = [str(error)]
+                return [str(error)]
             except Exception as error:  # what nobody foresaw in a line is no reason not to hear the next
-                found = [f"{source}, line {number}: it cannot be understood ({type(error).__name__})."]
-            for one in found:
-                overtaken = max((before for stop, before in tuple(self._stops) if stop.t is None), default=0)
-                waiting = self._came - max(self._left, overtaken)
-                if waiting < SCRIPT.waiting or (isinstance(one, Said) and one.stops):
-                    self._add(one)
-                else:
-                    self.dropped += 1
+                return [f"{source}, line {number}: it cannot be understood ({type(error).__name__})."]
 
         def listen() -> None:
             try:
                 for number, text in enumerate(lines, 1):
-                    heard(text, number)
+                    for one in heard(text, number):
+                        self._add(one)
             except Exception as error:
-                self._add(f"{source} cannot be read any more ({type(error).__name__}: {error}).")
+                self._waiting.append(f"{source} cannot be read any more ({type(error).__name__}: {error}).")
             self._ended = True
 
         threading.Thread(target=listen, name="salver-script", daemon=True).start()
         return self
 
     def _add(self, one: Said | str) -> None:
-        """From one thread."""
-        if isinstance(one, Said) and one.stops:
-            self._stops.append((one, self._came))
-        else:
-            self._waiting.append(one)
-            self._came += 1
+        """From one thread. Lines that a stop overtakes do not count as waiting."""
+        lines = tuple(self._waiting)
+        behind = next((k for k, x in enumerate(reversed(lines)) if isinstance(x, Said) and x.overtakes), len(lines))
+        if behind >= self.options.waiting and not (isinstance(one, Said) and one.stops):
+            self.dropped += 1
+            return
+        self._waiting.append(one)
+        if isinstance(one, Said) and one.overtakes:
+            self._overtaking.append(one)
 
     def period(self, t: float) -> None:
         """What is due at time t, s. From the robot's loop: it waits for nobody and never raises."""
-        if self._stops and self._due(self._stops[0][0], t):
-            said, before = self._stops.popleft()
-            while self._left < before:
-                self._left += 1
-                if isinstance(overtaken := self._waiting.popleft(), str):
-                    self._misunderstood(overtaken, t)
+        due = takewhile(lambda one: self._due(one, t), tuple(self._waiting))
+        stop = next((one for one in due if isinstance(one, Said) and one.stops), None)
+        if self._overtaking:
+            stop = self._overtaking.popleft()
+        if stop is not None:
+            while (one := self._waiting.popleft()) is not stop:
+                if isinstance(one, str):
+                    self._misunderstood(one, t)
                 else:
                     self.dropped += 1
-            self._lasting.clear()
-            self._say(said, t, noted=True)
+            self._begin(stop, t)
         elif self._waiting and self._due(self._waiting[0], t):
             one = self._waiting.popleft()
-            self._left += 1
-            if isinstance(one, Said):
-                self._lasting.clear()
-                self._say(one, t, noted=True)
-                if one.lasts:
-                    self._lasting.append((one, t + one.lasts))
-                    self._again = t + SCRIPT.again
-            else:
+            if isinstance(one, str):
                 self._misunderstood(one, t)
-        elif self._lasting and t >= self._again - 1e-9:
-            said, until = self._lasting[0]
-            self._again = t + SCRIPT.again
+            else:
+                self._begin(one, t)
+        elif self._lasting is not None and t >= self._again - 1e-9:
+            said, until = self._lasting
+            self._again = t + self.options.again
             if t > until:
-                self._lasting.clear()
+                self._lasting = None
             else:
                 self._say(said, t, noted=False)
         told = self.live.refused
@@ -300,21 +298,22 @@ class Prompter:
                 self._note({"t": t, "answer": told})
 
     def _due(self, one: Said | str, t: float) -> bool:
-        """Whether its time has come; of a timed line that waits behind a stop, only after that."""
-        if isinstance(one, str):
-            return True
-        if one.stops and one.t is None:
-            return True
-        behind = not one.stops and bool(self._stops) and self._stops[0][1] <= self._left
-        return not behind and t >= (one.t or 0.0) - 1e-9
+        """Whether its turn has come, but for what overtakes."""
+        return isinstance(one, str) or (not one.overtakes and t >= (one.t or 0.0) - 1e-9)
 
     def _misunderstood(self, sentence: str, t: float) -> None:
         self.refused += 1
         self._note({"t": t, "answer": sentence})
 
     def _note(self, note: dict[str, Any]) -> None:
-        if len(self.notes) < SCRIPT.notes:
+        if len(self.notes) < self.options.notes:
             self.notes.append(note)
+
+    def _begin(self, said: Said, t: float) -> None:
+        """Make a request, which ends a twist that lasts."""
+        self._lasting = (said, t + said.lasts) if said.lasts else None
+        self._again = t + self.options.again
+        self._say(said, t, noted=True)
 
     def _say(self, said: Said, t: float, noted: bool) -> None:
         try:
@@ -331,4 +330,4 @@ class Prompter:
     @property
     def over(self) -> bool:
         """Whether nothing more will be said."""
-        return self._ended and not self._waiting and not self._stops and not self._lasting
+        return self._ended and not self._waiting and self._lasting is None
