@@ -1,8 +1,8 @@
 """Whether what is commanded keeps clear of what is predicted to pass, looked at whenever either changes.
 
 This knows nothing of planning and takes a few milliseconds. Distances of bounding spheres on a coarse grid of time say
-where nothing can meet. Elsewhere exact distances are taken, each of which says for how long no other need be: neither
-side goes faster than it does (conservative advancement; Mirtich, 1996).
+where nothing can meet. Elsewhere spans of time are halved: within a span nothing meets if the exact distances at its
+ends are together more than the way that both sides go in it.
 """
 
 from __future__ import annotations
@@ -27,15 +27,12 @@ class LookoutOptions:
     Attributes:
         step: s of the coarse grid, on which distances of bounding spheres are taken.
         rates: instants in each of its steps at which the joints' rates are looked at.
-        finest: s between exact looks at least; half of both sides' way in that time is kept beside the distance.
+        finest: s, of a span that is not halved any more: what may meet in it is taken to meet.
     """
 
     step: float = 0.02
     rates: int = 5
     finest: float = 2e-3
-
-
-LOOKOUT = LookoutOptions()
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +95,7 @@ class Path:
         self.motion, self.since, self.t, self.off = motion, since, t, off
         # Made when they are first needed.
         self._grid: tuple[Array, Array, Array] | None = None
-        self._fine: Array | None = None
+        self._postures: Array | None = None
 
     @property
     def ends(self) -> float:
@@ -107,23 +104,23 @@ class Path:
     def off_at(self, t: Array) -> Array:
         return np.interp(t, self.t, self.off)
 
-    def just_before(self, t: float) -> tuple[float, Array]:
-        """A live time, s, by less than `LOOKOUT.finest` before another one, and the posture then."""
-        if self._fine is None:
-            own = np.append(np.arange(0.0, self.motion.duration, LOOKOUT.finest), self.motion.duration)
-            self._fine = self.motion.sample(own)[0]
-        k = int((t - self.since) / LOOKOUT.finest + 1e-9)
-        if k < len(self._fine) - 1:
-            return self.since + k * LOOKOUT.finest, self._fine[max(k, 0)]
-        return t, self._fine[-1]
+    def posture(self, t: float, step: float) -> Array:
+        """(n,) at a live time, s; linear between postures that are so far apart, s."""
+        if self._postures is None:
+            own = np.linspace(0.0, self.motion.duration, int(np.ceil(self.motion.duration / step)) + 1)
+            self._postures = self.motion.sample(own)[0]
+        last = len(self._postures) - 1
+        x = min(max((t - self.since) / self.motion.duration, 0.0), 1.0) * last
+        k = min(int(x), last - 1)
+        return self._postures[k] + (x - k) * (self._postures[k + 1] - self._postures[k])
 
-    def grid_of(self, movable: Movable) -> tuple[Array, Array, Array]:
+    def grid_of(self, movable: Movable, options: LookoutOptions) -> tuple[Array, Array, Array]:
         """Live times (K,), s; the middles of the parts at these times, (K, M, 3), m; and the largest speed of each part
         between one time and the next, (K - 1, M), m/s."""
         if self._grid is None:
             duration = self.motion.duration
-            own = np.append(np.arange(0.0, max(duration - LOOKOUT.finest, LOOKOUT.finest), LOOKOUT.step), duration)
-            within = own[:-1, None] + np.diff(own)[:, None] * np.linspace(0.0, 1.0, LOOKOUT.rates)
+            own = np.append(np.arange(0.0, max(duration - options.finest, options.finest), options.step), duration)
+            within = own[:-1, None] + np.diff(own)[:, None] * np.linspace(0.0, 1.0, options.rates)
             rates = np.abs(self.motion.sample(within.ravel())[1]).reshape(*within.shape, -1).max(axis=1)
             self._grid = self.since + own, movable.middles(self.motion.sample(own)[0]), rates @ movable.levers.T
         return self._grid
@@ -132,7 +129,8 @@ class Path:
 class Lookout:
     """Checks one arm against moving obstacles, with work space of its own; threads wait for one another."""
 
-    def __init__(self, problem: TransportProblem) -> None:
+    def __init__(self, problem: TransportProblem, options: LookoutOptions | None = None) -> None:
+        self._options = options or LookoutOptions()
         self._movable = None if problem.keep_out is None else Movable(problem.keep_out.parts.apart())
         self._lock = threading.Lock()
         self.looks = 0  # exact distances that were taken
@@ -151,16 +149,17 @@ class Lookout:
             return Outlook(sighting, self._near(self._movable, path, obstacles, now))
 
     def _near(self, movable: Movable, path: Path, obstacles: list[Predicted], now: float) -> tuple[Near, ...]:
-        along, middles, speeds = path.grid_of(movable)
+        step = self._options.step
+        along, middles, speeds = path.grid_of(movable, self._options)
         last = max(one.until for one in obstacles)
         row = np.arange(max(int(np.searchsorted(along, now, side="right")) - 1, 0), len(along))
         t = along[row] if now < path.ends else np.array([now])
-        t = np.append(t, np.arange(t[-1] + LOOKOUT.step, last, LOOKOUT.step))
+        t = np.append(t, np.arange(t[-1] + step, last, step))
         t = np.append(t[t < last], last)
         row = row[np.minimum(np.arange(len(t)), len(row) - 1)] if now < path.ends else np.full(len(t), len(along) - 1)
         middle = middles[row]
         speed = np.where((t[:-1] < path.ends)[:, None], speeds[np.minimum(row[:-1], len(speeds) - 1)], 0.0)
-        off, step = path.off_at(t), np.diff(t)
+        off, steps = path.off_at(t), np.diff(t)
         found = []
         for obstacle in obstacles:
             p, v = obstacle.at(t)
@@ -168,51 +167,42 @@ class Lookout:
             free = np.linalg.norm(middle - p[:, None], axis=2) - movable.radii - obstacle.radius - kept[:, None]
             fast = obstacle.fastest(np.linalg.norm(v, axis=1)) + obstacle.growth
             both = speed + np.maximum(fast[:-1], fast[1:])[:, None]
-            way = both * step[:, None] + np.abs(np.diff(off))[:, None]
-            believed = t[:-1] < obstacle.until
-            doubtful = (free[:-1] + free[1:] <= way) & believed[:, None]
-            if not doubtful.any():
-                continue
-            best: Near | None = None
+            way = both * steps[:, None] + np.abs(np.diff(off))[:, None]
+            doubtful = (free[:-1] + free[1:] <= way) & (t[:-1] < obstacle.until)[:, None]
+            gone = np.cumsum(np.vstack([np.zeros(len(movable.names)), way]), axis=0)
+            until, best = obstacle.until, None
             columns = np.flatnonzero(doubtful.any(axis=0))
             for part in columns[np.argsort(np.argmax(doubtful[:, columns], axis=0))]:
-                until = min(obstacle.until, np.inf if best is None else best.t)
-                met = self._first(movable, path, obstacle, int(part), t, np.cumsum(way[:, part]), doubtful[:, part],
-                                  both[:, part], max(now, t[0]), until)  # fmt: skip
-                if met is not None:
-                    best = Near(obstacle.name, movable.names[int(part)], met, obstacle.until)
+                k = np.flatnonzero(doubtful[:, part])[[0, -1]]
+                begins, ends = max(now, float(t[k[0]])), min(float(t[k[1] + 1]), until)
+                meets = self._first(movable, path, obstacle, int(part), begins, ends, t, gone[:, part])
+                if meets is not None:
+                    until, best = meets, Near(obstacle.name, movable.names[int(part)], meets, obstacle.until)
             if best is not None:
                 found.append(best)
         return tuple(sorted(found, key=lambda one: one.t))
 
     def _first(
-        self, movable: Movable, path: Path, obstacle: Predicted, part: int, t: Array, gone: Array, doubtful: Array,
-        both: Array, begins: float, until: float,
+        self, movable: Movable, path: Path, obstacle: Predicted, part: int, begins: float, ends: float, t: Array,
+        gone: Array,
     ) -> float | None:  # fmt: skip
-        """The first live time at which a part is too near to an obstacle; None when it is at none. t: (N,) of the grid;
-        of its steps, (N - 1,): gone, m that both go until the end of each; doubtful, whether it has to be looked; both,
-        m/s that both go."""
-        due = np.flatnonzero(doubtful)
-        at = begins
-        gone = np.append(0.0, gone)
-        while True:
-            k = int(np.searchsorted(t, at, side="right")) - 1
-            later = due[due >= k]
-            if not len(later):
-                return None
-            if later[0] > k:
-                k, at = int(later[0]), float(t[later[0]])
-            if at >= until:
-                return None
-            at, q = path.just_before(at)
+        """The first live time between two at which a part may be too near to an obstacle; None when it is at none.
+        gone: (N,) m, the way that both go until live times t (N,)."""
+
+        def free(at: float) -> float:
             self.looks += 1
             kept = CLEARANCE.safety + obstacle.uncertainty + obstacle.growth * max(at - obstacle.t0, 0.0)
             kept += float(np.interp(at, path.t, path.off))
-            free = movable.distance(q, part, obstacle, obstacle.place(at)) - kept
-            if free <= 0.5 * LOOKOUT.finest * both[min(k, len(both) - 1)]:
-                return at
-            # As far as both go in the time that is skipped it cannot be met.
-            there = np.interp(at, t, gone) + free
-            if there >= gone[-1]:
+            return movable.distance(path.posture(at, self._options.finest), part, obstacle, obstacle.place(at)) - kept
+
+        def between(a: float, free_a: float, b: float, free_b: float) -> float | None:
+            if free_a + free_b > float(np.interp(b, t, gone) - np.interp(a, t, gone)):
                 return None
-            at = max(at + LOOKOUT.finest, float(np.interp(there, gone, t)))
+            if free_a <= 0.0 or b - a <= self._options.finest:
+                return a
+            middle = 0.5 * (a + b)
+            free_m = free(middle)
+            found = between(a, free_a, middle, free_m)
+            return between(middle, free_m, b, free_b) if found is None else found
+
+        return None if ends <= begins else between(begins, free(begins), ends, free(ends))

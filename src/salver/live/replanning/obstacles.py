@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any, Literal
 
 import coal
@@ -27,30 +27,21 @@ from salver.planning.trajopt.constraints.obstacles import CLEARANCE
 
 @dataclass(frozen=True)
 class ObstacleOptions:
-    """What is accepted of a moving obstacle, and how distances from it are taken.
+    """What is accepted of a moving obstacle.
 
     Attributes:
         speed, size: m/s and m; beyond that a number is taken to be in another unit, and refused.
         lasts: s, the longest prediction.
         ahead: s by which it may be said to be seen ahead of the loop's clock.
-        compared: instants at which a prediction is compared with the one before: what agrees is no news.
-        far: m from which on distances are those of bounding spheres, no larger than the true ones. Doubled, a look
-            takes longer.
-        at_nodes: m more that a programme keeps at its nodes, for what happens between them.
-        rest_step: s between looks at the arm at rest; both sides' way in that time is kept beside the distance.
     """
 
     speed: float = 50.0
     size: float = 10.0
     lasts: float = 10.0
     ahead: float = 0.05
-    compared: int = 8
-    far: float = 0.15
-    at_nodes: float = 5e-3
-    rest_step: float = 5e-3
 
 
-OBSTACLES = ObstacleOptions()
+STANDARD = ObstacleOptions()
 SAME = 1e-9  # m: rounding
 
 
@@ -82,7 +73,9 @@ class Moving:
     seen: float | None = None
 
 
-def predicted(seen: Moving, now: float, clock: float | None = None) -> Predicted | Status:
+def predicted(
+    seen: Moving, now: float, clock: float | None = None, options: ObstacleOptions = STANDARD
+) -> Predicted | Status:
     """Predictions at live time `now`, s, when the loop's clock is at `clock`, or why there is none."""
 
     def refused(what: str) -> Status:
@@ -92,35 +85,29 @@ def predicted(seen: Moving, now: float, clock: float | None = None) -> Predicted
         array = wishes.numbers(value, shape, "")
         return None if isinstance(array, Status) or np.abs(array).max(initial=0.0) > most else array
 
-    ends = {
-        "position": (seen.position, (3,), 1e3),
-        "velocity": (seen.velocity, (3,), OBSTACLES.speed),
-        "acceleration": (seen.acceleration, (3,), 1e3),
-        "radius": (seen.radius, (), OBSTACLES.size),
-        "length": (seen.length, (), OBSTACLES.size),
-        "size": (seen.size, (3,), OBSTACLES.size),
-        "rotation": (seen.rotation, (3, 3), 2.0),
-        "uncertainty": (seen.uncertainty, (), OBSTACLES.size),
-        "growth": (seen.growth, (), OBSTACLES.speed),
-        "lasts": (seen.lasts, (), OBSTACLES.lasts),
-    }
     found: dict[str, Array] = {}
-    for name, (value, shape, most) in ends.items():
-        array = numbers(value, shape, most)
-        if array is None:
-            of = f"{shape} finite numbers" if shape else "a finite number"
-            return refused(f"{name} must be {of}, at most {most:g}: the {name}")
-        found[name] = array
-    for name in ("radius", "length", "size", "uncertainty", "growth", "lasts"):
-        if np.any(found[name] < 0):
-            return refused(f"{name} must not be negative: the {name}")
-    solid: Any
-    if seen.type == "box" and np.all(found["size"] > 0):
-        solid = coal.Box(*found["size"])
-    elif seen.type == "sphere" and found["radius"] > 0:
-        solid = coal.Sphere(float(found["radius"]))
-    elif seen.type == "capsule" and found["radius"] > 0:
-        solid = coal.Capsule(float(found["radius"]), float(found["length"]))
+    for names, shape, most in (
+        (("position", "acceleration"), (3,), 1e3),
+        (("velocity",), (3,), options.speed),
+        (("rotation",), (3, 3), 2.0),
+        (("size",), (3,), options.size),
+        (("radius", "length", "uncertainty"), (), options.size),
+        (("growth",), (), options.speed),
+        (("lasts",), (), options.lasts),
+    ):
+        for name in names:
+            array = numbers(getattr(seen, name), shape, most)
+            if array is None:
+                of = f"{shape} finite numbers" if shape else "a finite number"
+                return refused(f"{name} must be {of}, at most {most:g}: the {name}")
+            if (not shape or name == "size") and np.any(array < 0):
+                return refused(f"{name} must not be negative: the {name}")
+            found[name] = array
+    radius, size = float(found["radius"]), tuple(map(float, found["size"]))
+    if seen.type == "box" and min(size) > 0:
+        solid: tuple[Any, ...] = ("box", *size)
+    elif seen.type in ("sphere", "capsule") and radius > 0:
+        solid = (seen.type, radius, *([float(found["length"])] if seen.type == "capsule" else []))
     else:
         return refused("type must be sphere or capsule with a radius, or box with a size, above 0: the type")
     R = found["rotation"]
@@ -138,9 +125,9 @@ def predicted(seen: Moving, now: float, clock: float | None = None) -> Predicted
         if t is None or p is None or not count or np.any(np.diff(t) <= 0):
             return refused("samples must be increasing times and as many positions, finite numbers: the samples")
         fastest = float((np.linalg.norm(np.diff(p, axis=0), axis=1) / np.diff(t)).max(initial=0.0))
-        if fastest > OBSTACLES.speed:
+        if fastest > options.speed:
             return refused(
-                f"samples must not move at more than {OBSTACLES.speed:g} m/s (they do at {fastest:.3g}): the samples"
+                f"samples must not move at more than {options.speed:g} m/s (they do at {fastest:.3g}): the samples"
             )
         samples = (now + t, p)
     if seen.seen is not None:
@@ -148,22 +135,22 @@ def predicted(seen: Moving, now: float, clock: float | None = None) -> Predicted
         if when is None:
             return refused("seen must be a time on the clock of the loop, s: the time")
         ahead = float(when) - (now if clock is None else clock)
-        if ahead > OBSTACLES.ahead:
+        if ahead > options.ahead:
             return refused(f"seen must not be later than the loop's clock (it is by {ahead:.3g} s): the time")
         now += min(ahead, 0.0)
         if samples is not None:
             samples = (samples[0] + min(ahead, 0.0), samples[1])
-    solid.computeLocalAABB()
     sure, grows, lasts = (float(found[name]) for name in ("uncertainty", "growth", "lasts"))
     return Predicted(seen.name, solid, R, now, powers, samples, sure, grows, now + lasts)
 
 
 @dataclass(frozen=True, eq=False)
 class Predicted:
-    """Predicted position at live times: powers (3, 3) of the time since t0, or samples. Believed until `until`, s."""
+    """Predicted position at live times: powers (3, 3) of the time since t0, or samples. Believed until `until`, s.
+    solid: kind and sizes, m, of its shape."""
 
     name: str
-    shape: Any
+    solid: tuple[Any, ...]
     R: Array
     t0: float
     powers: Array
@@ -172,17 +159,10 @@ class Predicted:
     growth: float
     until: float
 
-    def __reduce__(self) -> Any:  # Coal's shapes do not travel as parts of others
-        rest = (self.R, self.t0, self.powers, self.samples, self.uncertainty, self.growth, self.until)
-        return _restored, (self.name, self._made, rest)
-
-    @cached_property
-    def _made(self) -> tuple[str, tuple[float, ...]]:
-        """Kind and sizes of a shape."""
-        shape = self.shape
-        kind = type(shape).__name__
-        size = {"Sphere": lambda: (shape.radius,), "Capsule": lambda: (shape.radius, 2 * shape.halfLength)}
-        return kind, size[kind]() if kind in size else tuple(2 * shape.halfSide)
+    @property
+    def shape(self) -> Any:
+        """As Coal has it."""
+        return _shape(*self.solid)
 
     def at(self, t: Array) -> tuple[Array, Array]:
         """(N, 3) positions and velocities at live times (N,)."""
@@ -231,23 +211,27 @@ class Predicted:
     def foresaw(self, seen: Predicted, now: float) -> bool:
         """Whether what is seen now, live time in s, is where this has said that it may be, for as long as it is
         believed."""
-        if self._made != seen._made or not np.array_equal(self.R, seen.R) or self.until < now:
+        if self.solid != seen.solid or not np.array_equal(self.R, seen.R) or self.until < now:
             return False
-        t = np.linspace(now, self.until, OBSTACLES.compared)
+        t = np.linspace(now, self.until, 8)
         away = np.linalg.norm(self.at(t)[0] - seen.at(t)[0], axis=1)
         return bool(np.all(away <= self.around(t)) and seen.uncertainty <= self.around(t[:1])[0] + SAME)
 
 
-def _restored(name: str, made: tuple[str, tuple[float, ...]], rest: tuple[Any, ...]) -> Predicted:
-    shape = {"Sphere": coal.Sphere, "Capsule": coal.Capsule, "Box": coal.Box}[made[0]](*made[1])
+@lru_cache(maxsize=256)
+def _shape(kind: str, *size: float) -> Any:
+    """Coal's shapes do not travel to other processes."""
+    shape = {"sphere": coal.Sphere, "capsule": coal.Capsule, "box": coal.Box}[kind](*size)
     shape.computeLocalAABB()
-    return Predicted(name, shape, *rest)
+    return shape
 
 
 class Movable:
     """The parts of an arm that can move out of the way: all but its base. Not for use by several threads at once."""
 
-    def __init__(self, parts: ArmGeometry) -> None:
+    def __init__(self, parts: ArmGeometry, far: float = 0.15) -> None:
+        """far: m from which on distances are those of bounding spheres, no larger than the true ones."""
+        self.far = far
         arm, model = parts.arm, parts.arm.pin_model
         self.arm, self._parts = arm, parts
         mine = len(parts.names) - parts.obstacles
@@ -291,13 +275,13 @@ class Movable:
         return float(coal.distance(part, here, obstacle.shape, there, self._request, self.result))
 
     def distances(self, q: Array, obstacle: Predicted, p: Array, middles: Array | None = None) -> Array:
-        """(N, M) at postures (N, n) from an obstacle at p (N, 3), m; beyond `ObstacleOptions.far` no larger than the
-        true ones. q may be one posture for all. middles: as of these postures, if they are known."""
+        """(N, M) at postures (N, n) from an obstacle at p (N, 3), m; beyond `far` no larger than the true
+        ones. q may be one posture for all. middles: as of these postures, if they are known."""
         middles = self.middles(q) if middles is None else middles
         out = np.linalg.norm(middles - p[:, None], axis=2) - self.radii - obstacle.radius
         last, placed = -1, None
         known: dict[int, float] = {}
-        for k, row in np.argwhere(out < OBSTACLES.far).tolist():
+        for k, row in np.argwhere(out < self.far).tolist():
             at = min(k, len(q) - 1)
             if placed is None or at != last or np.any(p[k] != p[k - 1]):
                 known = {}
@@ -309,7 +293,8 @@ class Movable:
         return out
 
     def slopes(self, q: Array, p: Array, obstacle: Predicted, node: Indices, part: Indices) -> tuple[Array, Array]:
-        """(r, n) derivatives of distances by the joints, and the normals (r, 3) towards the obstacle."""
+        """(r, n) derivatives of distances by the joints, and the normals (r, 3) towards the obstacle, of parts (r,) at
+        postures q[node], node (r,), when it is at p (r, 3)."""
         arm, model = self.arm, self.arm.pin_model
         slopes, normals = np.zeros((len(node), arm.n)), np.zeros((len(node), 3))
         for k in np.unique(node):
@@ -317,7 +302,7 @@ class Movable:
             placed = self._place(q[k])
             for r in np.flatnonzero(node == k):
                 row = int(part[r])
-                self._between(placed[self.index[row]], row, obstacle, p[k])
+                self._between(placed[self.index[row]], row, obstacle, p[r])
                 normal, at = self.result.normal, self.result.getNearestPoint1()
                 joint = self._geometry[row].parentJoint
                 moved = pin.getJointJacobian(model, arm.data, joint, pin.LOCAL_WORLD_ALIGNED)
@@ -329,11 +314,17 @@ class Movable:
 
 @dataclass(frozen=True, eq=False)
 class MovingClearance(Constraint):
-    """Rows of a motion whose time 0 is live time `begins`, s: clear of what is predicted to pass."""
+    """Rows of a motion whose time 0 is live time `begins`, s: clear of what is predicted to pass.
+
+    at_nodes: m more that a programme keeps at its nodes, for what happens between them. rest_step: s between looks at
+    the arm at rest; both sides' way in that time is kept beside the distance.
+    """
 
     movable: Movable
     obstacles: tuple[Predicted, ...]
     begins: float
+    at_nodes: float = 5e-3
+    rest_step: float = 5e-3
 
     def blocks(self, motion: MotionEvaluation) -> Iterator[Block]:
         nodes = motion.nodes
@@ -341,85 +332,58 @@ class MovingClearance(Constraint):
             moving = np.flatnonzero((motion.at_nodes[0] != motion.at_nodes[0, -1]).any(axis=1))
             nodes = nodes[: moving.max(initial=-1) + 2]
         q, dq = motion.z[:2, nodes]
-        t = motion.s[nodes] * motion.duration
-        stray, at_rest_stray = np.zeros(len(t)), 0.0
+        own = motion.s[nodes] * motion.duration
+        stray, at_rest_stray = np.zeros(len(own)), 0.0
         if motion.response is not None:
             whole = strayed(*motion.tray_radius())
-            stray, at_rest_stray = whole[: len(t)], float(whole[len(t) - 1 :].max())
-        steps = np.pad(np.diff(t), 1)
+            stray, at_rest_stray = whole[: len(own)], float(whole[len(own) - 1 :].max())
+        steps = np.pad(np.diff(own), 1)
         longest = 0.5 * np.maximum(steps[:-1], steps[1:])  # half of the time to the next look
-        movable, middles = self.movable, self.movable.middles(q)
-        rest = np.arange(
-            t[-1],
-            max(t[-1], max(x.until for x in self.obstacles) - self.begins) + OBSTACLES.rest_step,
-            OBSTACLES.rest_step,
-        )
+        movable, middles, t = self.movable, self.movable.middles(q), self.begins + own
+        rest = np.arange(t[-1], max(t[-1], *(x.until for x in self.obstacles)) + self.rest_step, self.rest_step)
         for obstacle in self.obstacles:
-            p, v = obstacle.at(self.begins + t)
+            p, v = obstacle.at(t)
             speed = np.linalg.norm(v, axis=1) + obstacle.growth
-            free = (
-                movable.distances(q, obstacle, p, middles)
-                - (CLEARANCE.safety + obstacle.around(self.begins + t) + stray)[:, None]
-            )
+            free = movable.distances(q, obstacle, p, middles)
+            free -= (CLEARANCE.safety + obstacle.around(t) + stray)[:, None]
             if not motion.imposed:  # what both may go until the next look
                 free -= longest[:, None] * (speed[:, None] + np.abs(dq) @ movable.levers.T)
-            free[self.begins + t > obstacle.until] = OBSTACLES.far
-
-            def gradient(i: Indices, f: Indices, obstacle: Predicted = obstacle, p: Array = p) -> Array:
-                return padded(-PER_METRE * movable.slopes(q, p, obstacle, i, f)[0], motion.n)
-
-            def by_duration(obstacle: Predicted = obstacle, p: Array = p, v: Array = v, free: Array = free) -> Array:
-                out = np.zeros_like(free)
-                i, f = np.nonzero(free < 0.5 * OBSTACLES.far)
-                normal = movable.slopes(q, p, obstacle, i, f)[1]
-                out[i, f] = -PER_METRE * t[i] * (np.einsum("ri,ri->r", normal, v[i]) - obstacle.growth)
-                return out
-
-            name, margins = f"clearance of {obstacle.name}", (PER_METRE * OBSTACLES.at_nodes, 0.0)
-            yield Block(
-                name,
-                -PER_METRE * free,
-                gradient,
-                nodes,
-                margins,
-                scales=False,
-                by_duration=by_duration() if motion.imposed else None,
-                reach=PER_METRE * 0.5 * OBSTACLES.far,
-                most=2,
-                kinked=True,
-                inherits=False,
-            )
+            free[t > obstacle.until] = movable.far
+            by_duration = None
+            if motion.imposed:
+                by_duration = np.zeros_like(free)
+                i, f = np.nonzero(free < 0.5 * movable.far)
+                normal = movable.slopes(q, p[i], obstacle, i, f)[1]
+                rate = np.einsum("ri,ri->r", normal, v[i]) - obstacle.growth
+                by_duration[i, f] = -PER_METRE * own[i] * rate
+            yield self._block(motion, obstacle, "", free, nodes, p, np.indices(free.shape)[0], by_duration)
             # At rest, until nothing is known any more.
-            late, v_late = obstacle.at(self.begins + rest)
+            late, v_late = obstacle.at(rest)
             faster = np.linalg.norm(v_late, axis=1) + obstacle.growth
-            kept = (
-                CLEARANCE.safety
-                + obstacle.around(self.begins + rest)
-                + at_rest_stray
-                + 0.5 * OBSTACLES.rest_step * faster
-            )
+            kept = CLEARANCE.safety + obstacle.around(rest) + at_rest_stray + 0.5 * self.rest_step * faster
             there = movable.distances(q[-1:], obstacle, late, middles[-1:]) - kept[:, None]
-            there[self.begins + rest > obstacle.until] = OBSTACLES.far
-            worst = np.argmin(there, axis=0)
+            there[rest > obstacle.until] = movable.far
+            worst = np.argmin(there, axis=0)[None]
+            least = np.take_along_axis(there, worst, axis=0)
+            yield self._block(motion, obstacle, " at rest", least, nodes[-1:], late, worst)
 
-            def at_rest(
-                i: Indices, f: Indices, obstacle: Predicted = obstacle, late: Array = late, k: Indices = worst
-            ) -> Array:
-                postures = np.repeat(q[-1:], len(late), axis=0)
-                return padded(-PER_METRE * movable.slopes(postures, late, obstacle, k[f], f)[0], motion.n)
+    def _block(
+        self, motion: MotionEvaluation, obstacle: Predicted, when: str, free: Array, nodes: Indices, p: Array,
+        which: Indices, by_duration: Array | None = None,
+    ) -> Block:  # fmt: skip
+        """Rows of distances free (K, M), m, of each part at nodes (K,). which: (K, M), at which of the obstacle's
+        places p (P, 3), m."""
+        movable = self.movable
 
-            yield Block(
-                f"clearance of {obstacle.name} at rest",
-                -PER_METRE * there[worst, np.arange(there.shape[1])][None],
-                at_rest,
-                nodes[-1:],
-                margins,
-                scales=False,
-                reach=PER_METRE * 0.5 * OBSTACLES.far,
-                most=2,
-                kinked=True,
-                inherits=False,
-            )
+        def gradient(i: Indices, f: Indices) -> Array:
+            slopes = movable.slopes(motion.z[0, nodes], p[which[i, f]], obstacle, i, f)[0]
+            return padded(-PER_METRE * slopes, motion.n)
+
+        return Block(
+            f"clearance of {obstacle.name}{when}", -PER_METRE * free, gradient, nodes,
+            (PER_METRE * self.at_nodes, 0.0), scales=False, by_duration=by_duration,
+            reach=PER_METRE * 0.5 * movable.far, most=2, kinked=True, inherits=False,
+        )  # fmt: skip
 
 
 def nearest(movable: Movable, obstacles: Sequence[Predicted], q: Array, t: Array) -> tuple[float, float, str]:
