@@ -20,7 +20,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -36,8 +36,8 @@ from salver.live.history import CommandHistory
 from salver.live.reader import Reader
 from salver.live.ready import Ready
 from salver.live.replanning.lead import Lead
-from salver.live.replanning.lookout import Lookout, Sighting
-from salver.live.replanning.obstacles import Moving, predicted
+from salver.live.replanning.lookout import Lookout, LookoutOptions, Sighting
+from salver.live.replanning.obstacles import Moving, ObstacleOptions, predicted
 from salver.live.replanning.planner import Answer, Job, Planner
 from salver.live.replanning.steer import TICK
 from salver.live.replanning.wishes import (
@@ -49,6 +49,7 @@ from salver.live.replanning.wishes import (
     Goal,
     Halt,
     Pose,
+    RequestOptions,
     Retime,
     Source,
     Wish,
@@ -89,6 +90,8 @@ class LiveOptions:
         queued: goals at most.
         attempts: at a goal while the arm moves; once more from rest.
         record: s of the commanded motion that are kept, up to now, for `save`.
+        requests, obstacles: what is accepted of these.
+        lookout: at which instants the commanded motion is compared with moving obstacles.
     """
 
     longest_gap: float = 0.05
@@ -97,6 +100,9 @@ class LiveOptions:
     queued: int = 100
     attempts: int = 4
     record: float = 120.0
+    requests: RequestOptions = field(default_factory=RequestOptions)
+    obstacles: ObstacleOptions = field(default_factory=ObstacleOptions)
+    lookout: LookoutOptions = field(default_factory=LookoutOptions)
 
 
 class Live:
@@ -167,7 +173,7 @@ class Live:
 
     def _believe(self, problem: TransportProblem) -> None:
         """Plan, verify and look out for the load of a problem from now on."""
-        self._problem, self._planner, self._lookout = problem, Planner(problem), Lookout(problem)
+        self._problem, self._planner, self._lookout = problem, Planner(problem), Lookout(problem, self.options.lookout)
         # The same for the loop's thread: planners have work space that two threads must not share.
         out = problem.keep_out
         self._beside = replace(problem, keep_out=None if out is None else replace(out, parts=out.parts.apart()))
@@ -282,7 +288,8 @@ class Live:
             return self._refuse(f"queued is {shown(queued)}; it must be True or False", "The goal")
         if unable := self._unable(source):
             return self._refuse(unable, "The goal")
-        goal = pose_goal(self._problem, pose) if pose is not None else posture_goal(self._problem, q)  # type: ignore[arg-type]
+        problem = self._problem
+        goal = posture_goal(problem, q) if q is not None else pose_goal(problem, pose, self.options.requests)  # type: ignore[arg-type]
         if isinstance(goal, Status):
             return self._refuse(goal.sentence, "The goal")
         if queued and len(self._queue) >= self.options.queued:
@@ -392,7 +399,7 @@ class Live:
         """
         if unable := self._unable(source):
             return self._refuse(unable, "The twist")
-        wish = twist_wish(list(self._heard), v, omega, self._now, self._factor)
+        wish = twist_wish(list(self._heard), v, omega, self._now, self._factor, self.options.requests)
         if isinstance(wish, Status):
             return self._refuse(wish.sentence, "The twist")
         before = self._wish
@@ -421,7 +428,7 @@ class Live:
         """
         if unable := self._unable(source):
             return self._refuse(unable, "The chunk")
-        wish = chunk_wish(self._problem, times, poses, joints, self._now, self._factor)
+        wish = chunk_wish(self._problem, times, poses, joints, self._now, self._factor, self.options.requests)
         if isinstance(wish, Status):
             return self._refuse(wish.sentence, "The chunk")
         wish = replace(wish, source=source, id=self._requests.new("a chunk"))
@@ -481,7 +488,7 @@ class Live:
         with self._anew:
             now, clock, found = self._now, self._last, []
             for one in seen:
-                prediction = predicted(one, now, clock)
+                prediction = predicted(one, now, clock, self.options.obstacles)
                 if isinstance(prediction, Status):
                     return self._refuse(prediction.sentence, "What was seen")
                 found.append(prediction)

@@ -37,7 +37,6 @@ class WorkerOptions:
     patience: float = 20.0
 
 
-OPTIONS = WorkerOptions()
 # Matrices here are small: threads of the linear algebra would only take the loop's core away.
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
@@ -45,7 +44,15 @@ ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_
 class Worker:
     """Plans while it is entered: `with Worker(live): ...`, or `start` and `close`."""
 
-    def __init__(self, live: Live, budget: float = 2.0, *, process: bool = True, stops: bool = False) -> None:
+    def __init__(
+        self,
+        live: Live,
+        budget: float = 2.0,
+        *,
+        process: bool = True,
+        stops: bool = False,
+        options: WorkerOptions = WorkerOptions(),
+    ) -> None:
         """budget: s that one step of planning may take, about. process: plan in a process of its own, so that the
         loop's has its interpreter to itself; it takes some seconds to start. Otherwise a thread plans, which makes a
         loop beside it late. stops: when nothing else is to be planned, plan stops that are then ready in the loop's
@@ -54,13 +61,13 @@ class Worker:
         A small thread here exchanges with the process. Start it from a thread that has the loop's real-time priority:
         it inherits that, and the process does not. Without, the loop waits for it on a machine that is busy.
         """
-        self._live, self._budget, self._stops = live, budget, stops
+        self._live, self._budget, self._stops, self._options = live, budget, stops, options
         self._closing = threading.Event()
-        self._process = _Process(live) if process else None
+        self._process = _Process(live, options.patience) if process else None
         self._thread = threading.Thread(target=self._work, name="salver-live", daemon=True)
 
     def start(self) -> Self:
-        sys.setswitchinterval(min(sys.getswitchinterval(), OPTIONS.switch))
+        sys.setswitchinterval(min(sys.getswitchinterval(), self._options.switch))
         if self._process is not None:
             self._process.ready()  # or else the first lead would be that of a start
         self._thread.start()
@@ -94,14 +101,14 @@ class Worker:
             if not self._live.idle:
                 self._live.plan(self._budget, answer)
             elif not (self._stops and self._live.prepare(self._budget, answer)):
-                self._closing.wait(OPTIONS.pause)
+                self._closing.wait(self._options.pause)
 
 
 class _Process:
     """A planner in another process. One that died is replaced when the next job comes."""
 
-    def __init__(self, live: Live) -> None:
-        self._live, self._about = live, self._of(live)
+    def __init__(self, live: Live, patience: float = WorkerOptions.patience) -> None:
+        self._live, self._about, self._patience = live, self._of(live), patience
         self._running: subprocess.Popen[bytes] | None = None
 
     @staticmethod
@@ -134,12 +141,12 @@ class _Process:
             if hasattr(os, "sched_setscheduler"):  # and a real-time priority too, which it would inherit
                 with contextlib.suppress(OSError):
                     os.sched_setscheduler(self._running.pid, os.SCHED_OTHER, os.sched_param(0))
-        self._told(self._about, OPTIONS.patience)
+        self._told(self._about, self._patience)
 
     def answer(self, job: Job) -> Answer:
         """Raises SalverError when the process died or hangs."""
         self.ready()
-        answered = self._told(job, job.budget + OPTIONS.patience)
+        answered = self._told(job, job.budget + self._patience)
         if isinstance(answered, Answer):
             return answered
         raise SalverError(str(answered))

@@ -101,26 +101,20 @@ class RequestOptions:
 
     Attributes:
         speed, turn, distance: m/s, rad/s and m; beyond that a number is taken to be in another unit, and refused.
-        orthonormal: by which a rotation may fail to be one: rounding.
         silence: s after a twist at which it counts no more. Doubled, an arm whose hand fell silent brakes 0.1 s later.
         slope_window: s of twists of late whose slope over time is believed to go on; where there are none so near, the
-            last one of `slope_reach` s counts. Longer, noise matters less, and a turn of the hand is seen later.
-        slope_least: s from the first of them to now; of less no slope is told.
-        headings: of a goal with any heading, at which it is looked whether something is in the way.
+            last one counts. At 0.04, a gentle hand is followed with 1.2 times the error.
     """
 
     speed: float = 5.0
     turn: float = 20.0
     distance: float = 100.0
-    orthonormal: float = 1e-6
     silence: float = 0.1
     slope_window: float = 0.025
-    slope_reach: float = 0.06
-    slope_least: float = 4e-3
-    headings: int = 16
 
 
-REQUESTS = RequestOptions()
+STANDARD_REQUESTS = RequestOptions()
+ORTHONORMAL = 1e-6  # by which a rotation may fail to be one: rounding
 
 
 def refused(sentence: str) -> Status:
@@ -191,42 +185,54 @@ def posture_goal(problem: TransportProblem, q: npt.ArrayLike) -> Goal | Status:
     return Goal(AtPosture(posture), "a posture")
 
 
-def pose_goal(problem: TransportProblem, pose: Pose) -> Goal | Status:
+def _poses(
+    value: Any, each: tuple[int, ...], problem: TransportProblem, options: RequestOptions
+) -> tuple[Array, Array, bool] | Status:
+    """p_SB (*each, 3), R_SB (*each, 3, 3) of the first object, with the tray level unless rotations are given; and
+    whether they are."""
+    turned = isinstance(value, tuple) and len(value) == 2 and not np.isscalar(value[0])
+    p = numbers(value[0] if turned else value, (*each, 3), "positions" if each else "the position")
+    R_EB = problem.items[0].R_EB
+    R = (
+        numbers(value[1], (*each, 3, 3), "rotations" if each else "the rotation")
+        if turned
+        else np.tile(R_EB, (*each, 1, 1))
+    )
+    if isinstance(p, Status) or isinstance(R, Status):
+        return p if isinstance(p, Status) else R  # type: ignore[return-value]
+    one = "a" if each else "the"
+    far = float(np.abs(p).max())
+    if far > options.distance:
+        return refused(f"{one} position is {far:.3g} m away in S; it must be at most {options.distance:g} m, in S")
+    if np.abs(R @ np.swapaxes(R, -1, -2) - np.eye(3)).max() > ORTHONORMAL or (np.linalg.det(R) < 0).any():
+        return refused(f"{one} rotation is none: its rows must be orthonormal and right-handed")
+    return p, R, turned
+
+
+def pose_goal(problem: TransportProblem, pose: Pose, options: RequestOptions = STANDARD_REQUESTS) -> Goal | Status:
     """The first object's frame B at p_SB (3,), m, upright with any heading; or at (p_SB, R_SB) with R_SB (3, 3)."""
-    whole = isinstance(pose, tuple) and len(pose) == 2 and not np.isscalar(pose[0])
-    p = numbers(pose[0] if whole else pose, (3,), "the position")  # type: ignore[index]
-    rotation = numbers(pose[1], (3, 3), "the rotation") if whole else np.eye(3)  # type: ignore[index]
-    for found in (p, rotation):
-        if isinstance(found, Status):
-            return found
-    assert not isinstance(p, Status)
-    assert not isinstance(rotation, Status)
-    if np.abs(p).max() > REQUESTS.distance:
-        return refused(
-            f"the position is {np.abs(p).max():.3g} m away in S; it must be at most {REQUESTS.distance:g} m, in S"
-        )
-    if np.abs(rotation @ rotation.T - np.eye(3)).max() > REQUESTS.orthonormal or np.linalg.det(rotation) < 0:
-        return refused("the rotation is none: its rows must be orthonormal and right-handed")
+    found = _poses(pose, (), problem, options)
+    if isinstance(found, Status):
+        return found
+    p, rotation, turned = found
     first = problem.items[0]
-    if not whole:
-        rotation = first.R_EB  # the tray level
-    leans = float(lean(rotation @ first.R_EB.T))
-    most = max(problem.max_tilt, LEVEL_TOLERANCE)
+    leans, most = float(lean(rotation @ first.R_EB.T)), max(problem.max_tilt, LEVEL_TOLERANCE)
     if leans > most:
         return refused(
             f"the goal leans the tray by {np.rad2deg(leans):.3g} deg; it may lean by {np.rad2deg(most):.3g} deg"
         )
-    target = PoseTarget(p, rotation, first.p_EB, first.R_EB, yaw_free=not whole)
+    target = PoseTarget(p, rotation, first.p_EB, first.R_EB, yaw_free=not turned)
     return Goal(AtPose(target), f"({p[0]:.3f}, {p[1]:.3f}, {p[2]:.3f}) m")
 
 
 def twist_wish(
-    heard: Sequence[tuple[float, Array]], v: npt.ArrayLike, omega: npt.ArrayLike, now: float, factor: float = 1.0
-) -> Follow | Status:
+    heard: Sequence[tuple[float, Array]], v: npt.ArrayLike, omega: npt.ArrayLike, now: float, factor: float = 1.0,
+    options: RequestOptions = STANDARD_REQUESTS,
+) -> Follow | Status:  # fmt: skip
     """v_S (3,), m/s, and omega_S (3,), rad/s, of the tray in S, times a factor. heard: live times and what was followed
     before."""
     twist = []
-    for value, most, what, unit in ((v, REQUESTS.speed, "v", "m/s"), (omega, REQUESTS.turn, "omega", "rad/s")):
+    for value, most, what, unit in ((v, options.speed, "v", "m/s"), (omega, options.turn, "omega", "rad/s")):
         found = numbers(value, (3,), what)
         if isinstance(found, Status):
             return found
@@ -234,19 +240,20 @@ def twist_wish(
             return refused(f"{what} is {np.linalg.norm(found):.3g}; it must be at most {most:g} {unit}, in S")
         twist.append(found)
     latest = factor * np.concatenate(twist)
-    before = [(t, old) for t, old in heard if now - REQUESTS.slope_reach <= t < now]
-    recent = [*([x for x in before if now - x[0] <= REQUESTS.slope_window + 1e-9] or before[-1:]), (now, latest)]
-    t = np.array([t for t, _ in recent]) - now
+    before = [(t - now, old) for t, old in heard if now - options.silence <= t < now]
+    recent = [x for x in before if -x[0] <= options.slope_window + 1e-9] or before[-1:]
     slope = np.zeros(6)
-    if -t[0] >= REQUESTS.slope_least:
+    if recent:  # the least squares' one
+        t, past = (np.array(x) for x in zip(*recent, (0.0, latest), strict=True))
         away = t - t.mean()
-        slope = away @ np.array([old for _, old in recent]) / (away @ away)
-    return Follow(TwistWanted(latest, slope, now), now + REQUESTS.silence, TwistWanted(np.zeros(6), np.zeros(6), now))
+        slope = away @ past / (away @ away)
+    still = TwistWanted(np.zeros(6), np.zeros(6), now)
+    return Follow(TwistWanted(latest, slope, now), now + options.silence, still)
 
 
 def chunk_wish(
     problem: TransportProblem, times: npt.ArrayLike, poses: Any, joints: npt.ArrayLike | None, now: float,
-    factor: float = 1.0,
+    factor: float = 1.0, options: RequestOptions = STANDARD_REQUESTS,
 ) -> Follow | Status:  # fmt: skip
     """Poses or postures at times (C,) from now on, s; at a factor of that speed."""
     if (poses is None) == (joints is None):
@@ -273,21 +280,13 @@ def chunk_wish(
             )
         wanted, ends = ChunkWanted(t, None, None, q), posture_goal(problem, q[-1])
     else:
-        whole = isinstance(poses, tuple) and len(poses) == 2
-        p = numbers(poses[0] if whole else poses, (count, 3), "positions")
+        found = _poses(poses, (count,), problem, options)
+        if isinstance(found, Status):
+            return found
+        p, R, _ = found
         first = problem.items[0]
-        rotations = np.tile(first.R_EB, (count, 1, 1))
-        R = numbers(poses[1], (count, 3, 3), "rotations") if whole else rotations
-        if isinstance(p, Status) or isinstance(R, Status):
-            return p if isinstance(p, Status) else R  # type: ignore[return-value]
-        far = float(np.abs(p).max())
-        if far > REQUESTS.distance:
-            return refused(f"a position is {far:.3g} m away in S; it must be at most {REQUESTS.distance:g} m, in S")
-        square = R @ np.swapaxes(R, 1, 2) - np.eye(3)
-        if np.abs(square).max() > REQUESTS.orthonormal or (np.linalg.det(R) < 0).any():
-            return refused("a rotation is none: its rows must be orthonormal and right-handed")
         R_SE = R @ first.R_EB.T
-        wanted, ends = ChunkWanted(t, p - R_SE @ first.p_EB, R_SE, None), pose_goal(problem, (p[-1], R[-1]))
+        wanted, ends = ChunkWanted(t, p - R_SE @ first.p_EB, R_SE, None), pose_goal(problem, (p[-1], R[-1]), options)
     return Follow(wanted, float(t[-1]), wanted, ends)
 
 
@@ -297,7 +296,7 @@ def why_not(problem: TransportProblem, goal: Goal) -> str:
         return ""
     parts = problem.keep_out.parts
     if isinstance(goal.end, AtPose):
-        headings = goal.end.target.headings(REQUESTS.headings)
+        headings = goal.end.target.headings(16)
         met = None
         for target in headings:
             met = parts.in_the_way(*target.tray_pose)
