@@ -124,6 +124,8 @@ def test_foreign_and_damaged_run_directories_get_a_sentence(tmp_path, plan):
     plan.save(tmp_path)
     with pytest.raises(ScenarioError, match="another scenario"):
         plan_object(PAPER.with_changes(motion__duration=2.0)).save(tmp_path)
+    with pytest.raises(FileFormatError, match=r"a plan of one motion and has no leg2"):
+        load_plan(tmp_path, "leg2")
     content = (tmp_path / "plan.npz").read_bytes()
     (tmp_path / "plan.npz").write_bytes(content[: len(content) // 2])
     with pytest.raises(FileFormatError, match=r"plan\.npz"):

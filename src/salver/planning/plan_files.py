@@ -109,9 +109,13 @@ def read_plan(directory: str | Path, stem: str = "plan", required: tuple[str, ..
     """
     found = read_files(directory, stem, required)
     legs = found.record.get("legs")
-    if legs is None:
-        return found
     number = leg_number(stem)
+    if legs is None:
+        if number is not None and file_stem(Path(directory), stem) != stem:
+            raise FileFormatError(
+                f"{Path(directory) / 'plan'}.npz is a plan of one motion and has no {stem}; name plan."
+            )
+        return found
     if number is None or number > len(legs):
         raise FileFormatError(
             f"{Path(directory) / 'plan'}.npz is a plan of {len(legs)} legs, and this is for one motion; name a leg: "
