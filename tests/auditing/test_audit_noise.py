@@ -208,11 +208,14 @@ def test_the_spacing_of_knots_is_the_least_of_three_intervals():
 
 
 def test_a_filter_shows_in_a_recording_of_little_more_than_a_second():
-    """Noise filtered at 6 Hz, of which 1.2 s at 100 Hz are saved: it shows in some, and in none that was not filtered."""
-    t, claimed = np.arange(600) / 500, []
+    """Noise filtered at 6 Hz, of which 1.2 s at 100 Hz are saved: it shows in some, and in none without it."""
+    t = np.arange(600) / 500
+    claimed = []
     for seed in range(20):
         noise = 4e-5 * np.random.default_rng(seed).standard_normal((len(t), 3))
         smooth = signal.sosfiltfilt(signal.butter(4, 6.0, fs=500, output="sos"), noise, axis=0)
-        claimed += [[np.isfinite(filtered_at(t[::5], y[::5], DEFAULT.drop, DEFAULT.fewest)) for y in (smooth, noise)]]
+        claimed.append(
+            [np.isfinite(filtered_at(t[::5], y[::5], DEFAULT.drop, DEFAULT.fewest)) for y in (smooth, noise)]
+        )
     assert np.sum(claimed, axis=0)[0] >= 4
     assert np.sum(claimed, axis=0)[1] == 0
