@@ -321,7 +321,7 @@ def test_commands_take_a_task_of_several_legs(directory, capsys):
     text = written.read_text()
     for anchor in re.findall(r'<a href="#([^"]+)"', text):
         assert f'id="{anchor}"' in text, anchor
-    assert "stayed put on all legs in 1 of 1 perturbed runs" in text
+    assert "On all legs the load stayed put in all 1 perturbed runs" in text
     assert 'href="report-leg2.html"' in text
     assert "mass of second 900 g (" in written.with_name("report-leg2.html").read_text()
     assert [path.name for path in write_export(directory, "csv", stem="leg2")] == ["leg2.csv"]
