@@ -11,7 +11,6 @@ import salver as sv
 from salver.errors import SalverError
 from salver.planning import stops
 from salver.planning.fastest import Anywhere, AtPosture, transport_problem
-from salver.planning.fastest.retiming import SplinePath
 from salver.planning.stop_library import StopLibrary
 from salver.planning.stops import (
     LEAST,
@@ -21,13 +20,12 @@ from salver.planning.stops import (
     _braking,
     _fitted,
     _going_on,
-    _law_ahead,
     plan_stops,
     stop_from,
     stop_problem,
 )
 from salver.planning.trajopt.constraints.obstacles import CLEARANCE
-from salver.planning.trajopt.curves import BrakingCurve, FreeCurve, Grid
+from salver.planning.trajopt.curves import FreeCurve, Grid
 from salver.planning.trajopt.spline import RestSpline
 from salver.trajectory import JointMotion
 
@@ -82,22 +80,6 @@ def test_a_search_without_a_guess_begins_with_every_joint_braking_along_a_smooth
     np.testing.assert_allclose(z[1], np.outer(1 - 3 * s**2 + 2 * s**3, v), atol=0.02)
 
 
-def test_a_search_for_a_stop_on_the_path_may_begin_with_the_last_one_that_was_found():
-    """From 0.3 to 0.6 s on a path of 1.5 s, then as the last of three stops goes there; not the second."""
-    own = np.linspace(0, 0.25, 6)
-    laws = [np.linspace(0.4, 0.4 + far, 6) for far in (0.3, 0.2, 0.1)]
-    stops = [
-        (0.6, FoundStop(JointMotion((k + 1) * own, *np.zeros((3, 6, 7))), np.zeros(7), law))
-        for k, law in enumerate(laws)
-    ]
-    t, u = _law_ahead(0.3, 0.6, 1.5, stops)
-    assert (t[0], t[-1]) == (0.0, pytest.approx(0.3 + 3 * 0.25))
-    assert np.interp([0.0, 0.15, 0.3], t, u) == pytest.approx([0.2, 0.3, 0.4])
-    assert np.interp(0.3 + 3 * own, t, u) == pytest.approx(laws[-1])
-    assert np.array_equal(_law_ahead(0.3, 0.6, 1.5, stops[-1:]), (t, u))
-    assert np.all(np.diff(t) > 0)
-
-
 def test_what_is_moved_is_the_plan_until_the_stop_begins_and_then_the_stop():
     plan, stop = swaying(1.0), swaying(0.2)
     state = np.array([stop.q, stop.dq, stop.ddq])[:, None]
@@ -111,33 +93,6 @@ def test_what_is_moved_is_the_plan_until_the_stop_begins_and_then_the_stop():
     for found, true in zip(moved.sample(plan.t[80] + stop.t), stop.sample(stop.t), strict=True):
         np.testing.assert_allclose(found, true, atol=1e-9)
     assert library.stopped(plan, 0.5) is plan
-
-
-def test_a_time_law_that_begins_moving_has_the_derivatives_that_differences_give():
-    """By every coefficient and by the duration, of every row of z; the start is that of the motion, to its speed."""
-    whole, spline = swaying(1.25), RestSpline(degree=5, spans=4)
-    grid = Grid.of(spline, np.linspace(0, 1, 9))
-    curve = BrakingCurve(transport_problem(PAPER), grid, SplinePath.timed(whole), 0.4, 1 / whole.duration)
-    coefficients = np.linspace(0.4, 0.55, spline.size)[:, None]
-    z = curve.motion(coefficients, 0.3)
-    for value, expected in zip(z[:3, 0], whole.sample(0.4 * whole.duration), strict=True):
-        assert np.allclose(value, expected[0], atol=2e-3)
-    assert np.abs(z[1:3, -1]).max() < 1e-9
-    rows, most = curve.inequalities(coefficients)  # none beyond the path's end; where it begins is given
-    assert rows @ (1 - coefficients[:, 0]) == pytest.approx(most)
-    assert np.all(rows @ np.eye(spline.size) == np.eye(spline.size)[1:])
-    step = 1e-6
-    ahead, behind = (curve.motion(coefficients, 0.3 * np.exp(sign * step)) for sign in (1, -1))
-    by_duration = curve.by_duration(coefficients, 0.3, z)
-    assert np.allclose(by_duration, (ahead - behind) / (2 * step), rtol=1e-5, atol=1e-5 * np.abs(by_duration).max())
-    parts, point = np.random.default_rng(0).normal(size=(9, 4, 7)), np.arange(9)
-    columns = curve.columns(coefficients, 0.3, parts, point)
-    for k in range(spline.size):
-        ahead, behind = (
-            curve.motion(coefficients + sign * step * np.eye(spline.size)[:, k : k + 1], 0.3) for sign in (1, -1)
-        )
-        found = np.einsum("pkn,kpn->p", parts, (ahead - behind) / (2 * step))
-        assert np.allclose(columns[:, k], found, rtol=1e-4, atol=1e-5 * np.abs(columns).max())
 
 
 def test_the_longest_stop_is_asked_for_just_after_an_instant_from_which_one_begins():
@@ -162,8 +117,7 @@ def test_the_stop_that_is_sooner_at_rest_is_taken_though_it_begins_later():
     assert "finishing" not in always.sentence
 
 
-@pytest.mark.parametrize("on_path", [False, True])
-def test_stops_are_planned_backwards_each_to_be_at_rest_before_what_is_ahead(monkeypatch, on_path):
+def test_stops_are_planned_backwards_each_to_be_at_rest_before_what_is_ahead(monkeypatch):
     """Of a motion of 1 s, every tenth of a second, with the durations that are found here: those that are no sooner at
     rest than going on are left out, and so is one by less than is worth it."""
     found = {0.9: 0.2, 0.8: 0.1, 0.7: None, 0.6: 0.3 - 0.5 * LEAST, 0.5: 0.39, 0.4: 0.5, 0.3: 0.1, 0.2: 0.3, 0.1: 0.25}
@@ -179,11 +133,10 @@ def test_stops_are_planned_backwards_each_to_be_at_rest_before_what_is_ahead(mon
     nowhere = SimpleNamespace(n=7, cases=())
     monkeypatch.setattr(stops, "along", lambda problem, motion, space: (np.linspace(0, 1, 11), None, None))
     monkeypatch.setattr(stops, "stop_from", lambda problem, state, begun, now, beat: stop(now, beat + LEAST))
-    monkeypatch.setattr(stops, "brake_on", lambda problem, path, end, now, begun, law, most: stop(now, most))
     monkeypatch.setattr(stops, "_going_on", lambda motion, now, begin, ahead: now)
     monkeypatch.setattr(stops, "_late", lambda problem, state: np.inf)  # none is sought from another beginning
     progress, soon = (lambda *done: told.append(done)), 0.0  # none is too late to be worth it
-    library = plan_stops(nowhere, whole, 0.1, on_path=on_path, progress=progress, soon=soon)
+    library = plan_stops(nowhere, whole, 0.1, progress=progress, soon=soon)
     assert told == [(100 * k, 1000) for k in range(2, 11)]
     assert [now for now, _ in asked] == pytest.approx(np.arange(9, 0, -1) / 10)
     # Until 0.8 s nothing is sooner than the end; then each has to be at rest before the one that was kept.

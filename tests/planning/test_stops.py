@@ -295,23 +295,3 @@ def test_a_motion_of_ones_own_can_be_stopped_from_any_state(bottle):
     takes = found.motion.duration
     assert stop_from(problem, AtPosture(q, 0.9 * dq, 0.81 * ddq), beat=0.9 * takes) is None
     assert stop_from(problem, AtPosture(q, 0.9 * dq, 0.81 * ddq), beat=1.05 * takes).motion.duration == takes
-
-
-@pytest.mark.slow
-def test_stops_on_the_path_stay_on_it_and_are_no_sooner_than_free_ones():
-    """Of a level cube, which need not lean: it can brake on its own path from some instants."""
-    plan = sv.plan(sv.load_scenario("panda-cube", motion__duration=1.25))
-    stops, free = (
-        plan_stops(stop_problem(plan), plan.joint, every=0.25, space=plan.space, on_path=on_path)
-        for on_path in (True, False)
-    )
-    assert len(stops.t) >= 1
-    passed = plan.joint.sample(np.linspace(0, plan.duration, 5001))[0]
-    half_step = 0.5 * np.abs(np.diff(passed, axis=0)).max()
-    for k in range(len(stops.t)):
-        motion = stops.motion(k)
-        q = motion.sample(np.linspace(0, motion.duration, 21))[0]
-        assert np.abs(passed[None] - q[:, None]).max(axis=2).min(axis=1).max() < half_step + 1e-7
-        assert np.abs(motion.dq[-1]).max() < 1e-9
-    for now in np.linspace(0.01, plan.duration, 60):
-        assert stops.course(now).rests >= free.course(now).rests - 0.02  # a local optimum each

@@ -12,7 +12,7 @@ Stops are followed in joint space, also when the plan's controller closes its lo
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
 
@@ -23,16 +23,15 @@ from salver.dynamics.modal_history import Past
 from salver.errors import SalverError, ScenarioError
 from salver.geometry import Array, lean
 from salver.models.arm.arm import load_arm
-from salver.planning.fastest.retiming import SplinePath
 from salver.planning.follow.forward import tray_motion
 from salver.planning.seeds.starts import braking_time
 from salver.planning.stop_library import SAME, StopLibrary
 from salver.planning.trajopt.constraints.constraints import LEVEL_TOLERANCE
 from salver.planning.trajopt.constraints.obstacles import KeepOut
-from salver.planning.trajopt.curves import BrakingCurve, FreeCurve, Grid, launch_basis, united
+from salver.planning.trajopt.curves import FreeCurve, Grid, launch_basis, united
 from salver.planning.trajopt.ends import Anywhere, AtPosture
 from salver.planning.trajopt.evaluation import EASING
-from salver.planning.trajopt.exchange import CurveOf, optimise
+from salver.planning.trajopt.exchange import optimise
 from salver.planning.trajopt.problem import TransportProblem, transport_problem
 from salver.planning.trajopt.spline import RestSpline, SplineMotion, min_jerk_blend
 from salver.planning.verdict.judged import PLANNED, VerdictOptions
@@ -60,9 +59,7 @@ def with_stops(plan: Plan, progress: Progress | None = None) -> Plan:
     """The plan with its stops. Raises ScenarioError when it is not a safe plan of an arm."""
     if plan.joint is None or not plan.ok:
         raise ScenarioError("Stops are planned for safe plans of an arm; this plan is none.")
-    problem = stop_problem(plan)
-    on_path = plan.scenario.motion.stop == "on-path"
-    stops = plan_stops(problem, plan.joint, space=plan.space, on_path=on_path, progress=progress)
+    stops = plan_stops(stop_problem(plan), plan.joint, space=plan.space, progress=progress)
     return replace(plan, stops=stops)
 
 
@@ -103,7 +100,6 @@ def plan_stops(
     motion: JointMotion,
     every: float = 0.02,
     space: Space = "joint",
-    on_path: bool = False,
     progress: Progress | None = None,
     soon: float = 0.1,
 ) -> StopLibrary:
@@ -120,8 +116,6 @@ def plan_stops(
         every: time between instants, s; twice that with load dynamics. Larger values take less computing time and lead
             to later rest.
         space: in which the controller closes its loop along the motion.
-        on_path: whether stops stay on the motion's path, with only their timing free. Often none exists, for example
-            where the tray tilts into the plan's acceleration.
         progress: called with the ms done and the total, counted from the end of the motion.
         soon: s; larger values give a slow plan fewer stops.
 
@@ -136,7 +130,6 @@ def plan_stops(
     t, felt, strayed = along(problem, motion, space)
     past = past_of(problem, t, felt, strayed)
     radius = np.zeros((len(t), problem.n)) if strayed is None else strayed.joint_radius(0)
-    path = SplinePath.timed(motion) if on_path else None
     kept: list[tuple[float, FoundStop]] = []
     ahead = JointMotion(*(np.asarray(x)[-1:] for x in (motion.t, motion.q, motion.dq, motion.ddq)))
     rest, begin = end, end  # when the stop ahead is at rest, and when it leaves the plan
@@ -152,18 +145,16 @@ def plan_stops(
             problem = replace(problem, past=replace(past, now=now))
         if rest - now < soon:
             found = None
-        elif path is None:
+        else:
             state, beat = state_at(now), rest - now - LEAST
             found = _anew(problem, state, begun, beat) if rest - now > _late(problem, state) else None
             if found is None:
                 found = stop_from(problem, state, begun, _going_on(motion, now, begin, ahead), beat=beat)
-        else:
-            found = brake_on(problem, path, end, now, begun, _law_ahead(now, begin, end, kept), rest - now)
         if found is not None and now + found.motion.duration < rest - LEAST:
             kept.append((now, found))
             ahead, rest, begin = found.motion, now + found.motion.duration, now
         before = left[-1] if left else 0.0
-        finer = path is None and now - before > 0.9 * every  # not halved already
+        finer = now - before > 0.9 * every  # not halved already
         if finer and rest - before > _late(problem, state_at(before)):
             left.append(0.5 * (before + now))
         if progress:
@@ -172,8 +163,6 @@ def plan_stops(
     shape = (len(kept), len(STORED), problem.n)
     q, dq, ddq = (np.array([getattr(stop.motion, x) for _, stop in kept]).reshape(shape) for x in ("q", "dq", "ddq"))
     instants = np.array([now for now, _ in kept])
-    if len(kept):  # exactly, because on a path they are only up to the error of its spline
-        q[:, 0], dq[:, 0], ddq[:, 0] = motion.sample(instants)
     stray = [np.maximum(stop.stray, radius[t <= now].max(axis=0)) for now, stop in kept]
     return StopLibrary(
         instants,
@@ -189,12 +178,10 @@ def plan_stops(
 
 @dataclass(frozen=True, eq=False)
 class FoundStop:
-    """A stop. motion: from its own time 0 to rest. stray: (n,) largest deviation of each joint, rad. law: for a stop on
-    a path, the path positions of the motion's samples, from 0 to 1."""
+    """A stop. motion: from its own time 0 to rest. stray: (n,) largest deviation of each joint, rad."""
 
     motion: JointMotion
     stray: Array
-    law: Array | None = None
 
 
 def stop_from(
@@ -216,13 +203,13 @@ def stop_from(
     """
     problem = _begun(problem, state, deviation)
     if guess is None:
-        return _shortest(problem, FreeCurve, _braking(SPLINE, state, braking_time(problem)), beat)
+        return _shortest(problem, _braking(SPLINE, state, braking_time(problem)), beat)
     # With load dynamics few motions to rest exist: the search then also begins with 1.3 and 1.15 times the duration.
     begins = [(1.0, WARM), (1.3, 1.0), (1.15, WARM)]
     for longer, damping in begins if problem.cases else begins[:1]:
         duration = longer * guess.duration
         begin = SplineMotion(SPLINE, _fitted(problem, guess, duration), duration)
-        if (found := _shortest(problem, FreeCurve, begin, beat, damping)) is not None:
+        if (found := _shortest(problem, begin, beat, damping)) is not None:
             return found
     return None
 
@@ -236,35 +223,7 @@ def _late(problem: TransportProblem, state: AtPosture) -> float:
 def _anew(problem: TransportProblem, state: AtPosture, deviation: Array | None, beat: float) -> FoundStop | None:
     """A stop from a state, searched for from braking and with more spline pieces, shorter than `beat`, s."""
     begin = _braking(FINE, state, _late(problem, state))
-    return _shortest(_begun(problem, state, deviation), FreeCurve, begin, beat)
-
-
-def brake_on(
-    problem: TransportProblem,
-    path: SplinePath,
-    end: float,
-    now: float,
-    deviation: Array | None,
-    law: tuple[Array, Array],
-    duration: float,
-) -> FoundStop | None:
-    """The shortest stop on the path of a motion of duration `end`, s, from its state at `now`; None when none was
-    found.
-
-    deviation: as of `stop_from`. law: initial guess, as times from `now`, s, and path positions from 0 to 1; duration:
-    its duration, s.
-    """
-    begin, rate = now / end, 1.0 / end
-    z = path.derivatives(np.array([begin]), 2)[:, 0] * rate ** np.arange(3.0)[:, None]
-    problem = _begun(problem, AtPosture(*z), deviation)
-    s = np.linspace(0.0, 1.0, 121)
-    wanted = np.interp(s * law[0][-1], *law) - duration * rate * launch_basis(s)[0, 0]
-    coefficients = np.clip(SPLINE.fit(s, wanted[:, None]), 0.0, 1.0)
-
-    def curve_of(at: TransportProblem, grid: Grid) -> BrakingCurve:
-        return BrakingCurve(at, grid, path, begin, rate)
-
-    return _shortest(problem, curve_of, SplineMotion(SPLINE, coefficients, duration))
+    return _shortest(_begun(problem, state, deviation), begin, beat)
 
 
 def _begun(problem: TransportProblem, state: AtPosture, deviation: Array | None) -> TransportProblem:
@@ -276,14 +235,14 @@ def _begun(problem: TransportProblem, state: AtPosture, deviation: Array | None)
 
 
 def _shortest(
-    problem: TransportProblem, curve_of: CurveOf, begin: SplineMotion, beat: float = np.inf, damping: float = WARM
+    problem: TransportProblem, begin: SplineMotion, beat: float = np.inf, damping: float = WARM
 ) -> FoundStop | None:
-    """The shortest motion to rest along a curve that passes the verdict; None when none was found."""
+    """The shortest motion to rest that passes the verdict; None when none was found."""
     hasty = replace(problem, at_rest=False)
-    found = optimise(hasty, curve_of, begin, nodes_per_span=3, damping=damping, gain=1e-2, beat=beat)
+    found = optimise(hasty, FreeCurve, begin, nodes_per_span=3, damping=damping, gain=1e-2, beat=beat)
     if not found.status.ok:
         return None
-    curve = curve_of(problem, Grid.of(begin.spline, STORED))
+    curve = FreeCurve(problem, Grid.of(begin.spline, STORED))
     q, dq, ddq = curve.motion(found.coefficients, found.duration)[:3]
     dq[-1] = ddq[-1] = 0.0  # it is, up to rounding
     motion, start = JointMotion(STORED * found.duration, q, dq, ddq), problem.start
@@ -292,8 +251,7 @@ def _shortest(
     if not verdict.ok:
         return None
     assert verdict.judged is not None
-    law = curve.law(found.coefficients, found.duration)[0, :, 0] if isinstance(curve, BrakingCurve) else None
-    return FoundStop(motion, verdict.judged.stray, law)
+    return FoundStop(motion, verdict.judged.stray)
 
 
 def along(problem: TransportProblem, motion: JointMotion, space: Space) -> tuple[Array, Array, Deviation | None]:
@@ -352,15 +310,6 @@ def _going_on(motion: JointMotion, now: float, begin: float, ahead: JointMotion)
     first = motion.sample(between)
     t = np.concatenate([between - now, begin - now + (ahead.t - ahead.t[0])])
     return JointMotion(t, *(np.vstack([a, b]) for a, b in zip(first, (ahead.q, ahead.dq, ahead.ddq), strict=True)))
-
-
-def _law_ahead(now: float, begin: float, end: float, kept: Sequence[tuple[float, FoundStop]]) -> tuple[Array, Array]:
-    """The time law of going on to `begin` and taking the stop there: times from `now`, s, and positions on the path of
-    a motion of duration `end`, s."""
-    t, u = np.linspace(now, begin, 21), np.linspace(now, begin, 21) / end
-    if kept and kept[-1][1].law is not None:
-        t, u = np.append(t, begin + kept[-1][1].motion.t[1:]), np.append(u, kept[-1][1].law[1:])
-    return t - now, u
 
 
 def _braking(spline: RestSpline, state: AtPosture, duration: float) -> SplineMotion:

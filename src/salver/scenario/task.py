@@ -59,7 +59,6 @@ class Motion(Model):
     orientation: Literal["fixed", "free"] | None = None
     max_tilt_deg: Annotated[Number, Field(gt=0, le=90)] | None = None
     goal_yaw: Literal["fixed", "free"] = "fixed"
-    stop: Literal["free", "on-path"] = "free"
     speeds: Literal["any", "full"] = "any"
     speed_rate: Annotated[Number, Field(ge=0, le=10)] = 0.25
 

@@ -82,13 +82,6 @@ class SplinePath:
         return cls(make_interp_spline(length / length[-1], q, DEGREE))
 
     @classmethod
-    def timed(cls, motion: JointMotion) -> SplinePath:
-        """The path of a motion with u proportional to time instead of length, which keeps its velocities and
-        accelerations as far as its samples determine them."""
-        t = np.linspace(0.0, motion.duration, 401)
-        return cls(make_interp_spline(t / motion.duration, motion.sample(t)[0], DEGREE))
-
-    @classmethod
     def of(cls, motion: JointMotion) -> SplinePath:
         """The path of a motion, without its timing."""
         return cls.through(motion.sample(np.linspace(0.0, motion.duration, 2001))[0])

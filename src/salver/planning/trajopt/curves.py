@@ -231,7 +231,7 @@ class PathCurve:
     width = 1
 
     def motion(self, coefficients: Array, duration: float) -> Array:
-        u, u1, u2, u3 = self.law(coefficients, duration)
+        u, u1, u2, u3 = self.grid.motion(coefficients, duration)
         p0, p1, p2, p3 = self.path.derivatives(u[:, 0], 3)
         return np.stack([p0, p1 * u1, p2 * u1**2 + p1 * u2, p3 * u1**3 + 3 * p2 * u1 * u2 + p1 * u3])
 
@@ -239,7 +239,7 @@ class PathCurve:
         return np.asarray(-ORDERS * z)
 
     def columns(self, coefficients: Array, duration: float, parts: Array, point: Indices) -> Array:
-        by_law = self._by_law(self.law(coefficients, duration)[:, point])
+        by_law = self._by_law(self.grid.motion(coefficients, duration)[:, point])
         law = np.einsum("rkn,jkrn->rj", parts, by_law)
         return self.grid.chained(law[:, :, None], point, duration)
 
@@ -256,10 +256,6 @@ class PathCurve:
     def repaired(self, coefficients: Array) -> Array | None:
         return np.maximum.accumulate(np.clip(coefficients, 0.0, 1.0), axis=0)
 
-    def law(self, coefficients: Array, duration: float) -> Array:
-        """u and its time derivatives, (4, P, 1)."""
-        return self.grid.motion(coefficients, duration)
-
     def _by_law(self, law: Array) -> Array:
         """Derivatives (4, 4, R, n) of z by u and its three time derivatives (first axis)."""
         u, u1, u2, u3 = law
@@ -272,36 +268,3 @@ class PathCurve:
             (zero, zero, zero, p1),
         )
         return np.stack([np.stack(row) for row in rows])
-
-
-@dataclass(frozen=True, eq=False)
-class BrakingCurve(PathCurve):
-    """A time law that leaves a motion at a point of its path and ends at rest anywhere on the path.
-
-    start: u at the beginning. rate: du/dt there, 1/s; u is proportional to the motion's time, so its second derivative
-    is 0.
-    """
-
-    start: float = 0.0
-    rate: float = 1.0
-
-    def by_duration(self, coefficients: Array, duration: float, z: Array) -> Array:
-        # Of order k: T^-k for the spline, T^(1 - k) for the function of the start.
-        by_duration = self._launched(duration) - ORDERS * self.law(coefficients, duration)
-        return np.einsum("jkrn,jr->krn", self._by_law(self.law(coefficients, duration)), by_duration[:, :, 0])
-
-    def fixed(self) -> tuple[int, int]:
-        return 1, 0
-
-    def inequalities(self, coefficients: Array) -> tuple[Array, Array]:
-        return np.eye(coefficients.size)[1:], 1.0 - coefficients[1:, 0]
-
-    def repaired(self, coefficients: Array) -> Array | None:
-        return np.clip(coefficients, 0.0, 1.0)
-
-    def law(self, coefficients: Array, duration: float) -> Array:
-        return self.grid.motion(coefficients, duration) + self._launched(duration)
-
-    def _launched(self, duration: float) -> Array:
-        """Contribution (4, P, 1) of the initial rate."""
-        return launch_basis(self.grid.s)[0][:, :, None] * self.rate * duration ** (1 - ORDERS)
