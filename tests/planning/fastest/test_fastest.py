@@ -307,18 +307,21 @@ def test_what_oversteps_a_limit_by_a_hair_between_the_optimisers_instants_is_mad
     problem = transport_problem(scenario.with_changes(motion__duration=None))
     found = fastest(problem, FastestOptions(spans=8))
 
-    def planned(share: float) -> tuple[FastestMotion, Plan]:
-        motion = replace(found, duration=share * found.duration)
-        return motion, joint_plan(scenario, problem, motion.joint_motion(), motion.status, {})
+    def planned(motion: FastestMotion) -> Plan:
+        return judged(joint_plan(scenario, problem, motion.joint_motion(), motion.status, {}), problem)
 
-    hasty = planned(0.9995)
+    def hastened(share: float) -> tuple[FastestMotion, Plan]:
+        motion = replace(found, duration=share * found.duration)
+        return motion, planned(motion)
+
+    hasty = hastened(0.9995)
     assert not hasty[1].ok
-    slower, plan = slow_enough(scenario, *hasty, robust=True)
+    slower, plan = slow_enough(*hasty, planned, robust=True)
     assert plan.ok
     assert slower.duration == plan.duration == pytest.approx(0.9995 * 1.001 * found.duration)
     assert f"{slower.duration:.4f} s" in plan.status.sentence
-    much = planned(0.97)
-    assert slow_enough(scenario, *much, robust=True) == much
+    much = hastened(0.97)
+    assert slow_enough(*much, planned, robust=True) == much
 
 
 def test_a_plan_whose_motion_fails_the_verdict_is_unsafe():

@@ -17,7 +17,7 @@ from salver.cli.plans.retime import retime as retime_command
 from salver.errors import FileFormatError, ScenarioError
 from salver.models.contact_rows import contact_rows
 from salver.motion_files import read_path
-from salver.planning.fastest import FastestOptions, fastest, object_motion
+from salver.planning.fastest import FastestOptions, fastest, object_motion, retiming
 from salver.planning.fastest.retiming import (
     PATH_TOLERANCE,
     SplinePath,
@@ -240,6 +240,23 @@ def test_retimed_plan_checks_itself(problem):
     turned = plan.joint.q[-1] - plan.joint.q[0]
     assert np.allclose(turned, [1.0, 0, 0, 0, 0, 0, 0], atol=1e-9)
     assert plan.solver["lower_bound"] < plan.duration
+
+
+def test_a_timing_that_is_a_hair_too_fast_is_slowed_and_its_sentence_says_the_time_it_takes(problem, monkeypatch):
+    """In .9995 of its time it is some .1 % too quick; .001 of its time mends it."""
+    found = []
+
+    def hastened(*arguments, **options):
+        motion = retime(*arguments, **options)
+        found.append(motion.duration)
+        return replace(motion, duration=0.9995 * motion.duration)
+
+    monkeypatch.setattr(retiming, "retime", hastened)
+    plan = plan_retimed(cube(), swing(problem, 1.0).derivatives(np.linspace(0, 1, 6), 0)[0])
+    assert plan.ok
+    assert plan.duration == pytest.approx(0.9995 * 1.001 * found[-1])
+    assert f"takes {plan.duration:.4f} s" in plan.status.sentence
+    assert f"{found[-1]:.4f}" not in plan.status.sentence
 
 
 def test_a_path_that_passes_nearer_than_the_arm_may_stray_is_unsafe(problem):

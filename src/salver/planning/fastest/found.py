@@ -10,6 +10,7 @@ from salver.errors import Status
 from salver.geometry import Array
 from salver.planning.follow.forward import tray_motion
 from salver.planning.trajopt.curves import FreeCurve, Grid, united
+from salver.planning.trajopt.exchange import CurveOf
 from salver.planning.trajopt.problem import TransportProblem
 from salver.planning.trajopt.spline import RestSpline
 from salver.trajectory import JointMotion, MotionSamples, SampledReference
@@ -72,9 +73,12 @@ EFFORTS = {
 
 @dataclass(frozen=True)
 class FastestMotion:
-    """Result of a search. spline, coefficients (size, n), duration (s): the motion. worst: largest value of each
-    constraint block on a fine grid, <= 0 if met. binding: names of the constraints that prevent a shorter motion.
+    """Result of a search.
+
+    spline, coefficients (size, m), duration (s): the motion; curve_of: its parametrisation. worst: largest value of
+    each constraint block on a fine grid, <= 0 if met. binding: names of the constraints that prevent a shorter motion.
     wall_time: s. iterations: of all rounds and starts. margin: the maximised one, with the objective `LeastMargin`.
+    lower_bound: of the duration on a given path, s; it ignores jerk, torque rate and uncertainty.
     """
 
     problem: TransportProblem
@@ -87,6 +91,8 @@ class FastestMotion:
     wall_time: float
     iterations: int
     margin: float = 0.0
+    lower_bound: float = 0.0
+    curve_of: CurveOf = FreeCurve
 
     def after(self, *before: FastestMotion) -> FastestMotion:
         """The motion with the wall time and the iterations of earlier searches added."""
@@ -97,7 +103,7 @@ class FastestMotion:
     def sample(self, t: Array) -> tuple[Array, Array, Array, Array]:
         """q, dq, ddq, dddq (T, n) at times t, clamped to rest outside [0, duration]."""
         s = np.clip(np.asarray(t, dtype=float) / self.duration, 0.0, 1.0)
-        curve = FreeCurve(self.problem, Grid.of(self.spline, s))
+        curve = self.curve_of(self.problem, Grid.of(self.spline, s))
         q, *rates = curve.motion(self.coefficients, self.duration)
         inside = ((t >= 0) & (t <= self.duration))[:, None]
         dq, ddq, dddq = (np.where(inside, rate, 0.0) for rate in rates)

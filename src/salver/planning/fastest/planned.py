@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -60,22 +60,10 @@ def plan_problem(
     near: SplineMotion | None = None,
 ) -> Plan:
     """The plan of a problem, as `plan_fastest` makes it; `near`, a motion of a similar problem, is tried first."""
-    return found_and_planned(problem, robust=robust, options=options, watch=watch, near=near)[1]
-
-
-def found_and_planned(
-    problem: TransportProblem,
-    *,
-    robust: bool = True,
-    options: FastestOptions | None = None,
-    watch: Watch | None = None,
-    near: FastestMotion | SplineMotion | None = None,
-) -> tuple[FastestMotion, Plan]:
-    """The motion found for a problem, and its plan, as of `plan_problem`."""
     found, plan = _found(problem, robust, options, watch, near)
     if not robust:
-        return found, plan
-    return at_every_speed(found, plan, lambda known: _found(known.problem, robust, options, watch, known))
+        return plan
+    return at_every_speed(found, plan, lambda known: _found(known.problem, robust, options, watch, known))[1]
 
 
 def _found(
@@ -100,8 +88,7 @@ def _found(
             break
         found = again.after(found)
         plan = _planned(scenario, found, robust)
-    if found.status.ok and not _passes(plan, robust):
-        found, plan = slow_enough(scenario, found, plan, robust)
+    found, plan = slow_enough(found, plan, lambda slower: _planned(scenario, slower, robust), robust)
     if robust and plan.status.ok and not plan.verification.ok:
         said = f"The motion found in {plan.duration:.4f} s fails the check of its plan: {plan.verification.sentence}"
         plan = replace(plan, status=Status("unsafe", said, False))
@@ -126,26 +113,29 @@ def _sterner(found: FastestMotion, plan: Plan, robust: bool) -> TransportProblem
         if more is None and len(nodes) == len(problem.nodes):  # all of these are imposed already
             return None
         return more or replace(problem, nodes=tuple(nodes))
-    if not robust or plan.verification.violation <= 0 or any(x.exactly for x in _contacts(problem)):
+    if (
+        not robust
+        or plan.verification.violation <= 0
+        or any(isinstance(constraint, ContactConstraint) and constraint.exactly for constraint in problem.constraints)
+    ):
         return None
     # The rows allow for the arm's tracking error; in quick turns the motion itself may violate the exact condition.
     exactly = tuple(ContactConstraint(rows, plan.scenario.contact.margin, exactly=True) for rows in problem.contacts)
     return replace(problem, extra=(*problem.extra, *exactly))
 
 
-def _contacts(problem: TransportProblem) -> list[ContactConstraint]:
-    return [constraint for constraint in problem.constraints if isinstance(constraint, ContactConstraint)]
-
-
-def slow_enough(scenario: Scenario, found: FastestMotion, plan: Plan, robust: bool) -> tuple[FastestMotion, Plan]:
+def slow_enough(
+    found: FastestMotion, plan: Plan, planned: Callable[[FastestMotion], Plan], robust: bool
+) -> tuple[FastestMotion, Plan]:
     """The motion and its plan, slowed down by the smallest of a few shares with which it passes the plan's check, which
     tests more instants than the optimiser does; unchanged if none is enough, which means an error of the optimiser."""
-    for share in SLOWER:
-        duration = found.duration * (1 + share)
-        status = reached(SHORTEST.sought, duration) if found.status.code == "optimal" else found.status
-        slower = replace(found, duration=duration, status=status)
-        if _passes(made := _planned(scenario, slower, robust), robust):
-            return slower, made
+    if found.status.ok and not _passes(plan, robust):
+        for share in SLOWER:
+            duration = found.duration * (1 + share)
+            status = reached(SHORTEST.sought, duration) if found.status.code == "optimal" else found.status
+            slower = replace(found, duration=duration, status=status)
+            if _passes(made := planned(slower), robust):
+                return slower, made
     return found, plan
 
 

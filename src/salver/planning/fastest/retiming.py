@@ -21,12 +21,13 @@ from scipy.sparse import coo_matrix
 
 from salver.errors import ScenarioError, Status, UnreachableError
 from salver.geometry import Array, interpolated, quat_wxyz_from_matrix
-from salver.planning.fastest.planned import SLOWER, joint_plan, judged
+from salver.planning.fastest.found import FastestMotion
+from salver.planning.fastest.planned import joint_plan, judged, slow_enough
 from salver.planning.fastest.speeds import at_every_speed
 from salver.planning.round import MultiLegPlan
 from salver.planning.trajopt.constraints.constraints import evaluate, worst_of
 from salver.planning.trajopt.constraints.obstacles import KeepOut
-from salver.planning.trajopt.curves import Grid, PathCurve, united
+from salver.planning.trajopt.curves import Grid, PathCurve
 from salver.planning.trajopt.exchange import CurveOf, optimise
 from salver.planning.trajopt.problem import TransportProblem, transport_problem
 from salver.planning.trajopt.spline import RestSpline, SplineMotion, min_jerk_blend
@@ -98,61 +99,33 @@ def _apart(q: Array) -> Array:
     return q[kept]
 
 
-@dataclass(frozen=True)
-class RetimedMotion:
-    """Result of retiming a path.
-
-    problem, path: what was retimed. law, coefficients: spline of the time law u(t), and its coefficients (size, 1).
-    duration: s. lower_bound: s; no motion on this path is faster: it ignores jerk, torque rate and uncertainty. worst:
-    as in `FastestMotion`. wall_time: s.
-    """
-
-    problem: TransportProblem
-    path: SplinePath
-    law: RestSpline
-    coefficients: Array
-    duration: float
-    lower_bound: float
-    status: Status
-    worst: dict[str, float]
-    wall_time: float
-
-    def joint_motion(self, count: int = 401) -> JointMotion:
-        """The motion as samples, denser than the spline's pieces, so that interpolation errors are negligible."""
-        s = united(np.linspace(0, 1, count), self.law.breaks())
-        powers = self.duration ** np.arange(3.0)
-        u, u1, u2 = (self.law.matrices(s)[:3] @ self.coefficients) / powers[:, None, None]
-        q, first, second = self.path.derivatives(u[:, 0], 2)
-        return JointMotion(s * self.duration, q, first * u1, second * u1**2 + first * u2)
-
-
-def retime(problem: TransportProblem, path: SplinePath, *, spans: int = 20, nodes_per_span: int = 4) -> RetimedMotion:
-    """The fastest safe time law along a path. The problem's end poses and tilt limit are ignored: the path fixes both.
+def retime(problem: TransportProblem, path: SplinePath, *, spans: int = 20, nodes_per_span: int = 4) -> FastestMotion:
+    """The fastest safe time law along a path, as a motion whose coefficients (size, 1) are those of the law u(t). The
+    problem's end poses and tilt limit are ignored: the path fixes both.
 
     Never raises for numerical reasons: see `status`.
     """
     begun = time.perf_counter()
     problem = replace(problem, max_tilt=np.inf, keep_out=None)
     law = RestSpline(DEGREE, spans)
-    bound = reachable_law(problem, path)
-    if bound is None:
-        status = Status("infeasible", "No time law keeps this path: the load does not even stand still on it.", False)
-        return RetimedMotion(problem, path, law, np.zeros((law.size, 1)), np.inf, np.inf, status, {}, 0.0)
-    t, u = bound
-    s = np.linspace(0.0, 1.0, 401)
-    start = law.fit(s, np.interp(s, t / t[-1], u)[:, None])
-    start = np.maximum.accumulate(np.clip(start, 0.0, 1.0), axis=0)
 
     def curve_of(problem: TransportProblem, grid: Grid) -> PathCurve:
         return PathCurve(problem, grid, path)
 
+    bound = reachable_law(problem, path)
+    if bound is None:
+        status = Status("infeasible", "No time law keeps this path: the load does not even stand still on it.", False)
+        return FastestMotion(problem, law, np.zeros((law.size, 1)), np.inf, status, {}, (), 0.0, 0, curve_of=curve_of)
+    t, u = bound
+    s = np.linspace(0.0, 1.0, 401)
+    start = law.fit(s, np.interp(s, t / t[-1], u)[:, None])
+    start = np.maximum.accumulate(np.clip(start, 0.0, 1.0), axis=0)
     calm = _calm(problem, curve_of, law, float(t[-1])) if problem.cases else None
     begin = SplineMotion(law, start, 1.5 * float(t[-1])) if calm is None else calm  # jerk asks for more
     found = optimise(problem, curve_of, begin, nodes_per_span)
-    wall = time.perf_counter() - begun
-    return RetimedMotion(
-        problem, path, law, found.coefficients, found.duration, float(t[-1]), found.status, found.worst, wall
-    )
+    wall, result = time.perf_counter() - begun, (found.coefficients, found.duration, found.status, found.worst)
+    spent = wall, found.iterations
+    return FastestMotion(problem, law, *result, found.binding, *spent, lower_bound=float(t[-1]), curve_of=curve_of)
 
 
 def _calm(problem: TransportProblem, curve_of: CurveOf, law: RestSpline, duration: float) -> SplineMotion | None:
@@ -200,16 +173,7 @@ def plan_retimed(scenario: Scenario, waypoints: Array, *, robust: bool = True) -
     out = problem.keep_out
     strayed_from = None if out is None else KeepOut(out.parts, np.zeros_like(out.required))
 
-    def planned(found: RetimedMotion) -> tuple[RetimedMotion, Plan]:
-        """The motion and its plan; slowed by the least share with which it passes the verdict, if one is enough."""
-        whole = made(found)
-        for share in SLOWER if found.status.ok and not whole[1].status.ok else ():
-            slower = made(replace(found, duration=found.duration * (1 + share)))
-            if slower[1].status.ok:
-                return slower
-        return whole
-
-    def made(found: RetimedMotion) -> tuple[RetimedMotion, Plan]:
+    def made(found: FastestMotion) -> Plan:
         record = {
             "name": "time law by sequential quadratic programming (PIQP)",
             "robust": robust,
@@ -219,9 +183,12 @@ def plan_retimed(scenario: Scenario, waypoints: Array, *, robust: bool = True) -
             "waypoints_missed": path.missed,
         }
         plan = joint_plan(moved, problem, found.joint_motion(), found.status, record)
-        return found, judged(plan, replace(found.problem, keep_out=strayed_from))
+        return judged(plan, replace(found.problem, keep_out=strayed_from))
 
-    plan = planned(found)[1]
+    def planned(found: FastestMotion) -> tuple[FastestMotion, Plan]:
+        return slow_enough(found, made(found), made, robust)
+
+    found, plan = planned(found)
     return at_every_speed(found, plan, lambda known: planned(retime(known.problem, path)))[1] if robust else plan
 
 
