@@ -15,12 +15,9 @@ Other columns are ignored. Other units: `salver.motion_files.units`.
 
 from __future__ import annotations
 
-import csv
 import re
-import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -325,67 +322,51 @@ def read_path(path: Path, joint_names: tuple[str, ...], topic: str | None = None
 def read_table(path: Path, headless: bool = False) -> tuple[list[str], Array]:
     """Read the header and the numbers (N, columns) of a table. headless: accept a table without a header."""
     try:
-        with open(path, encoding="utf-8-sig") as file:
-            start = next(((k, line) for k, line in enumerate(file) if line.strip() and not line.startswith("#")), None)
+        text = path.read_text(encoding="utf-8-sig")
     except OSError as error:
         raise FileFormatError(f"{path} cannot be read ({error.strerror}).") from None
     except UnicodeDecodeError:
         raise FileFormatError(f"{path} is not a text file in UTF-8.") from None
-    if start is None:
+    lines = [(k, x) for k, x in enumerate(text.split("\n"), 1) if x.strip() and not x.startswith("#")]
+    if not lines:
         raise FileFormatError(f"{path} is empty; the first line must name the columns.")
-    skipped, first = start
+    first = lines[0][1]
     separator = next((s for s in (";", ",", "\t") if s in first), None)
     header = [name.strip().strip('"') for name in first.split(separator)]
-    if all(_is_number(name.replace(",", ".")) for name in header):
-        if headless:
-            return [], _numbers(path, skipped - 1, separator, len(header))
+    columns = len(header)
+    if not all(_is_number(name.replace(",", ".")) for name in header):
+        lines = lines[1:]
+    elif headless:
+        header = []
+    else:
         raise FileFormatError(
             f"{path} has no header: its first line must name the columns, such as t, x, y, z, qw, qx, qy, qz."
         )
-    return header, _numbers(path, skipped, separator, len(header))
-
-
-def _numbers(path: Path, skipped: int, separator: str | None, columns: int) -> Array:
-    """The numbers (N, columns) of a table; skipped: index of the header's line, from 0."""
-    table: Any = path
-    point = "."
-    try:
-        if separator != "," and _has_decimal_commas(path, skipped):
-            point = ","
-            table = [line.replace(point, ".") for line in path.read_text(encoding="utf-8-sig").splitlines()]
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)  # a file without rows is refused below
-            values = np.loadtxt(table, delimiter=separator, ndmin=2, skiprows=skipped + 1, encoding="utf-8-sig")
-    except (ValueError, UnicodeDecodeError):
-        values = np.zeros((1, 0))
-    if values.size == 0 and values.shape[0] == 0:
+    if not lines:
         raise FileFormatError(f"{path} has no samples below its header; an audit needs at least {FEWEST}.")
+    commas, points = (any(mark in line for _, line in lines) for mark in ",.")
+    if separator != "," and commas and not points:  # decimal commas; with points, commas could separate thousands
+        lines = [(k, line.replace(",", ".")) for k, line in lines]
+    try:
+        values = np.loadtxt([line for _, line in lines], delimiter=separator, ndmin=2)
+    except ValueError:
+        values = np.zeros((1, 0))
     if values.shape[1] != columns:
-        _point_at_fault(path, skipped, separator, columns, point)
-        raise FileFormatError(f"{path} is not a table of numbers.")
-    return values
+        raise FileFormatError(_fault(path, lines, separator, columns))
+    return header, values
 
 
-def _has_decimal_commas(path: Path, skipped: int) -> bool:
-    """Whether numbers have commas and none has a point; with both, commas could separate thousands."""
-    with open(path, encoding="utf-8-sig") as file:
-        rows = [line for line in islice(file, skipped + 1, None) if not line.startswith("#")]
-    return any("," in row for row in rows) and not any("." in row for row in rows)
-
-
-def _point_at_fault(path: Path, skipped: int, separator: str | None, columns: int, point: str) -> None:
-    """Raise FileFormatError with the first line that is not a row of numbers."""
-    with open(path, encoding="utf-8-sig", errors="replace") as file:
-        for k, line in enumerate(file, 1):
-            if k <= skipped + 1 or not line.strip() or line.startswith("#"):
-                continue
-            cells = next(csv.reader([line], delimiter=separator)) if separator else line.split()
-            if len(cells) != columns:
-                raise FileFormatError(f"{path}, line {k}: {len(cells)} values, but the header names {columns} columns.")
-            for cell in cells:
-                if not _is_number(cell.replace(point, ".")):
-                    rule = "; decimal commas are read where no number has a point" if "," in cell else ""
-                    raise FileFormatError(f'{path}, line {k}: "{cell.strip()}" is not a number{rule}.')
+def _fault(path: Path, lines: list[tuple[int, str]], separator: str | None, columns: int) -> str:
+    """A sentence about the first of the numbered lines that is not a row of numbers."""
+    for k, line in lines:
+        cells = line.split(separator)
+        if len(cells) != columns:
+            return f"{path}, line {k}: {len(cells)} values, but the header names {columns} columns."
+        for cell in cells:
+            if not _is_number(cell):
+                rule = "; decimal commas are read where no number has a point" if "," in cell else ""
+                return f'{path}, line {k}: "{cell.strip()}" is not a number{rule}.'
+    return f"{path} is not a table of numbers."
 
 
 def _is_number(text: str) -> bool:
