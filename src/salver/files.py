@@ -18,7 +18,7 @@ from collections.abc import Iterator, Mapping
 from functools import cache
 from importlib import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -191,14 +191,6 @@ def read_json(path: str | Path) -> Any:
         raise FileFormatError(f"{path} is not JSON that salver wrote ({type(error).__name__}).") from None
 
 
-def read_object(path: str | Path) -> dict[str, Any]:
-    """Read a JSON file that must hold an object. Raises FileFormatError when it holds something else."""
-    found = read_json(path)
-    if not isinstance(found, dict):
-        raise FileFormatError(f"{path} is not a file that salver wrote: it holds a {type(found).__name__}.")
-    return found
-
-
 def sealed(obj: Mapping[str, Any]) -> dict[str, Any]:
     """A JSON object with its digest added, so that an edit by hand is detected."""
     plain: dict[str, Any] = _plain(obj)
@@ -207,7 +199,9 @@ def sealed(obj: Mapping[str, Any]) -> dict[str, Any]:
 
 def read_sealed(path: str | Path) -> dict[str, Any]:
     """Read a JSON object that `sealed` made. Raises FileFormatError when its digest shows that it was edited."""
-    found = read_object(path)
+    found = read_json(path)
+    if not isinstance(found, dict):
+        raise FileFormatError(f"{path} is not a file that salver wrote: it holds a {type(found).__name__}.")
     if found.pop("digest", None) != _digest(found):
         raise FileFormatError(f"{path} was edited or damaged since salver wrote it; make it again.")
     return found
@@ -217,28 +211,17 @@ def _digest(obj: Any) -> str:
     return hashlib.sha256(json.dumps(obj, sort_keys=True).encode()).hexdigest()[:16]
 
 
-class Asked(Protocol):
-    """The part of a scenario that a result records."""
-
-    @property
-    def name(self) -> str: ...
-    @property
-    def digest(self) -> str: ...
-    @property
-    def seed(self) -> int: ...
-
-
-def provenance(scenario: Asked) -> dict[str, Any]:
-    """Provenance of a result: scenario, its content hash and seed, versions. Equal runs give equal records."""
-    own, python, system, *packages = versions().items()
+def provenance(scenario: Any) -> dict[str, Any]:
+    """Provenance of a result: a scenario's name, content hash and seed, and versions. Equal runs give equal records."""
+    found = versions()
     return {
-        "salver": own[1],
+        "salver": found.pop("salver"),
         "scenario": scenario.name,
         "scenario_digest": scenario.digest,
         "seed": scenario.seed,
-        "python": python[1],
-        "platform": system[1],
-        "versions": dict(packages),
+        "python": found.pop("python"),
+        "platform": found.pop("platform"),
+        "versions": found,
     }
 
 

@@ -214,7 +214,7 @@ def test_forces_of_the_other_sign_are_told_as_such(plan: Plan) -> None:
 
 def test_a_liquid_is_no_rigid_load() -> None:
     coffee = load("panda-coffee")
-    with pytest.raises(ScenarioError, match=r"the liquid in .* moves"):
+    with pytest.raises(ScenarioError, match=r"carries the liquid in .* one rigid load"):
         identify_runs(coffee, [])
 
 

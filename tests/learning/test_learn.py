@@ -80,9 +80,9 @@ def test_true_load_lies_in_the_set_and_differs_with_the_seed() -> None:
 
 
 def test_what_cannot_be_learnt_is_refused() -> None:
-    with pytest.raises(ScenarioError, match="one object"):
-        next(trips(load("upright-cups"), 1))
-    with pytest.raises(ScenarioError, match="needs an arm"):
+    with pytest.raises(ScenarioError, match="one rigid load"):
+        next(trips(load("panda-coffee"), 1))
+    with pytest.raises(ScenarioError, match="no arm; learning"):
         next(trips(load("tall-box-56"), 1))
 
 

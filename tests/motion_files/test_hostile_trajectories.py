@@ -94,7 +94,7 @@ def test_aliases_that_unfold_without_end_are_refused_at_the_first(tmp_path):
     path = tmp_path / "t.yaml"
     lines = ["a0: &a0 [x, x]"] + [f"a{k}: &a{k} [{', '.join([f'*a{k - 1}'] * 9)}]" for k in range(1, 12)]
     path.write_text("\n".join([*lines, "joint_names: *a11", "points: *a11"]))
-    with pytest.raises(FileFormatError, match=r"the alias \*a0, which messages do not have at line 2"):
+    with pytest.raises(FileFormatError, match=r"uses the alias \*a0, which messages do not have, at line 2"):
         read(path)
 
 

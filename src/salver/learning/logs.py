@@ -1,4 +1,4 @@
-"""Logs of an arm: joint positions with joint torques, with forces and torques at the wrist, or with both."""
+"""Logs of an arm with its load: joint positions with joint torques, with forces and torques at the wrist, or both."""
 
 from __future__ import annotations
 
@@ -8,11 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
-from salver.errors import FileFormatError
+from salver.errors import FileFormatError, ScenarioError
 from salver.files import load_npz
 from salver.geometry import Array
+from salver.models.bodies import Body
 from salver.motion_files.readers import BAGS, read_table
 from salver.motion_files.samples import reordered
+from salver.scenario import Scenario
 
 GAP = 0.03  # s, longest distance between two samples
 LONGEST = 600.0  # s, longest log
@@ -34,6 +36,20 @@ class Log:
     q: Array
     tau: Array | None = None
     wrench_F: Array | None = None
+
+
+def one_load(scenario: Scenario, purpose: str) -> Body:
+    """The only object of a scenario with an arm. Raises ScenarioError, which names the purpose, for other scenarios."""
+    if scenario.arm is None:
+        raise ScenarioError(f"{scenario.name} has no arm; {purpose} needs one.")
+    dynamic = scenario.payload.dynamic
+    if len(scenario.objects) > 1 or dynamic:
+        found = dynamic[0].inside if dynamic else f"{len(scenario.objects)} objects"
+        raise ScenarioError(
+            f"{scenario.name} carries {found}; {purpose} needs one rigid load: take objects one by one, and containers "
+            "empty."
+        )
+    return scenario.payload.first
 
 
 def read_log(path: str | Path, n: int, names: Sequence[str] = (), topic: str | None = None) -> Log:

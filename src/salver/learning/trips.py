@@ -27,6 +27,7 @@ from salver.learning.load.excite import plan_excite
 from salver.learning.load.identify import Identified, LoggedRun, identify_runs
 from salver.learning.load.sensors import Defects, Done, SensedArm, Sensors
 from salver.learning.load.systematic import SensorBounds
+from salver.learning.logs import one_load
 from salver.models.uncertain.parameters import INERTIAL, inertial_vector
 from salver.planning.fastest import EFFORTS, FastestOptions, plan_fastest
 from salver.planning.plan import Plan
@@ -128,8 +129,7 @@ def trips(
     Raises:
         ScenarioError: no arm, several objects, or no safe motion.
     """
-    if scenario.arm is None or len(scenario.objects) > 1:
-        raise ScenarioError(f"{scenario.name}: learning needs an arm, and one object on its tray.")
+    one_load(scenario, "learning")
     hidden, plan = _Hidden(scenario, true_load(scenario, seed), seed, sensor), None
     for number in range(1, count + 1):
         made = first if first is not None and number == 1 else plan_fastest(hidden.known, options=LEARNING.effort)

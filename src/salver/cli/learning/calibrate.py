@@ -85,16 +85,16 @@ def _read(
 ) -> None:
     from salver import scenario as scenarios
     from salver.learning.friction.friction import friction
+    from salver.learning.logs import one_load
     from salver.learning.tracking.executed import read_joints
     from salver.models.arm.arm import load_arm
     from salver.planning.plan import load_plan
 
     check_new_toml(out)
     plan = load_plan(directory)
-    if log is not None and plan.scenario.arm is None:
-        raise ScenarioError(f"{plan.scenario.name} has no arm; friction is measured by tilting a tray on an arm.")
-    arm = None if log is None or plan.scenario.arm is None else load_arm(plan.scenario.arm, plan.scenario.tray)
-    samples = None if log is None or arm is None else read_joints(log, arm)
+    one_load(plan.scenario, "a friction test")
+    assert plan.scenario.arm is not None
+    samples = None if log is None else read_joints(log, load_arm(plan.scenario.arm, plan.scenario.tray))
     found = friction(plan, samples, held=seen["held"], slid=seen["slid"], level=level)
     if out is not None:
         save_scenario(found.learnt_scenario(None if scenario is None else scenarios.load(scenario)), out)

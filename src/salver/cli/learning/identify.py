@@ -58,15 +58,13 @@ def identify(
     """
     from salver.learning import identify as learn
     from salver.learning import read_log
+    from salver.learning.logs import one_load
     from salver.models.arm.arm import load_arm
     from salver.planning.plan import load_plan
 
     check_new_toml(out)
     bounds, carried = _bounds(bound or []), load_plan(plan, stem)
-    if carried.joint is None:
-        raise ScenarioError(
-            f"{plan}: this plan has no joint motion; a load is identified from the torques of the arm that carries it."
-        )
+    one_load(carried.scenario, "identification")
     assert carried.scenario.arm is not None
     names = load_arm(carried.scenario.arm, carried.scenario.tray).joint_names
     read = [read_log(path, len(names), names, topic) for path in (*logs, empty)]

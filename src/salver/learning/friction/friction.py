@@ -23,6 +23,7 @@ import numpy as np
 
 from salver.errors import SalverError, ScenarioError
 from salver.geometry import GRAVITY_S, Array
+from salver.learning.logs import one_load
 from salver.learning.tracking.executed import executed
 from salver.models.arm.arm import load_arm, with_load
 from salver.models.bodies import Body
@@ -99,7 +100,7 @@ class Friction:
         exceeds that of the plan.
         """
         scenario = self.plan.scenario if scenario is None else scenario
-        body, tested = lone_load(scenario), self.plan.scenario.payload.first
+        body, tested = one_load(scenario, "a friction test"), self.plan.scenario.payload.first
         further = np.abs(body.p_EB - tested.p_EB) + _reach(scenario, body) - _reach(self.plan.scenario, tested)
         if (further > 1e-9).any():
             raise ScenarioError(
@@ -165,7 +166,7 @@ def friction(
         FileFormatError: the log is not of the plan.
     """
     scenario = plan.scenario
-    body = lone_load(scenario)
+    body = one_load(scenario, "a friction test")
     if plan.joint is None:
         raise ScenarioError(f"{scenario.name}: this plan has no motion of an arm, from which friction is identified.")
     _can_be_seen(plan, held, slid)
@@ -211,19 +212,6 @@ def _can_be_seen(plan: Plan, held: float | None, slid: float | None) -> None:
 def leaning(scenario: Scenario, level: float) -> float:
     """Largest tilt error of the tray, rad, by a tilt error of the robot's base, deg, and the scenario's ranges."""
     return float(np.deg2rad(level) + np.linalg.norm([_half(scenario, p) for p in TILT]))
-
-
-def lone_load(scenario: Scenario) -> Body:
-    """The only object of the scenario. Raises ScenarioError without an arm, or for other loads."""
-    if scenario.arm is None:
-        raise ScenarioError(f"{scenario.name} has no arm; friction is identified from an arm's motion.")
-    if len(scenario.objects) > 1 or scenario.payload.dynamic:
-        raise ScenarioError(
-            f"{scenario.name} carries several objects or something that moves inside, and what one "
-            "contact needs is known for one rigid "
-            "load on the tray; calibrate each alone."
-        )
-    return scenario.payload.first
 
 
 def _area(body: Body) -> float:

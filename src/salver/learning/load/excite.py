@@ -20,6 +20,7 @@ from salver.learning.load.noise import RUNS, SensorNoise
 from salver.learning.load.ranges import NAMES
 from salver.learning.load.sensors import SensedArm, Sensors, at_flange, nominal_load
 from salver.learning.load.systematic import SensorBounds
+from salver.learning.logs import one_load
 from salver.models.interfaces import needed_at_tray
 from salver.planning.fastest import (
     AtPosture,
@@ -111,8 +112,7 @@ def plan_excite(scenario: Scenario, duration: float, *, options: FastestOptions 
 
     Raises ScenarioError for an unsuitable scenario, UnreachableError when no motion is found.
     """
-    if scenario.arm is None or len(scenario.objects) > 1 or scenario.payload.dynamic:
-        raise ScenarioError(f"{scenario.name}: an excitation trajectory needs an arm with one rigid load on its tray.")
+    one_load(scenario, "an excitation trajectory")
     if not SHORTEST <= duration <= LONGEST:
         raise ScenarioError(f"A duration of {duration:g} s was asked for; it must be {SHORTEST:g} to {LONGEST:g}.")
     start = scenario.motion.start.model_dump()

@@ -31,9 +31,9 @@ from salver.learning.load.channels import ChannelReading, SensedMotion, differen
 from salver.learning.load.estimate import solve
 from salver.learning.load.narrowing import half_ranges, narrowed, not_shown, prior
 from salver.learning.load.ranges import NAMES, Range
-from salver.learning.load.sensors import at_flange, tray_wrench
+from salver.learning.load.sensors import at_flange, heavier, tray_wrench
 from salver.learning.load.systematic import SensorBounds
-from salver.learning.logs import Log, check_times
+from salver.learning.logs import Log, check_times, one_load
 from salver.learning.tracking.executed import lateness
 from salver.models.interfaces import needed_at_tray
 from salver.models.physical import nearest, realisable
@@ -165,7 +165,9 @@ def identify_runs(
     within: a scenario of the same load whose ranges contain it too, to which the result is restricted; default: the
     scenario. Raises as `identify` does.
     """
-    _one_rigid_load(scenario, runs)
+    one_load(scenario, "identification")
+    if any(run.plan.joint is None for run in runs):
+        raise ScenarioError(f"{scenario.name}: a plan without a joint motion; identification needs that of an arm.")
     _each_its_own(runs)
     sources, bounds = ", ".join(run.loaded.source for run in runs), bounds or SensorBounds()
     readings = _felt(scenario, runs, prior(scenario))
@@ -204,24 +206,6 @@ def identify_runs(
         found.shares,
         told,
     )
-
-
-def _one_rigid_load(scenario: Scenario, runs: Sequence[LoggedRun]) -> None:
-    """Raise ScenarioError unless an arm carries the load, and the load is one rigid object."""
-    if scenario.arm is None or any(run.plan.joint is None for run in runs):
-        raise ScenarioError(
-            f"{scenario.name} has no joint motion; a load is identified from the torques of the arm that carries it."
-        )
-    if len(scenario.objects) > 1:
-        raise ScenarioError(
-            f"{scenario.name} carries {len(scenario.objects)} objects, and an arm feels only their sum; load them one "
-            "by one, each in a scenario of its own."
-        )
-    if scenario.payload.dynamic:
-        raise ScenarioError(
-            f"{scenario.name}: {scenario.payload.dynamic[0].inside} moves, and what is identified is one "
-            "rigid load; identify the container empty."
-        )
 
 
 def _felt(scenario: Scenario, runs: Sequence[LoggedRun], known: tuple[Array, Array]) -> list[list[ChannelReading]]:
@@ -327,9 +311,7 @@ def _each_link(arm: ArmModel, q: Array, dq: Array, ddq: Array, torque: Array) ->
 
     for k in range(1, arm.pin_model.njoints - 1):
         model = arm.pin_model.copy()
-        link = model.inertias[k]
-        link.mass, link.inertia = 2 * link.mass, 2 * link.inertia
-        model.inertias[k] = link
+        heavier(model, {k: 2.0})
         yield motion_terms(model, arm.tray_id, q, dq, ddq).torque - torque
 
 

@@ -153,9 +153,9 @@ class SensedArm:
         self.friction = self.rng.uniform(low, high, self.arm.n)
         self.model = self.arm.pin_model.copy()
         links = range(1, self.model.njoints - 1)  # the last carries the tray, whose mass is known
-        _heavier(self.model, {k: 1 + self.sensors.links * self.rng.standard_normal() for k in links})
+        heavier(self.model, {k: 1 + self.sensors.links * self.rng.standard_normal() for k in links})
         self.other = self.model.copy()  # model of the arm in runs with a load
-        _heavier(self.other, {k: 1 + self.defects.links * self.signs[11, k] for k in links})
+        heavier(self.other, {k: 1 + self.defects.links * self.signs[11, k] for k in links})
 
     def log(self, inertial: Array | None, source: str = "log", done: Done | None = None) -> Log:
         """Log of a run with a load with values (10,) of `parameters.INERTIAL` in B, or with the empty tray (None).
@@ -205,7 +205,8 @@ class SensedArm:
         return tau, wrench
 
 
-def _heavier(model: Any, shares: dict[int, float]) -> None:
+def heavier(model: Any, shares: dict[int, float]) -> None:
+    """Multiply masses and inertias of links of a Pinocchio model by shares."""
     for k, share in shares.items():
         body = model.inertias[k]
         body.mass, body.inertia = share * body.mass, share * body.inertia
