@@ -152,8 +152,7 @@ def test_a_liquid_is_shown_as_the_whole_run_has_it_and_told_when_it_spills(monke
 
     def taken(t, q, dq, tau, data):
         took(t, q, dq, tau, data)
-        whole.joints(t, q, dq, tau)
-        whole.take(data)
+        whole.take(t, q, dq, tau, data)
 
     monkeypatch.setattr(world.plant.inner, "took", taken)
     assert world.say({"protected": False}).ok

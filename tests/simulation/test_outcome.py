@@ -60,7 +60,7 @@ def seen(scene: Scene, p_EB: np.ndarray, R_EB: np.ndarray, bias: creep.TrayBias 
         t=T, q=none, dq=none, tau=none, p_XE=p_XE, R_XE=R_XE,
         p_XB=p_XE[:, None] + np.einsum("tij,tmj->tmi", R_XE, p_EB), R_XB=R_XE[:, None] @ R_EB,
         foot_force_B=np.zeros((COUNT, 4 * m, 3)), force_X=np.zeros((COUNT, m, 3)),
-        touches=np.ones((COUNT, m), bool), foreign=np.zeros((COUNT, m), bool), collides=np.zeros(COUNT, bool),
+        touches=np.ones((COUNT, m), bool), collides=np.zeros(COUNT, bool),
     )  # fmt: skip
     return behaviour(scene, trace, bias or creep.still_bias(COUNT), TRAY)
 

@@ -44,8 +44,7 @@ class InnerMotions:
             return
         if self._recorder.full:
             self._look()
-        self._recorder.joints(t, q, dq, tau)
-        self._recorder.take(data)
+        self._recorder.take(t, q, dq, tau, data)
         self._seen = False
 
     @property

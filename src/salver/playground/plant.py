@@ -15,6 +15,7 @@ from salver.scenario import Scenario
 from salver.simulation.scene.engine import mujoco
 from salver.simulation.scene.loads import true_world
 from salver.simulation.scene.scene import build
+from salver.simulation.trace import Take, step
 
 
 class Plant:
@@ -52,22 +53,10 @@ class Plant:
         self.inner.begin()
         self.data.qacc_warmstart[:] = 0
 
-    def step(
-        self, controller: ArmController, t: float, took: Callable[[Array, Array, Array], None] | None = None
-    ) -> None:
-        """One control period from time t. took: told q, dq and the torque, (n,) each, when the engine has made one step
-        since."""
-        data, scene = self.data, self.scene
-        state = ArmState(self.q, self.dq)
-        torque = controller.step(state, t)
-        data.qfrc_applied[: scene.n] = torque
-        scene.shake(data, t)
-        mujoco.mj_step(scene.model, data)
-        self.inner.took(t, state.q, state.dq, torque, data)
-        if took is not None:
-            took(state.q, state.dq, torque)
-        if self._steps > 1:
-            mujoco.mj_step(scene.model, data, nstep=self._steps - 1)
+    def step(self, controller: ArmController, t: float, *takes: Take) -> None:
+        """One control period from time t. takes: see `salver.simulation.trace.step`."""
+        torque = controller.step(ArmState(self.q, self.dq), t)
+        step(self.scene, self.data, t, torque, self._steps, self.inner.took, *takes)
 
     def p_SB(self, k: int = 0) -> Array:
         """(3,) m: where object k is."""

@@ -16,11 +16,9 @@ from salver.driver.live import commanded
 from salver.driver.logs import RECORD_RATE, keep
 from salver.files import provenance
 from salver.geometry import Array
-from salver.models.arm.arm import load_arm
 from salver.planning.plan import Plan
 from salver.planning.plan_files import make_way
 from salver.scenario import Scenario
-from salver.simulation import creep
 from salver.simulation.run import Options, Run, measure
 from salver.simulation.scene.scene import Scene
 from salver.simulation.trace import Recorder
@@ -62,8 +60,7 @@ class SessionRecording:
     def took(self, t: float, q: Array, dq: Array, tau: Array, wanted: tuple[Array, Array, Array], data: object) -> None:
         """The state at time t, the torque, q, dq, ddq as they were commanded; the engine has made one step since."""
         self._wanted[:, self._recorder.count] = wanted
-        self._recorder.joints(t - self.since, q, dq, tau)
-        self._recorder.take(data)
+        self._recorder.take(t - self.since, q, dq, tau, data)
 
     def commanded(self) -> Plan:
         """The commanded motion, judged like any joint motion from rest to rest."""
@@ -74,12 +71,11 @@ class SessionRecording:
     def save(self, directory: Path, unprotected: bool) -> Path:
         """Write the run directory; what stood there is kept. Returns the path of the log."""
         began, plan = time.perf_counter(), self.commanded()
-        trace, arm = self._recorder.trace(), load_arm(self.scenario.arm, self.scenario.tray)  # type: ignore[arg-type]
-        bias = creep.tray_bias(arm, trace.q, trace.dq, self.scene.world.R_tilt)
+        trace = self._recorder.trace()
         options = Options(record_rate=1 / self.scenario.physics.command_period)  # all of what was kept
         wanted = plan.reference.sample(trace.t)
         run = Run(plan.scenario, self.parameters, options, plan.reference, self.scene, wanted)
-        record = measure(run, trace, bias, (trace.p_XE, trace.R_XE), {"with_arm": True}, began)
+        record = measure(run, trace, {"with_arm": True}, began)
         assert plan.joint is not None
         error = np.abs(trace.q - plan.joint.sample(trace.t)[0])
         summary = {

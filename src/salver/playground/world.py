@@ -120,7 +120,8 @@ class World:
         with self._lock:
             recording = self._recording
             due = recording is not None and recording.due()
-            self.plant.step(self._controller if self.protected else self._jogging, self.t, self._took if due else None)
+            controller = self._controller if self.protected else self._jogging
+            self.plant.step(controller, self.t, *([self._took] if due else []))
             self.t += self.period
             seen = self.ball.step(self.plant.data, self.t)
             if seen is not None:
@@ -129,9 +130,9 @@ class World:
                 self._was_free |= self._free is not None
                 self._watch(recording)
 
-    def _took(self, q: Array, dq: Array, torque: Array) -> None:
+    def _took(self, t: float, q: Array, dq: Array, torque: Array, data: Any) -> None:
         assert self._recording is not None
-        self._recording.took(self.t, q, dq, torque, self.at(0, 0.0), self.plant.data)
+        self._recording.took(t, q, dq, torque, self.at(0, 0.0), data)
 
     @property
     def protected(self) -> bool:

@@ -23,14 +23,14 @@ from salver.geometry import Array, matrix_from_quat_wxyz
 from salver.models.arm.arm import ArmModel, load_arm
 from salver.models.arm.arm_limits import JointLimits
 from salver.scenario import Scenario
-from salver.simulation import creep, tray_frame
+from salver.simulation import tray_frame
 from salver.simulation.record import SimulationRecord
 from salver.simulation.run import Options, Run, at_commands, measure, of_tray, prepare
 from salver.simulation.scene.engine import mujoco
 from salver.simulation.scene.loads import outside, true_world
 from salver.simulation.scene.robots import robot_for
 from salver.simulation.scene.scene import build
-from salver.simulation.trace import Recorder, Trace
+from salver.simulation.trace import Recorder, Trace, step
 from salver.trajectory import JointMotion, MotionSamples, Reference
 
 if TYPE_CHECKING:
@@ -96,15 +96,13 @@ class Experiment:
             return simulate_tray(plan.reference, scenario, parameters, options, seed)
         began = time.perf_counter()
         run, trace = self._carried(parameters, seed)
-        scene = run.scene
-        bias = creep.tray_bias(self.arm, trace.q, trace.dq, scene.world.R_tilt)
         summary = {
             "method": plan.method,
             "with_arm": True,
             "seed": seed,
             "arm": _arm_summary(self.arm.limits, trace, self.controller.saturation),
         }
-        record = measure(run, trace, bias, (trace.p_XE, trace.R_XE), summary, began)
+        record = measure(run, trace, summary, began)
         if self.stop_at is None:
             record.summary["tube"] = _against_tube(plan, record)  # type: ignore[index]
         else:
@@ -154,32 +152,24 @@ def simulate(
 def _run_arm(run: Run, controller: ArmController | Relay, q_start: Array, rng: np.random.Generator) -> Trace:
     """For each command: read the sensors, step the controller, apply its torque, step the engine."""
     scene, physics = run.scene, run.scenario.physics
-    model, data, n = scene.model, mujoco.MjData(scene.model), scene.n
+    data, n = mujoco.MjData(scene.model), scene.n
     scene.place(data, q_start)
     recorder = Recorder(scene, len(run.t))
     steps = _steps_per_command(run.scenario)
     sensed: deque[ArmState] = deque(maxlen=physics.delay_steps + 1)
-    qpos, qvel, applied = data.qpos, data.qvel, data.qfrc_applied[:n]
+    qpos, qvel = data.qpos, data.qvel
     i, j = int(scene.qpos_ids[0]), int(scene.qvel_ids[0])
     noisy = physics.position_noise > 0 or physics.velocity_noise > 0
     for now in run.t.tolist():
-        q, dq = qpos[:n].copy(), qvel[:n].copy()
-        state = ArmState(q, dq)
+        state = ArmState(qpos[:n].copy(), qvel[:n].copy())
         if noisy:
-            state.q = q + physics.position_noise * rng.standard_normal(n)
-            state.dq = dq + physics.velocity_noise * rng.standard_normal(n)
+            state.q = state.q + physics.position_noise * rng.standard_normal(n)
+            state.dq = state.dq + physics.velocity_noise * rng.standard_normal(n)
         if physics.feedback == "object":
             state.p_SB, state.R_SB = qpos[i : i + 3].copy(), matrix_from_quat_wxyz(qpos[i + 3 : i + 7])
             state.v_S, state.omega_B = qvel[j : j + 3].copy(), qvel[j + 3 : j + 6].copy()
         sensed.append(state)
-        tau = controller.step(sensed[0], now)
-        recorder.joints(now, q, dq, tau)
-        applied[:] = tau
-        scene.shake(data, now)
-        mujoco.mj_step(model, data)
-        recorder.take(data)
-        if steps > 1:
-            mujoco.mj_step(model, data, nstep=steps - 1)
+        step(scene, data, now, controller.step(sensed[0], now), steps, recorder.take)
     _check_engine(data, run.scenario)
     return recorder.trace()
 
@@ -248,18 +238,15 @@ def simulate_tray(
     recorder = Recorder(scene, len(run.t))
     none = np.empty(0)
     for k, now in enumerate(run.t):
-        recorder.joints(now, none, none, none)
         for i in range(steps):
             mujoco.mj_step1(model, data)
             tray_frame.apply(motion, k * steps + i, model, data, scene.object_ids, scene.qvel_ids, scene.point_ids)
             mujoco.mj_step2(model, data)
             if i == 0:
-                recorder.take(data)
+                recorder.take(now, none, none, none, data)
                 recorder.seen_from_rest(motion, k * steps)
     _check_engine(data, scenario)
-    tray_S = run.wanted_E.p_SB, run.wanted_E.R_SB @ scene.world.R_tilt
-    summary = {"method": "reference", "with_arm": False}
-    return measure(run, recorder.trace(), creep.still_bias(len(run.t)), tray_S, summary, began)
+    return measure(run, recorder.trace(), {"method": "reference", "with_arm": False}, began)
 
 
 def _steps_per_command(scenario: Scenario) -> int:

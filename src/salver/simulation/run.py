@@ -92,18 +92,19 @@ def _command_times(scenario: Scenario, duration: float) -> Array:
 def measure(
     run: Run,
     trace: Trace,
-    bias: creep.TrayBias,
-    tray_S: tuple[Array, Array],
     summary: dict[str, Any],
     began: float,
 ) -> SimulationRecord:
     """Make the record of a run: measure, judge the outcome, keep samples at the record rate.
 
-    tray_S: pose of the real tray in S. summary: entries to add. began: `time.perf_counter()` before the run.
+    summary: entries to add. began: `time.perf_counter()` before the run.
     """
     scene, scenario = run.scene, run.scenario
+    if scene.arm is None:  # the tray is the engine's world, and follows the reference exactly
+        bias, p_SE, R_SE = creep.still_bias(len(trace.t)), run.wanted_E.p_SB, run.wanted_E.R_SB @ scene.world.R_tilt
+    else:
+        bias, p_SE, R_SE = creep.tray_bias(scene.arm, trace.q, trace.dq, scene.world.R_tilt), trace.p_XE, trace.R_XE
     seen, inner = behaviour(scene, trace, bias, scenario.tray.size), inner_motions(scene, trace)
-    p_SE, R_SE = tray_S
     p_SB = p_SE[:, None] + np.einsum("tij,tmj->tmi", R_SE, seen.p_EB)
     R_SB = R_SE[:, None] @ seen.R_EB
     e_p, e_o = _pose_error(run.wanted, p_SB[:, 0], R_SB[:, 0])

@@ -2,14 +2,34 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from salver.geometry import Array, matrix_from_quat_wxyz
+from salver.simulation.scene.engine import mujoco
 from salver.simulation.scene.scene import Scene
 from salver.simulation.tray_frame import TrayMotion
+
+Take = Callable[[float, Array, Array, Array, Any], None]  # of t, q, dq, tau and data, as `Recorder.take`
+
+
+def step(scene: Scene, data: Any, t: float, tau: Array, steps: int, *takes: Take) -> None:
+    """One command period from time t, s: `steps` of the engine under the torque tau (n,).
+
+    takes: called with the state at its start, when the engine has made one step since.
+    """
+    n = scene.n
+    q, dq = data.qpos[:n].copy(), data.qvel[:n].copy()
+    data.qfrc_applied[:n] = tau
+    scene.shake(data, t)
+    mujoco.mj_step(scene.model, data)
+    for take in takes:
+        take(t, q, dq, tau, data)
+    if steps > 1:
+        mujoco.mj_step(scene.model, data, nstep=steps - 1)
 
 
 @dataclass(frozen=True)
@@ -19,7 +39,6 @@ class Trace:
     t (N,): s, 0 when the motion starts. q, dq, tau (N, n). p_XE, R_XE: the real tray in the engine's world X.
     p_XB, R_XB (N, m, ...): the objects. foot_force_B (N, n_f, 3): force on the object at each foot, in its B, N.
     force_X (N, m, 3): sum of contact forces on an object from its support. touches (N, m): whether there are any.
-    foreign (N, m): whether an object touches anything other than its support, or with its side.
     collides (N,): whether tray or objects touch an obstacle.
     The rest is of the k objects with a liquid or a pendulum (`scene.Swing`). swung (N, k, n_modes, 2): joint angles of
     its modes. moved, turned (N, k, 3): velocity of the origin of its dynamics in X, angular velocity of its object in
@@ -37,7 +56,6 @@ class Trace:
     foot_force_B: Array
     force_X: Array
     touches: Array
-    foreign: Array
     collides: Array
     swung: Array = field(default_factory=lambda: np.zeros((0, 0, 0, 2)))
     moved: Array = field(default_factory=lambda: np.zeros((0, 0, 3)))
@@ -46,7 +64,7 @@ class Trace:
 
 
 class Recorder:
-    """Collects a `Trace`: one `take` for each command, between the position stage of a step and the next step."""
+    """Collects a `Trace`: one `take` for each command."""
 
     def __init__(self, scene: Scene, count: int) -> None:
         n, model, swings = scene.n, scene.model, scene.swings
@@ -60,14 +78,11 @@ class Recorder:
         self.contacts: list[tuple[Array, Array, Array, Array]] = []
         self.count = 0
 
-    def joints(self, t: float, q: Array, dq: Array, tau: Array) -> None:
-        """Store the joint state at a command, and the command."""
+    def take(self, t: float, q: Array, dq: Array, tau: Array, data: Any) -> None:
+        """Store the joint state at a command, the command, and the poses and contact forces of that state: `data` has
+        been stepped once since, and has those of its start."""
         k = self.count
         self.t[k], self.q[k], self.dq[k], self.tau[k] = t, q, dq, tau
-
-    def take(self, data: Any) -> None:
-        """Store poses and contact forces of that state; `data` has been stepped once, and has those of its start."""
-        k = self.count
         self.position[k], self.quaternion[k] = data.xpos, data.xquat
         self.qpos[k], self.sensed[k] = data.qpos, data.sensordata
         contact = data.contact
@@ -133,7 +148,7 @@ class Recorder:
         offset = np.concatenate([[0], np.cumsum([len(load.outline_B) for load in scene.loads])])
         foot_force = np.zeros((count, offset[-1], 3))
         total = np.zeros((count, m, 3))
-        touches, foreign = np.zeros((count, m), bool), np.zeros((count, m), bool)
+        touches = np.zeros((count, m), bool)
         for side, sign in ((1, 1.0), (0, -1.0)):
             mine, other = geom[:, side], geom[:, 1 - side]
             foot = loaded & (scene.foot_object[mine] >= 0)
@@ -144,7 +159,6 @@ class Recorder:
             np.add.at(foot_force, (at, number), sign * np.einsum("cji,cj->ci", R_XB[at, k], force[foot]))
             other_is_foot = scene.foot_object[other] >= 0
             side_hit = loaded & (owner[mine] >= 0) & ~foot & ~other_is_foot
-            foreign[instant[side_hit], owner[mine[side_hit]]] = True
             touches[instant[side_hit], owner[mine[side_hit]]] = True
             np.add.at(total, (instant[side_hit], owner[mine[side_hit]]), sign * force[side_hit])
         collides = np.zeros(count, bool)
@@ -161,7 +175,6 @@ class Recorder:
             foot_force_B=foot_force,
             force_X=total,
             touches=touches,
-            foreign=foreign,
             collides=collides,
             swung=self.qpos[:count, angles],
             moved=np.einsum("tkij,tkj->tki", R_XB[:, [s.load for s in swings]], sensed[..., :3]),

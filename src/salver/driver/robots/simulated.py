@@ -55,7 +55,7 @@ class SimulatedRobot:
         from salver.simulation.scene.engine import mujoco
         from salver.simulation.trace import Recorder
 
-        self._plan, self._arm, self._realtime, self._engine = plan, arm, realtime, mujoco
+        self._plan, self._arm, self._realtime = plan, arm, realtime
         self._run = prepare(plan.scenario, None, None, plan.reference, arm)
         period = plan.scenario.physics.command_period
         self.period, self._steps = period, round(period / plan.scenario.physics.timestep)
@@ -101,29 +101,24 @@ class SimulatedRobot:
 
     def _advance(self) -> None:
         """One period of the engine under the last torque."""
-        recorder, data, n = self._recorder, self._data, self._arm.n
-        if recorder.count == len(self._t):
-            return
-        recorder.joints(self._t[recorder.count], data.qpos[:n], data.qvel[:n], self._torque)
-        data.qfrc_applied[:n] = self._torque
-        self._run.scene.shake(data, float(self._t[recorder.count]))
-        self._engine.mj_step(self._run.scene.model, data)
-        recorder.take(data)
-        self._engine.mj_step(self._run.scene.model, data, nstep=self._steps - 1)
+        from salver.simulation.trace import step
+
+        recorder = self._recorder
+        if not recorder.full:
+            t = float(self._t[recorder.count])
+            step(self._run.scene, self._data, t, self._torque, self._steps, recorder.take)
 
     def record(self, summary: dict[str, Any], began: float, plan: Plan | None = None) -> SimulationRecord:
         """The record of arm and objects, as of any simulation.
 
         plan: what was wanted, where that was not known beforehand.
         """
-        from salver.simulation import creep
         from salver.simulation.run import measure
 
         trace = self._recorder.trace()
-        bias = creep.tray_bias(self._arm, trace.q, trace.dq, self._run.scene.world.R_tilt)
         reference = (plan or self._plan).reference
         run = replace(self._run, reference=reference, wanted=reference.sample(trace.t))
-        return measure(run, trace, bias, (trace.p_XE, trace.R_XE), summary, began)
+        return measure(run, trace, summary, began)
 
 
 def wait_until(deadline: float) -> None:
