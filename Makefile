@@ -12,7 +12,7 @@ SOURCES = src tests $(wildcard benchmarks examples docs tools ros2)
 .PHONY: help setup demo test quick mutate fuzz lint format types layers check bench scenario-table pages notebooks docs dist release lock clean
 
 help:
-	@echo "make demo    the paper's experiment and a tall bottle, planned, checked and simulated; pages and figures in $(OUT)"
+	@echo "make demo    the paper's experiment and a tall bottle, planned, checked and simulated; pages in $(OUT)"
 	@echo "make test    run the tests"
 	@echo "make quick   the tests for every day, a little over a minute on two cores"
 	@echo "make mutate  do the tests notice wrong changes? N=300 SEED=0 MODULE=salver.models TESTS=tests/models/test_arm.py"

@@ -18,6 +18,7 @@ import itertools
 import json
 import multiprocessing
 import os
+import sys
 import time
 from collections.abc import Iterable, Mapping
 from concurrent.futures import ProcessPoolExecutor
@@ -27,12 +28,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from salver.reports.style import BLACK, COLUMN, GREY, OUTCOME_COLOURS
+from salver.reports.style import BLACK, GREY, OUTCOME_COLOURS
 from salver.scenario import Scenario, load
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+COLUMN = 3.45  # in, width of a picture
 DOCS = Path(__file__).parent.parent / "docs"
 MOTIONS = {"baseline": "straight line", "plan": "robust, level", "tilting": "robust, tilting"}
 DURATIONS = [0.8, 0.9, 1.0, 1.1, 1.2, 1.3, 1.4, 1.5, 1.6, 1.7, 1.8]
@@ -201,15 +203,15 @@ def _edges(centres: np.ndarray) -> np.ndarray:
 
 
 def draw(which: str, rows: list[dict[str, Any]]) -> None:
-    from salver.reports.pictures.figures import render
-    from salver.reports.style import paper_style
+    sys.path.append(str(DOCS))
+    from paper_figures import drawn, paper_style
 
     columns = {key: [row[key] for row in rows] for key in rows[0]}
     label = {"friction": "friction", "height": "height of the centre of mass [m]"}[which]
     columns[label] = columns[which]
     with paper_style():
         figure = outcome_map(columns, MOTIONS.items(), "duration", label)
-        (DOCS / "images" / f"map-{which}.svg").write_bytes(render(figure, "svg"))
+        (DOCS / "images" / f"map-{which}.svg").write_bytes(drawn(figure, "svg"))
 
 
 def main() -> None:

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from paper_figures import ROLE_DASHES, paper_style
 
 from salver import scenario as scenarios
 from salver.contact_margins import margins
@@ -146,7 +147,7 @@ def shaped() -> Any:
     figure = _figure(6.4, 2.3)
     path, norm = figure.subplots(1, 2)
     for role, plan in plans.items():
-        look = {"color": style.ROLE_COLOURS[role], "linestyle": style.ROLE_DASHES[role], "label": labels[role]}
+        look = {"color": style.ROLE_COLOURS[role], "linestyle": ROLE_DASHES[role], "label": labels[role]}
         p = plan.evaluation.samples.p_SB
         path.plot(1e3 * p[:, 1], 1e3 * p[:, 2], **look)
         sensitivity = plan.state_sensitivity * plan.uncertain.half_range
@@ -229,7 +230,7 @@ def ranges() -> Any:
     for role, robust in (("plan", True), ("nominal", False)):
         plan = plan_fastest(scenario, robust=robust)
         label = "planned for the ranges" if robust else "planned for the nominal values"
-        look = {"color": style.ROLE_COLOURS[role], "linestyle": style.ROLE_DASHES[role], "label": label}
+        look = {"color": style.ROLE_COLOURS[role], "linestyle": ROLE_DASHES[role], "label": label}
         samples = plan.evaluation.samples
         speeding.plot(samples.t, samples.a_S @ way / np.linalg.norm(way), **look)
         left.plot(plan.margins.t, 100 * plan.margins.exact_worst, **look)
@@ -352,7 +353,11 @@ def sloshing() -> Any:
     for role, made, label in (("plan", plan, "planned with the liquid"), ("baseline", line, "straight line")):
         (spill,) = made.margins.load_verdicts(worst=True)
         curve.plot(
-            spill.t, 1e3 * spill.left, color=style.ROLE_COLOURS[role], linestyle=style.ROLE_DASHES[role], label=label
+            spill.t,
+            1e3 * spill.left,
+            color=style.ROLE_COLOURS[role],
+            linestyle=ROLE_DASHES[role],
+            label=label,
         )
     curve.axhline(0, color=style.BLACK, linewidth=0.8)
     curve.set(xlabel="time, s", ylabel="highest crest to brim, mm", xlim=(0, plan.duration), ylim=(-28, 26))
@@ -496,7 +501,7 @@ def main() -> None:
     wanted = sys.argv[1:] or list(FIGURES)
     IMAGES.mkdir(exist_ok=True)
     for name in wanted:
-        with style.paper_style(), matplotlib.rc_context({"svg.fonttype": "path"}):
+        with paper_style(), matplotlib.rc_context({"svg.fonttype": "path"}):
             figure = FIGURES[name]()
             box = figure.bbox_inches if figure.axes[0].name == "3d" else None  # its own, or that of what is drawn
             figure.savefig(IMAGES / f"{name}.svg", metadata={"Date": None}, bbox_inches=box)

@@ -9,7 +9,7 @@ import tempfile
 from pathlib import Path
 
 from salver.cli.plans.demo import bottle
-from salver.reports.pictures.film import write_film
+from salver.reports.film import write_film
 
 FILM = Path(__file__).parent / "images" / "bottle.gif"
 

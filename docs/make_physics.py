@@ -13,13 +13,11 @@ from typing import Any
 import blocks
 import numpy as np
 from make_reproduction import table
+from paper_figures import drawn, heavier, paper_style, tracking
 
 from salver.campaigns import run_campaign
 from salver.planning.make import make_plan
-from salver.reports.perturbed import heavier
-from salver.reports.pictures import figures
 from salver.reports.run import read_run
-from salver.reports.style import paper_style
 from salver.scenario import load
 
 PAGE = Path(__file__).parent / "physics.md"
@@ -90,7 +88,7 @@ def fifty_grams(directory: Path) -> str:
                 ]
             )
     with paper_style():
-        (IMAGES / "fig8-tracking.png").write_bytes(figures.render(figures.tracking(run.motions, nominal, heavy), "png"))
+        (IMAGES / "fig8-tracking.png").write_bytes(drawn(tracking(run.motions, nominal, heavy)))
     return table(
         ["motion", "object", "outcome", "e_p peak (mm)", "e_p rms (mm)", "e_o peak (mrad)", "e_o rms (mrad)"], rows
     )

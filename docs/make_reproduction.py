@@ -11,16 +11,15 @@ from pathlib import Path
 
 import blocks
 import numpy as np
+import paper_figures as figures
+from paper_figures import paper_style, perturbed_rollouts
 
 from salver.geometry import Array
 from salver.models.uncertain.parameters import INERTIAL, inertial_vector, phi_of
 from salver.planning.make import plan_baseline, plan_object
 from salver.planning.object.cost import tray_loop
 from salver.planning.plan import Plan
-from salver.reports.perturbed import perturbed_rollouts
-from salver.reports.pictures import figures
 from salver.reports.run import read_run
-from salver.reports.style import paper_style
 from salver.sampling import draw
 from salver.scenario import Scenario, load
 from salver.simulation.closed_loop import rollout
@@ -173,8 +172,8 @@ def pictures() -> None:
                 for number, motion in zip((5, 6), run.motions, strict=True):
                     runs = perturbed_rollouts(run, motion.stem, RUNS, SEED)
                     made[f"fig{number}"] = figures.perturbed_figure(motion, runs)
-            for figure, drawn in made.items():
-                (IMAGES / f"{name}-{figure}.png").write_bytes(figures.render(drawn, "png"))
+            for figure, picture in made.items():
+                (IMAGES / f"{name}-{figure}.png").write_bytes(figures.drawn(picture))
 
 
 def main() -> None:

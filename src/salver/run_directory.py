@@ -20,7 +20,7 @@ CERTIFICATE = "certificate"  # key of a plan's record
 STEMS = ("plan", "baseline", "nominal")  # names of the motions: the plan, and those that it is compared with
 RECORDS = ("simulation", "execution")  # folders with one record for each motion
 _LEG = re.compile(r"leg([1-9][0-9]?)")
-_SHARED_RESULTS = ("report.html", "figures", "export", "film.mp4", "film.gif")
+_SHARED_RESULTS = ("report.html", "export", "film.mp4", "film.gif")
 
 
 def leg_number(stem: str) -> int | None:

@@ -145,7 +145,7 @@ def test_a_file_where_a_run_directory_is_wanted_and_the_other_way_round(tmp_path
         path.touch()
     for command in ("simulate", "report"):
         assert "is a file; for a motion file, name the scenario too: --scenario." in salver(command, motion).stderr
-    for command in (("simulate",), ("report",), ("campaign",), ("figures",), ("render", "-o", "x.gif")):
+    for command in (("simulate",), ("report",), ("campaign",), ("render", "-o", "x.gif")):
         told = salver(*command, array).stderr
         assert told == f"salver: {array} is a file of a run directory; give the directory: {run}.\n", command
         told = salver(*command, tmp_path / "none").stderr

@@ -15,8 +15,7 @@ from salver.export import write_export
 from salver.models.arm.arm import load_arm
 from salver.models.shapes.mesh_files import read_mesh_file
 from salver.planning.make import plan_baseline
-from salver.reports.pictures.figures import write_figures
-from salver.reports.pictures.film import write_film
+from salver.reports.film import write_film
 
 CUBE = scenario.load("panda-cube")
 
@@ -84,7 +83,6 @@ def test_too_many_runs_are_refused_before_they_are_drawn(run):
 @pytest.mark.parametrize(
     ("call", "words"),
     [
-        (lambda run: write_figures(run, "svg", n=10_000_000), "perturbed bodies at .* instants take .* GB; at most"),
         (lambda run: write_export(run, "csv", rate=1e9), "at most 100000"),
         (lambda run: write_film(run, run / "x.gif", "plan", speed=1e-9), "it must be 0.1 to 120 pictures a second"),
     ],

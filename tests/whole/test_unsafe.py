@@ -142,7 +142,7 @@ def test_of_a_paced_file_that_called_itself_unsafe_the_mark_stays(run: Path, tmp
 
 @pytest.mark.slow
 def test_what_was_recorded_of_an_unsafe_plan_says_so_in_file_and_film(run: Path, tmp_path: Path) -> None:
-    from salver.reports.pictures.film import write_film
+    from salver.reports.film import write_film
 
     code, said = called("simulate", run, "--stem", "plan", "--write", tmp_path / "done.csv")
     assert code == 0, said

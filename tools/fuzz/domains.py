@@ -316,7 +316,6 @@ def command(rng: Rng, folder: Path) -> None:
         ["campaign", run, "-n", "2", "--engine", "closed-loop", "-j", "1", "--seed", strange(), "--folder", "other"],
         ["plan", "slippery-cube", "--no-arm", "--duration", strange(), "-o", folder / "made"],
         ["retime", run, "-s", strange()],
-        ["figures", run, "--format", strange()],
         ["render", run, "--rate", strange(), "-o", folder / "x.gif"],
         ["audit", folder / strange(), "-s", "panda-cube"],
     )

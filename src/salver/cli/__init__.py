@@ -30,7 +30,6 @@ COMMANDS = {
     "audit": "checks",
     "retime": "plans",
     "report": "results",
-    "figures": "results",
     "render": "results",
     "export": "results",
     "live": "robot",

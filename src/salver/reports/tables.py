@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-import csv
-import io
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from salver.files import write_atomic
 from salver.models.arm.arm_limits import LIMITS
 from salver.planning.object.conditions import UNITS
 from salver.reports.parameters import ranges
 
 if TYPE_CHECKING:
     from salver.models.arm.arm import ArmModel
-    from salver.reports.perturbed import Perturbed
     from salver.reports.run import ReportedMotion, ReportedRun
     from salver.scenario import Obstacle
 
@@ -138,66 +134,3 @@ def arm_usage(m: ReportedMotion, arm: ArmModel) -> dict[str, np.ndarray]:
         for key, share in shares.items()
         if known[key].any()
     }
-
-
-def numbers_table(run: ReportedRun, rollouts: Mapping[str, Perturbed]) -> list[Sequence[str]]:
-    """The numbers behind the figures, one column a motion, in SI units with their unit in the first column; headings
-    first."""
-    curves = run.contact
-    rows: list[Sequence[str]] = [("quantity", *(m.label.lower() for m in run.motions))]
-
-    def add(label: str, value: Callable[[ReportedMotion], float | int | str | None]) -> None:
-        values = [value(m) for m in run.motions]
-        if any(v is not None for v in values):
-            rows.append([label, *("" if v is None else f"{v:.6g}" if isinstance(v, float) else str(v) for v in values)])
-
-    add("duration [s]", lambda m: m.duration)
-    add("sensitivity cost, eq (13)", lambda m: m.summary.get("cost"))
-    add("length of the path [m]", lambda m: float(np.linalg.norm(np.diff(m.arrays["p_SB"], axis=0), axis=1).sum()))
-    add("highest above the straight line [m]", lambda m: float(_rise(m).max()))
-    add("lowest below the straight line [m]", lambda m: float(_rise(m).min()))
-    add("least cone coefficient, nominal [N]", lambda m: float(m.arrays["cone_coefficients"].min()))
-    add("least cone coefficient, lower edge of its tube [N]", lambda m: float(m.cone_floor.min()))
-    add("widest tube radius of a coefficient [N]", lambda m: float(m.arrays["cone_radius"].max()))
-    add(
-        "integral of the largest tube radius [N s]",
-        lambda m: float(np.trapezoid(m.arrays["cone_radius"].max(axis=1), m.t)),
-    )
-    add("friction needed, nominal, share of what there is", lambda m: float(curves[m.stem].friction.max()))
-    add("least exact margin, nominal, share of the weight", lambda m: float(curves[m.stem].nominal.min()))
-    add("least exact margin, worst case, share of the weight", lambda m: float(curves[m.stem].worst.min()))
-    add("least tip-over margin, nominal [m]", lambda m: float(curves[m.stem].tip.min()))
-    add("least tip-over margin, worst case [m]", lambda m: float(curves[m.stem].tip_worst.min()))
-    add("perturbed bodies", lambda m: len(rollouts[m.stem].rollout.cone_coefficients))
-    add("perturbed bodies that left a tube", lambda m: rollouts[m.stem].coverage.left)
-    add("furthest out of a tube [N]", lambda m: float(rollouts[m.stem].coverage.excess.max()))
-    add("least cone coefficient, perturbed [N]", lambda m: float(rollouts[m.stem].rollout.cone_coefficients.min()))
-    add("largest position deviation, perturbed [m]", lambda m: _deviation(rollouts[m.stem], slice(0, 3)))
-    add("largest rotation deviation, perturbed [rad]", lambda m: _deviation(rollouts[m.stem], slice(3, 6)))
-    add("solver", lambda m: (m.summary.get("solver") or {}).get("name"))
-    add("solver time [s]", lambda m: (m.summary.get("solver") or {}).get("seconds"))
-    return rows
-
-
-def _rise(m: ReportedMotion) -> np.ndarray:
-    """Height (T,) above the straight line from start to goal, at the same progress along it."""
-    p = m.arrays["p_SB"]
-    line = p[-1] - p[0]
-    progress = (p - p[0]) @ line / max(float(line @ line), 1e-12)
-    return p[:, 2] - (p[0, 2] + progress * line[2])
-
-
-def _deviation(runs: Perturbed, rows: slice) -> float:
-    return float(np.linalg.norm(runs.rollout.deviation[:, :, rows], axis=2).max())
-
-
-def write_table(stem: Path, rows: Sequence[Sequence[str]]) -> list[Path]:
-    """Rows, the headings first, as STEM.csv and STEM.md."""
-    text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows(rows)
-    lines = [rows[0], ["---"] * len(rows[0]), *rows[1:]]
-    markdown = "".join(f"| {' | '.join(cell.replace('|', '/') for cell in row)} |\n" for row in lines)
-    return [
-        write_atomic(stem.with_suffix(".csv"), text.getvalue()),
-        write_atomic(stem.with_suffix(".md"), markdown),
-    ]

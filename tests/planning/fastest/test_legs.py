@@ -329,7 +329,6 @@ def test_commands_take_a_task_of_several_legs(directory, capsys):
         ("export", directory, "--format", "mujoco"),
         ("export", directory, "--format", "csv", "--stem", "leg2", "--pause", "1"),
         ("export", directory, "--format", "csv", "--pause", "-1"),
-        ("figures", directory),
         ("execute", directory, "--yes", "--address", "172.16.0.2"),
         ("campaign", directory, "--stem", "leg1"),
         ("campaign", directory, "--stops"),

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 PAPER, BOTTLE = "panda-cube", "panda-tall-bottle"
 BOTTLE_SHARE = 5  # the bottle has a fifth of the runs, because its plans differ by far more than a few per cent
-STEPS = 5
+STEPS = 4
 
 
 def demo(
@@ -43,17 +43,16 @@ def demo(
         f"that costs {_price(tall)} of time."
     )
     console.print(f"See it fall and stay, side by side: {tall['page']} (open it in a browser)")
-    console.print(f"The paper's experiment: {cube['page']}, its figures redrawn: {out / 'cube' / 'figures'}")
+    console.print(f"The paper's experiment: {cube['page']}")
     console.print(
         "Next: salver plan panda-cube --fastest -o out/fastest, or a scenario of your own (docs/tutorial.md)."
     )
 
 
 def paper(out: Path, n: int, seed: int, quiet: bool) -> dict[str, Any]:
-    """Plan, run, draw and report the paper's scenario: the robust trajectory and the straight line."""
+    """Plan, run and report the paper's scenario: the robust trajectory and the straight line."""
     from salver.planning.plan import load_plan
     from salver.reports.pages.page import write_report
-    from salver.reports.pictures.figures import write_figures
     from salver.simulation.physics import simulate
 
     _head(1, "The paper's cube, half a metre in 2.5 s: its robust trajectory, and the straight line")
@@ -64,9 +63,7 @@ def paper(out: Path, n: int, seed: int, quiet: bool) -> dict[str, Any]:
         simulate(load_plan(out, stem)).save(out, stem)
     summary = _campaign(out, n, seed, quiet).summary
 
-    _head(3, f"Figures of the paper, with {n} perturbed closed loops without an engine, and the report page")
-    figures = write_figures(out, "png", n, seed, say=say)
-    return {"plan": plan.summary(), "campaign": summary, "figures": figures, "page": write_report(out)}
+    return {"plan": plan.summary(), "campaign": summary, "page": write_report(out)}
 
 
 def bottle(out: Path, n: int, seed: int, quiet: bool) -> dict[str, Any]:
@@ -77,12 +74,12 @@ def bottle(out: Path, n: int, seed: int, quiet: bool) -> dict[str, Any]:
     from salver.simulation.physics import simulate
 
     _head(
-        4,
+        3,
         "A tall bottle as fast as possible, the tray leaning like a waiter's: planned for its ranges, and nominally",
     )
     plan, nominal = _planned(BOTTLE, "fastest", "nominal", out, quiet)
 
-    _head(5, f"Physics: {n} bottles of unknown weight and balance, each with both motions")
+    _head(4, f"Physics: {n} bottles of unknown weight and balance, each with both motions")
     campaign = _campaign(out, n, seed, quiet)
     # The replay shows both motions with one true bottle, the worst one of the nominal motion.
     run = campaign.summary["plans"]["nominal"]["worst_run"]["run"]

@@ -1,1 +1,1 @@
-"""Commands that show or export a result: page, figures, film, motion files."""
+"""Commands that show or export a result: page, film, motion files."""

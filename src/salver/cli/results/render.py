@@ -34,7 +34,7 @@ def render(
     Example: `salver render runs/panda-cube -o cube.mp4`
     """
     from salver.motion_files.verdict import UNSAFE
-    from salver.reports.pictures.film import write_film
+    from salver.reports.film import write_film
 
     path = output if output is not None else directory / "film.mp4"
     if path.suffix.lower() == ".mcap":

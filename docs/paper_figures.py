@@ -1,94 +1,113 @@
-"""`salver figures`: the paper's figures, for any scenario, sized for a two-column paper."""
+"""The paper's figures 3 to 6 and 8 of a run directory, in the style of a two-column paper, and the runs behind them."""
 
 from __future__ import annotations
 
 import io
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from pathlib import Path
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from salver.errors import MissingDependencyError, SalverError
-from salver.files import write_atomic
+from salver import sampling
+from salver.control.object import Gains
 from salver.geometry import Array
-from salver.models.shapes.obstacle_shapes import obstacle_shapes
-from salver.models.shapes.surfaces import Surface, surface
-from salver.reports import perturbed
-from salver.reports.run import ReportedMotion, ReportedRun, read_run
-from salver.reports.style import (
-    BLACK,
-    COLUMN,
-    CYCLE,
-    GREY,
-    OBSTACLE_COLOUR,
-    PAGE,
-    ROLE_COLOURS,
-    ROLE_DASHES,
-    paper_style,
-)
-from salver.reports.tables import numbers_table, scenario_rows, write_table
+from salver.models.uncertain.parameters import Parameter
+from salver.planning.plan import Plan, load_plan
+from salver.reports.run import ReportedMotion, ReportedRun
+from salver.reports.style import BLACK, CYCLE, GREY, ROLE_COLOURS
+from salver.simulation.closed_loop import Coverage, Rollout, coverage, rollout
+from salver.simulation.physics import simulate
+from salver.simulation.record import SimulationRecord
 from salver.wording import number
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from salver.scenario import Obstacle
-    from salver.simulation.record import SimulationRecord
-
-FORMATS = ("pdf", "svg", "png")
 AXES = ("x", "y", "z")
+ROLE_DASHES = {"plan": "-", "baseline": (0, (5, 2)), "nominal": (0, (5, 2))}
+COLUMN = 3.45  # in, width of a column of a two-column paper
+PAGE = 7.1  # in, width of its page
+
+RC: dict[Any, Any] = {
+    "font.size": 8,
+    "font.family": "DejaVu Sans",
+    "mathtext.fontset": "dejavusans",
+    "axes.titlesize": 8,
+    "axes.labelsize": 8,
+    "xtick.labelsize": 7,
+    "ytick.labelsize": 7,
+    "legend.fontsize": 7,
+    "legend.frameon": False,
+    "legend.handlelength": 1.8,
+    "axes.linewidth": 0.6,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "grid.color": "#e6e9ec",
+    "grid.linewidth": 0.5,
+    "axes.axisbelow": True,
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "lines.linewidth": 1.2,
+    "figure.dpi": 100,
+    "savefig.dpi": 220,
+    "savefig.bbox": "tight",
+    "savefig.pad_inches": 0.03,
+    "pdf.fonttype": 42,  # text stays text: journals ask for embedded TrueType
+    "svg.fonttype": "none",
+    "svg.hashsalt": "salver",  # same data, same file
+}
 
 
-def write_figures(
-    directory: str | Path,
-    file_format: str = "pdf",
-    n: int = 100,
-    seed: int = 0,
-    physics: bool = True,
-    say: Callable[[str], None] = lambda text: None,
-) -> list[Path]:
-    """All figures and tables of a run directory into DIR/figures; returns their paths.
+@contextmanager
+def paper_style() -> Iterator[None]:
+    """matplotlib's settings for the figures of a paper, restored afterwards. Figures are made without pyplot, so
+    no display is needed and nothing global is left behind."""
+    import matplotlib
 
-    n, seed: perturbed rollouts of Figs 5 and 6. physics: also Figs 7 and 8, for which the physics engine runs each
-    motion twice. say: told what is left out and why. Raises SalverError for an unknown format.
-    """
-    check_format(file_format)
-    run = read_run(directory)
-    folder = run.directory / "figures"
-    rollouts = {m.stem: perturbed.perturbed_rollouts(run, m.stem, n, seed) for m in run.motions}
-    made: list[Path] = []
-    with paper_style():
-        figures = {
-            "fig3-trajectories": trajectories(run.motions, run.scenario.obstacles),
-            "fig4-coefficients": coefficients(run.motions),
-        }
-        for number, m in zip((5, 6), run.motions, strict=False):
-            figures[f"fig{number}-perturbed-{m.stem}"] = perturbed_figure(m, rollouts[m.stem])
-        if run.scenario.arm is None:
-            say("Figs 7 and 8 are left out: the scenario has no arm.")
-        elif physics:
-            nominal, heavier = _physics_records(run)
-            try:
-                figures["fig7-snapshots"] = snapshots(run, nominal)
-            except MissingDependencyError as error:
-                say(f"Fig. 7 is left out: {error}")
-            figures["fig8-tracking"] = tracking(run.motions, nominal, heavier)
-        for name, figure in figures.items():
-            made.append(write_atomic(folder / f"{name}.{file_format}", render(figure, file_format)))
-    made += write_table(folder / "table1-parameters", [("quantity", "value"), *scenario_rows(run)])
-    made += write_table(folder / "numbers", numbers_table(run, rollouts))
-    return made
+    with matplotlib.rc_context(RC):
+        yield
 
 
-def check_format(file_format: str) -> None:
-    """Raises SalverError for an unknown one."""
-    if file_format not in FORMATS:
-        raise SalverError(f'There is no figure format "{file_format}"; known are {", ".join(FORMATS)}.')
+EXTRA_MASS = 0.05  # kg, of the paper's Fig. 8 (b)
 
 
-def render(figure: Figure, file_format: str) -> bytes:
+@dataclass(frozen=True)
+class Perturbed:
+    """n rollouts of one motion without an engine, and how they lie in its tubes."""
+
+    rollout: Rollout
+    coverage: Coverage
+
+
+def perturbed_rollouts(run: ReportedRun, stem: str, n: int, seed: int) -> Perturbed:
+    """n bodies drawn from the uncertain set (the same for every motion) under eqs (18), (19) along one motion."""
+    plan = load_plan(run.directory, stem)
+    payload = run.scenario.payload
+    body = payload.first
+    phi = payload.phi(body, sampling.draw(payload.uncertain, n, seed, "corners", payload.bodies))
+    gains = Gains(run.scenario.control.kp, run.scenario.control.kd)
+    made = rollout(plan.reference, body.inertial, body.contacts.grasp_map, gains, phi, plan.t)
+    names = [f"coefficient {i + 1}" for i in range(plan.cone_coefficients.shape[1])]
+    return Perturbed(made, coverage(plan.t, made.cone_coefficients, plan.cone_coefficients, plan.cone_radius, names))
+
+
+def heavier(plan: Plan, extra: float = EXTRA_MASS) -> SimulationRecord:
+    """The plan in the physics engine with its first object heavier by `extra` kg."""
+    item = plan.scenario.objects[0]
+    mass = Parameter(item.name, "mass", lone=len(plan.scenario.objects) == 1)
+    return simulate(plan, parameters={mass.name: item.mass + extra})
+
+
+def envelope(coefficients: Array, radius: Array) -> tuple[Array, Array]:
+    """Least and largest value (T,) of all tubes together."""
+    return (coefficients - radius).min(axis=1), (coefficients + radius).max(axis=1)
+
+
+def drawn(figure: Figure, file_format: str = "png") -> bytes:
     """A figure as a file's content; the same data give the same bytes."""
     buffer = io.BytesIO()
     metadata: dict[str, Any] = {"pdf": {"CreationDate": None}, "svg": {"Date": None}}.get(file_format, {})
@@ -107,8 +126,8 @@ def _style(m: ReportedMotion) -> dict[str, Any]:
     return {"color": ROLE_COLOURS[m.stem], "linestyle": ROLE_DASHES[m.stem]}
 
 
-def trajectories(motions: Iterable[ReportedMotion], obstacles: Sequence[Obstacle] = ()) -> Figure:
-    """Fig. 3: position over time, and in space, where obstacles stand."""
+def trajectories(motions: Iterable[ReportedMotion]) -> Figure:
+    """Fig. 3: position over time, and in space."""
     from matplotlib.figure import Figure
 
     motions = list(motions)
@@ -127,17 +146,13 @@ def trajectories(motions: Iterable[ReportedMotion], obstacles: Sequence[Obstacle
     axes[-1].set_xlabel("time [s]")
     figure.legend(*axes[0].get_legend_handles_labels(), loc="upper left", bbox_to_anchor=(0.07, 1.02), ncols=2)
     space = figure.add_axes((0.515, 0.02, 0.47, 0.98), projection="3d")
-    _in_space(space, motions, obstacles)
+    _in_space(space, motions)
     return figure
 
 
-def _in_space(ax: Any, motions: list[ReportedMotion], obstacles: Sequence[Obstacle]) -> None:
+def _in_space(ax: Any, motions: list[ReportedMotion]) -> None:
     """Paths of the object to one scale in all three directions, with start, goal and, dotted, the paths from above."""
-    from mpl_toolkits.mplot3d.art3d import Poly3DCollection  # type: ignore[import-untyped]
-
     points = np.vstack([m.arrays["p_SB"] for m in motions])
-    around = _within(obstacles, points.min(axis=0) - 0.15, points.max(axis=0) + 0.15)  # m around the paths
-    points = np.vstack([points, *(vertices for vertices, _ in around)])
     middle, half = 0.5 * (points.max(axis=0) + points.min(axis=0)), 0.55 * np.ptp(points, axis=0).max()
     spans = np.maximum(np.ptp(points, axis=0) * 0.6, 0.35 * half)
     floor = middle[2] - spans[2]
@@ -155,21 +170,9 @@ def _in_space(ax: Any, motions: list[ReportedMotion], obstacles: Sequence[Obstac
         getattr(ax, f"set_{name}label")(f"${name}$ [m]", labelpad={"x": -4, "y": 3, "z": 1}[name])
         getattr(ax, f"{name}axis").set_major_locator(_few_ticks())
         getattr(ax, f"{name}axis").pane.set_facecolor("white")
-    for vertices, faces in around:
-        ax.add_collection3d(Poly3DCollection(vertices[faces], facecolor=OBSTACLE_COLOUR, edgecolor="none", alpha=0.25))
     ax.set_box_aspect(spans, zoom=1.15)
     ax.tick_params(pad=-1)
     ax.view_init(elev=20, azim=-35)
-
-
-def _within(obstacles: Sequence[Obstacle], low: Array, high: Array) -> list[Surface]:
-    """Surfaces of obstacles, clamped to the box from low (3,) to high (3,); obstacles outside of it are left out."""
-    pieces = [surface(shape, placement) for obstacle in obstacles for shape, placement in obstacle_shapes(obstacle)]
-    return [
-        (np.clip(vertices, low, high), faces)
-        for vertices, faces in pieces
-        if np.all(vertices.max(axis=0) > low) and np.all(vertices.min(axis=0) < high)
-    ]
 
 
 def _few_ticks() -> Any:
@@ -202,7 +205,7 @@ def coefficients(motions: Iterable[ReportedMotion]) -> Figure:
     return figure
 
 
-def perturbed_figure(m: ReportedMotion, runs: perturbed.Perturbed) -> Figure:
+def perturbed_figure(m: ReportedMotion, runs: Perturbed) -> Figure:
     """Figs 5 and 6: cone coefficients of perturbed bodies, within the least and largest edge of all tubes."""
     figure, axes = _new(COLUMN, 2.0)
     ax = axes[0, 0]
@@ -211,7 +214,7 @@ def perturbed_figure(m: ReportedMotion, runs: perturbed.Perturbed) -> Figure:
     for i, colour in zip(_spread_coefficients(m), CYCLE[:4], strict=False):
         ax.plot(t, values[:, :, i].T, color=colour, linewidth=0.3, alpha=0.5, rasterized=n > 30)
         ax.plot([], [], color=colour, linewidth=1.2, label=rf"$\Lambda_{{{i + 1}}}$")
-    low, high = perturbed.envelope(m.arrays["cone_coefficients"], m.arrays["cone_radius"])
+    low, high = envelope(m.arrays["cone_coefficients"], m.arrays["cone_radius"])
     ax.plot(m.t, low, color=BLACK, linestyle="--", linewidth=1.0)
     ax.plot(m.t, high, color=BLACK, linestyle="--", linewidth=1.0, label="edges of the tubes")
     _zero_line(ax)
@@ -232,47 +235,12 @@ def _spread_coefficients(m: ReportedMotion) -> list[int]:
     return sorted(int(order[round(k)]) for k in np.linspace(0, len(order) - 1, min(4, len(order))))
 
 
-def _physics_records(run: ReportedRun) -> tuple[dict[str, SimulationRecord], dict[str, SimulationRecord]]:
-    """Physics runs of every motion, nominal and with the paper's extra mass."""
-    from salver.planning.plan import load_plan
-
-    plans = {m.stem: load_plan(run.directory, m.stem) for m in run.motions}
-    return (
-        {stem: perturbed.heavier(plan, 0.0) for stem, plan in plans.items()},
-        {stem: perturbed.heavier(plan) for stem, plan in plans.items()},
-    )
-
-
-SNAPSHOTS = 4
-
-
-def snapshots(run: ReportedRun, records: Mapping[str, SimulationRecord]) -> Figure:
-    """Fig. 7: pictures along each simulated motion, one row a motion. Raises MissingDependencyError without OpenGL."""
-    from salver.simulation.pictures import frames_at, painter
-
-    motions = [m for m in run.motions if m.stem in records]
-    figure, axes = _new(PAGE, 1.42 * len(motions) + 0.2, rows=len(motions), columns=SNAPSHOTS)
-    for row, m in zip(axes, motions, strict=True):
-        times, record = np.linspace(0.0, m.duration, SNAPSHOTS), records[m.stem]
-        with painter(record, run.scenario, 640, 480) as paint:
-            pictures = [paint(k) for k in frames_at(record, times)]
-        for ax, picture, t in zip(row, pictures, times, strict=True):
-            ax.imshow(picture)
-            ax.set_title(f"{t:.2f} s", loc="left", pad=2)
-            ax.set_xticks([])
-            ax.set_yticks([])
-            for spine in ax.spines.values():
-                spine.set_visible(False)
-        row[0].set_ylabel(m.label)
-    return figure
-
-
 def tracking(
     motions: Iterable[ReportedMotion], nominal: Mapping[str, SimulationRecord], heavier: Mapping[str, SimulationRecord]
 ) -> Figure:
     """Fig. 8: norms of the object's position and orientation error, as planned and with more mass."""
     figure, axes = _new(COLUMN, 2.7, rows=2, columns=2, sharex=True, sharey="row")
-    titles = ("(a) nominal", f"(b) {1e3 * perturbed.EXTRA_MASS:+.0f} g")
+    titles = ("(a) nominal", f"(b) {1e3 * EXTRA_MASS:+.0f} g")
     for column, (records, title) in enumerate(zip((nominal, heavier), titles, strict=True)):
         for row, (key, label) in enumerate((("e_p", r"$\|e_p\|$ [mm]"), ("e_o", r"$\|e_o\|$ [mrad]"))):
             ax = axes[row, column]

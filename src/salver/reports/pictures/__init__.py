@@ -1,1 +1,0 @@
-"""Pictures: figures for a paper, a film."""
