@@ -128,7 +128,7 @@ def tubes() -> str:
                 # Samples always fill the box (8), whatever shape the tube assumes.
                 boxed = plan_baseline(scenario)
                 boxed.save(folder)
-                made = perturbed_rollouts(read_run(folder), "plan", RUNS, SEED).rollout
+                made = perturbed_rollouts(read_run(folder), "plan", RUNS, SEED)
             excess = np.abs(made.cone_coefficients - plan.cone_coefficients) - plan.cone_radius
             left = int(np.sum(excess.max(axis=(1, 2)) > 1e-6))
             worst = 1e3 * float(excess.max())

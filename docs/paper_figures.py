@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,7 +16,7 @@ from salver.models.uncertain.parameters import Parameter
 from salver.planning.plan import Plan, load_plan
 from salver.reports.run import ReportedMotion, ReportedRun
 from salver.reports.style import BLACK, CYCLE, GREY, ROLE_COLOURS
-from salver.simulation.closed_loop import Coverage, Rollout, coverage, rollout
+from salver.simulation.closed_loop import Rollout, rollout
 from salver.simulation.physics import simulate
 from salver.simulation.record import SimulationRecord
 from salver.wording import number
@@ -75,24 +74,14 @@ def paper_style() -> Iterator[None]:
 EXTRA_MASS = 0.05  # kg, of the paper's Fig. 8 (b)
 
 
-@dataclass(frozen=True)
-class Perturbed:
-    """n rollouts of one motion without an engine, and how they lie in its tubes."""
-
-    rollout: Rollout
-    coverage: Coverage
-
-
-def perturbed_rollouts(run: ReportedRun, stem: str, n: int, seed: int) -> Perturbed:
+def perturbed_rollouts(run: ReportedRun, stem: str, n: int, seed: int) -> Rollout:
     """n bodies drawn from the uncertain set (the same for every motion) under eqs (18), (19) along one motion."""
     plan = load_plan(run.directory, stem)
     payload = run.scenario.payload
     body = payload.first
     phi = payload.phi(body, sampling.draw(payload.uncertain, n, seed, "corners", payload.bodies))
     gains = Gains(run.scenario.control.kp, run.scenario.control.kd)
-    made = rollout(plan.reference, body.inertial, body.contacts.grasp_map, gains, phi, plan.t)
-    names = [f"coefficient {i + 1}" for i in range(plan.cone_coefficients.shape[1])]
-    return Perturbed(made, coverage(plan.t, made.cone_coefficients, plan.cone_coefficients, plan.cone_radius, names))
+    return rollout(plan.reference, body.inertial, body.contacts.grasp_map, gains, phi, plan.t)
 
 
 def heavier(plan: Plan, extra: float = EXTRA_MASS) -> SimulationRecord:
@@ -205,11 +194,11 @@ def coefficients(motions: Iterable[ReportedMotion]) -> Figure:
     return figure
 
 
-def perturbed_figure(m: ReportedMotion, runs: Perturbed) -> Figure:
+def perturbed_figure(m: ReportedMotion, runs: Rollout) -> Figure:
     """Figs 5 and 6: cone coefficients of perturbed bodies, within the least and largest edge of all tubes."""
     figure, axes = _new(COLUMN, 2.0)
     ax = axes[0, 0]
-    t, values = runs.rollout.t, runs.rollout.cone_coefficients
+    t, values = runs.t, runs.cone_coefficients
     n = len(values)
     for i, colour in zip(_spread_coefficients(m), CYCLE[:4], strict=False):
         ax.plot(t, values[:, :, i].T, color=colour, linewidth=0.3, alpha=0.5, rasterized=n > 30)

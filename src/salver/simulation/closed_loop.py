@@ -8,17 +8,15 @@ differences of these rollouts are therefore good to many digits.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from salver.control.object import Errors, Gains, acceleration, apply, command
-from salver.geometry import Array, Mask, exp, right_jacobian_inverse
+from salver.geometry import Array, exp, right_jacobian_inverse
 from salver.integration import Rate, integrate
 from salver.models.rigid_body import RigidBody, spatial_inertia, wrench
-from salver.sensitivity import tubes
 from salver.trajectory import MotionSamples, Reference
 
 # Longest step times the fastest rate of the error dynamics, with an error below 1e-6 of the deviation, usually below
@@ -134,72 +132,3 @@ def _from_deviation(deviation: npt.ArrayLike | None, n: int, reference: MotionSa
     d = np.broadcast_to(np.asarray(deviation, dtype=float), (n, 12))
     e_w = apply(exp(-d[:, 3:6]) - np.eye(3), reference.omega_B) - d[:, 9:]
     return np.concatenate([-d[:, :3], -d[:, 3:6], -d[:, 6:9], e_w], axis=1)
-
-
-ROUNDING = 1e-9  # a record that exceeds a tube by less, in the unit of the quantity, counts as inside
-
-
-@dataclass(frozen=True)
-class Coverage:
-    """Whether n sampled records of c quantities stay in their tubes: eq (12).
-
-    names: (c,) of the quantities. excess: (n, c) the largest |value - nominal| - radius over time, in the unit of
-    the quantity; negative when the record stays inside. relative: (n, c) excess divided by the *largest* radius of
-    the tube (a radius may pass through zero, so that a ratio at one instant would be meaningless).
-    when: (n, c) time of the excess, s. tolerance: relative excess up to which a record counts as inside.
-    """
-
-    names: tuple[str, ...]
-    excess: Array
-    relative: Array
-    when: Array
-    tolerance: float
-
-    @property
-    def outside(self) -> Mask:
-        """Whether each record left each tube (n, c)."""
-        return (self.excess > ROUNDING) & (self.relative > self.tolerance)
-
-    @property
-    def left(self) -> int:
-        """Number of records that left at least one of their tubes."""
-        return int(self.outside.any(axis=1).sum())
-
-    @property
-    def worst(self) -> tuple[int, int]:
-        """Indices (sample, quantity) of the largest relative excess, among those outside if there are any."""
-        score = np.where(self.outside, self.relative, -np.inf)
-        if not self.outside.any():
-            score = np.where(np.isfinite(self.relative), self.relative, -np.inf)
-        sample, quantity = np.unravel_index(np.argmax(score), score.shape)
-        return int(sample), int(quantity)
-
-    def __str__(self) -> str:
-        n, (i, j) = len(self.excess), self.worst
-        if not self.left:
-            return f"all {n} records stayed in their {len(self.names)} tubes"
-        share = f"{100 * self.relative[i, j]:.2g} % of the largest radius"
-        where = f"{self.names[j]} at t = {self.when[i, j]:.3g} s"
-        return f"{self.left} of {n} records left a tube, the worst by {self.excess[i, j]:.3g} ({share}) in {where}"
-
-
-def coverage(
-    t: npt.ArrayLike,
-    values: Array,
-    nominal: Array,
-    radius: Array,
-    names: Sequence[str],
-    tolerance: float = 1e-6,
-) -> Coverage:
-    """Compare sampled records `values` (n, T, c) with the tubes nominal +- radius, each (T, c).
-
-    For states pass `Rollout.deviation` and nominal zero, for inputs `Rollout.cone_coefficients`.
-    The default tolerance is the accuracy of the rollouts.
-    """
-    beyond = tubes.excess(values, nominal, radius)
-    at = beyond.argmax(axis=1)
-    excess = np.take_along_axis(beyond, at[:, None], axis=1)[:, 0]
-    peak = radius.max(axis=0)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        relative = np.where(excess == 0, 0.0, excess / peak)
-    return Coverage(tuple(names), excess, relative, np.asarray(t, dtype=float)[at], tolerance)
