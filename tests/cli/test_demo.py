@@ -6,7 +6,7 @@ import re
 import pytest
 
 from salver import scenario
-from salver.cli.plans.demo import bottle
+from salver.cli.plans.demo import BOTTLE, experiment
 from salver.errors import ScenarioError
 from salver.planning.fastest import EFFORTS
 from salver.planning.make import plan_pair
@@ -18,7 +18,7 @@ pytestmark = pytest.mark.slow
 @pytest.fixture(scope="module")
 def found(tmp_path_factory):
     directory = tmp_path_factory.mktemp("demo")
-    return directory, bottle(directory, n=4, seed=0, quiet=True)
+    return directory, experiment(BOTTLE, "fastest", "nominal", directory, n=4, seed=0, quiet=True)
 
 
 def test_the_bottle_stays_when_planned_for_its_ranges_and_falls_when_planned_for_nominal_values(found):

@@ -1,7 +1,6 @@
 """What is replaced is kept, what belongs to another plan is not shown, a damaged line costs one run."""
 
 import json
-import os
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -155,32 +154,6 @@ def test_a_scenario_of_ones_own_without_plans_is_never_moved(tmp_path, plans):
     done = command("plan", "panda-cube", "--no-arm", "-o", tmp_path, "--force")
     assert done.exit_code == 2
     assert (tmp_path / "scenario.toml").read_text() == (scenario.SCENARIO_DIR / "panda-cube-1.2s.toml").read_text()
-
-
-@pytest.mark.slow
-def test_watch_plans_again_on_save_and_waits_for_mistakes_to_be_mended(tmp_path, capsys, monkeypatch):
-    from salver.cli.plans import watch
-
-    toml, run, text = tmp_path / "cube.toml", tmp_path / "run", (scenario.SCENARIO_DIR / "panda-cube.toml").read_text()
-    toml.write_text(text)
-    edits = [text.replace("friction = 0.5", "friction = -1"), text.replace("duration = 2.5", "duration = 2.0")]
-
-    def save_next(_):
-        if not edits:
-            raise KeyboardInterrupt
-        toml.write_text(edits.pop(0))
-        os.utime(toml, ns=(len(edits), len(edits)))
-
-    monkeypatch.setattr(watch.time, "sleep", save_next)
-    done = command("plan", toml, "--no-arm", "-o", run, "--watch")
-    assert done.exit_code == 130
-    assert "friction = -1: must be" in done.stderr
-    assert load_plan(run).duration == 2.0
-    assert "2.0 s" in (run / "report.html").read_text() or "2.00 s" in (run / "report.html").read_text()
-    assert load_plan(run / "earlier" / "1").duration == 2.5
-    done = command("plan", "panda-cube", "-o", run, "--watch")
-    assert done.exit_code == 2
-    assert "is not a file to watch" in done.stderr
 
 
 @pytest.mark.parametrize("name", ["plan.json", "plan.npz", "baseline.json"])

@@ -16,12 +16,11 @@ from typing import Any
 from salver.errors import ScenarioError
 from salver.models.uncertain.parameters import Parameter, all_parameters
 from salver.planning.round import MultiLegPlan
-from salver.scenario import Scenario
 from salver.simulation.outcome import WORST_FIRST
 from salver.simulation.physics import Experiment
 from salver.simulation.record import SimulationRecord
 from salver.simulation.run import Options
-from salver.simulation.scene.loads import outside
+from salver.simulation.scene.loads import by_parameter, outside
 
 _ORDER = (*WORST_FIRST, "limit", "holds")
 OF_A_STOP = ("stop_at", "stop_takes", "finishes")  # keys of the summary of a run with a stop
@@ -72,7 +71,7 @@ class RoundExperiment:
         stop_at: s, motion time from the start of the first leg, when a stop is requested, which ends the run.
         Raises ScenarioError for impossible parameters or an impossible stop.
         """
-        true = _known(self.plan.scenario, parameters or {})
+        true = by_parameter(self.plan.scenario, parameters or {})
         if stop_at is not None and stop_at > self.plan.duration:
             raise ScenarioError(
                 f"The stop is requested at {stop_at:g} s; it must be after 0 and not after {self.plan.duration:.4g} s, "
@@ -130,15 +129,3 @@ def simulate_round(
     record = RoundExperiment(plan).run(parameters, seed, stop_at)
     beyond = outside(plan.scenario.uncertain, parameters or {})
     return replace(record, legs=tuple(leg.what_if(beyond) for leg in record.legs))
-
-
-def _known(scenario: Scenario, parameters: Mapping[str, float]) -> dict[Parameter, float]:
-    """The values by parameter instead of by name. Raises ScenarioError for an unknown name."""
-    known = {p.name: p for p in all_parameters([item.name for item in scenario.objects])}
-    for name in parameters:
-        if name not in known:
-            raise ScenarioError(
-                f'There is no parameter "{name}" in {scenario.name}; parameters are named by object and quantity, such '
-                f"as {scenario.objects[0].name}.mass."
-            )
-    return {known[name]: float(value) for name, value in parameters.items()}

@@ -3,20 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from salver.cli.common import Json, print_json, result_console, say
 from salver.cli.progress import step
 
-if TYPE_CHECKING:
-    from salver.campaigns.engine import Campaign
-    from salver.planning.plan import Plan
-
 PAPER, BOTTLE = "panda-cube", "panda-tall-bottle"
 BOTTLE_SHARE = 5  # the bottle has a fifth of the runs, because its plans differ by far more than a few per cent
-STEPS = 4
 
 
 def demo(
@@ -31,8 +26,8 @@ def demo(
 
     Example: `salver demo -o out/demo`
     """
-    cube = paper(out / "cube", n, seed, json)
-    tall = bottle(out / "bottle", max(1, n // BOTTLE_SHARE), seed, json)
+    cube = experiment(PAPER, None, "baseline", out / "cube", n, seed, json)
+    tall = experiment(BOTTLE, "fastest", "nominal", out / "bottle", max(1, n // BOTTLE_SHARE), seed, json)
     if json:
         print_json({"directory": out, "cube": cube, "bottle": tall})
         return
@@ -49,78 +44,38 @@ def demo(
     )
 
 
-def paper(out: Path, n: int, seed: int, quiet: bool) -> dict[str, Any]:
-    """Plan, run and report the paper's scenario: the robust trajectory and the straight line."""
-    from salver.planning.plan import load_plan
-    from salver.reports.pages.page import write_report
-    from salver.simulation.physics import simulate
+def experiment(name: str, method: str | None, beside: str, out: Path, n: int, seed: int, quiet: bool) -> dict[str, Any]:
+    """Plan a scenario and what its plan is compared with, run both with the same n samples of the load, and report.
 
-    _head(1, "The paper's cube, half a metre in 2.5 s: its robust trajectory, and the straight line")
-    plan, _ = _planned(PAPER, None, "baseline", out, quiet)
-
-    _head(2, f"Physics: arm, tray and loose cube; {n} runs of each with the cube's mass perturbed")
-    for stem in ("plan", "baseline"):
-        simulate(load_plan(out, stem)).save(out, stem)
-    summary = _campaign(out, n, seed, quiet).summary
-
-    return {"plan": plan.summary(), "campaign": summary, "page": write_report(out)}
-
-
-def bottle(out: Path, n: int, seed: int, quiet: bool) -> dict[str, Any]:
-    """The fastest motion of the tall bottle, planned for its ranges and for nominal values, on the same samples."""
-    from salver.campaigns import parameters_of_run
-    from salver.planning.plan import load_plan
-    from salver.reports.pages.page import write_report
-    from salver.simulation.physics import simulate
-
-    _head(
-        3,
-        "A tall bottle as fast as possible, the tray leaning like a waiter's: planned for its ranges, and nominally",
-    )
-    plan, nominal = _planned(BOTTLE, "fastest", "nominal", out, quiet)
-
-    _head(4, f"Physics: {n} bottles of unknown weight and balance, each with both motions")
-    campaign = _campaign(out, n, seed, quiet)
-    # The replay shows both motions with one true bottle, the worst one of the nominal motion.
-    run = campaign.summary["plans"]["nominal"]["worst_run"]["run"]
-    parameters, noise = parameters_of_run(out, run)
-    for stem in ("plan", "nominal"):
-        simulate(load_plan(out, stem), parameters=parameters, seed=noise).save(out, stem)
-    return {
-        "plan": plan.summary(),
-        "nominal": nominal.summary(),
-        "campaign": campaign.summary,
-        "page": write_report(out),
-    }
-
-
-def _planned(name: str, method: str | None, beside: str, out: Path, quiet: bool) -> tuple[Plan, Plan]:
-    """A scenario's plan, and the plan that it is compared with."""
+    The replay of the page shows both with one true load, the worst one of the motion that the plan is compared with.
+    """
     from salver import scenario as scenarios
+    from salver.campaigns import parameters_of_run, run_campaign
+    from salver.cli.checks.campaign import show as show_campaign
+    from salver.cli.checks.campaign import show_progress
     from salver.cli.plans.plan import show
     from salver.planning.make import plan_pair
+    from salver.reports.pages.page import write_report
+    from salver.simulation.physics import simulate
 
-    plan, other = plan_pair(scenarios.load(name), method, beside=beside)
+    chosen = scenarios.load(name)
+    step(0, 1)  # reset the progress of the part before
+    say(f"\n{name}: {chosen.summary}")
+    plan, other = plan_pair(chosen, method, beside=beside)
     plan.save(out)
     other.save(out, beside)
     if not quiet:
         show(plan, other, beside)
-    return plan, other
 
-
-def _campaign(out: Path, n: int, seed: int, quiet: bool) -> Campaign:
-    from salver.campaigns import run_campaign
-    from salver.cli.checks.campaign import show, show_progress
-
-    campaign = run_campaign(out, n, seed, progress=show_progress)
+    say(f"\n{name} in the physics engine: {n} loads within the ranges, each with both motions")
+    step(0, 1)
+    summary = run_campaign(out, n, seed, progress=show_progress).summary
     if not quiet:
-        show(campaign.summary)
-    return campaign
-
-
-def _head(number: int, text: str) -> None:
-    step(0, 1)  # reset the progress of the part before
-    say(f"\n[{number}/{STEPS}] {text}")
+        show_campaign(summary)
+    parameters, noise = parameters_of_run(out, summary["plans"][beside]["worst_run"]["run"])
+    for stem, each in (("plan", plan), (beside, other)):
+        simulate(each, parameters=parameters, seed=noise).save(out, stem)
+    return {"plan": plan.summary(), beside: other.summary(), "campaign": summary, "page": write_report(out)}
 
 
 def _held(summary: dict[str, Any]) -> str:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from contextlib import nullcontext
 from enum import StrEnum
-from functools import partial
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Annotated
@@ -24,11 +23,10 @@ from salver.cli.common import (
     say,
 )
 from salver.cli.plans.searching import searching, stopping
-from salver.cli.plans.watch import watched
 from salver.wording import millimetres, number
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable
 
     from salver.planning.fastest import FastestOptions
     from salver.planning.plan import Plan
@@ -85,9 +83,6 @@ def plan(
     force: Annotated[
         bool, typer.Option("--force", help="Replace the plans of another scenario too; they are kept in earlier/.")
     ] = False,
-    watch: Annotated[
-        bool, typer.Option("--watch", help="Plan again, and write the page, whenever the .toml file is saved.")
-    ] = False,
     effort: Annotated[
         Effort | None,
         typer.Option(
@@ -114,15 +109,8 @@ def plan(
     prove that there is none. Ctrl-C ends the search for a fastest plan with the best found so far, which is written
     with a status that says so; Ctrl-C once more ends the command.
     """
-    again = partial(plan, **{**locals(), "watch": False})
     from salver import scenario as scenarios
 
-    def place(named: Scenario) -> Path:
-        return out if out is not None else Path("runs") / named.name
-
-    if watch:
-        watched(Path(scenario), again, lambda: place(scenarios.load(scenario)))
-        return
     chosen = scenarios.load(scenario)
     if duration is not None:
         chosen = chosen.with_changes(motion__duration=duration)
@@ -132,7 +120,8 @@ def plan(
         raise typer.BadParameter(
             "--effort and --time-limit are for the searches of --fastest, --safest and --least-sensitive."
         )
-    directory, options = place(chosen), options_of(effort)
+    directory = out if out is not None else Path("runs") / chosen.name
+    options = options_of(effort)
     if chosen.legs:
         if beside is not None or not arm:
             raise typer.BadParameter("--beside and --no-arm are not for a task of several legs; leave them out.")
@@ -223,8 +212,7 @@ def _tell(directory: Path, plans: dict[str, Plan | MultiLegPlan]) -> None:
 def _show_legs(plan: MultiLegPlan) -> None:
     """Print a plan of several legs."""
     console, scenario = result_console(), plan.scenario
-    console.print(headed(scenario.name, scenario.summary) if scenario.summary else scenario.name)
-    warn(plan.warnings)
+    _head(plan)
     titles = ("leg", "on the tray", "then", "duration", "left, worst case", "friction needed / sure", "arm")
     rows = [
         (
@@ -243,19 +231,26 @@ def _show_legs(plan: MultiLegPlan) -> None:
     console.print(headed("all", plan.status))
     for k, leg in enumerate(plan.legs, 1):
         console.print(headed(f"leg {k}", leg.status))
-        console.print(f"  arm: {leg.arm_status}")
-        console.print(f"  {leg.verification.sentence}")
-        console.print(f"  {leg.speeds.sentence}")
-        console.print(f"  {leg.extent.sentence}")
-        if leg.stops is not None:
-            console.print(f"  {leg.stops.sentence}")
-    console.print(f"Solved in {1e3 * float(plan.solver['seconds']):.1f} ms by {plan.solver['name']}.")
+        for sentence in (f"arm: {leg.arm_status}", leg.speeds.sentence, *checked(leg)):
+            console.print(f"  {sentence}")
+    console.print(_solved(plan))
 
 
-def warn(warnings: Iterable[str]) -> None:
-    """Print the warnings about a scenario."""
-    for sentence in warnings:
-        result_console().print(headed("Warning", sentence))
+def _head(plan: Plan | MultiLegPlan) -> None:
+    """Print the task and the warnings about it."""
+    console, scenario = result_console(), plan.scenario
+    console.print(headed(scenario.name, scenario.summary) if scenario.summary else scenario.name)
+    for sentence in plan.warnings:
+        console.print(headed("Warning", sentence))
+
+
+def checked(plan: Plan) -> list[str]:
+    """The sentences of a plan's check, of the room that it takes, and of its stops."""
+    return [plan.verification.sentence, plan.extent.sentence] + ([plan.stops.sentence] if plan.stops else [])
+
+
+def _solved(plan: Plan | MultiLegPlan) -> str:
+    return f"Solved in {1e3 * float(plan.solver['seconds']):.1f} ms by {plan.solver['name']}."
 
 
 def options_of(effort: Effort | None) -> FastestOptions | None:
@@ -270,8 +265,7 @@ def options_of(effort: Effort | None) -> FastestOptions | None:
 def show(plan: Plan, other: Plan, beside: str) -> None:
     """Print the plan beside the plan that it is compared with."""
     console, scenario = result_console(), plan.scenario
-    console.print(headed(scenario.name, scenario.summary) if scenario.summary else scenario.name)
-    warn(plan.warnings)
+    _head(plan)
     uncertain = ", ".join(
         f"{name} ±{half:.3g}" for name, half in zip(plan.uncertain.names, plan.uncertain.half_range, strict=True)
     )
@@ -311,13 +305,10 @@ def show(plan: Plan, other: Plan, beside: str) -> None:
             console.print(f"  arm: {item.arm_status}")
     if plan.method == "robust" and plan.status.ok and plan.arm_status is not None and not plan.arm_status.ok:
         console.print("This plan is for the object alone; --least-sensitive plans the same within the arm's limits.")
-    console.print(plan.verification.sentence)
-    console.print(plan.extent.sentence)
-    if plan.stops is not None:
-        console.print(plan.stops.sentence)
+    for sentence in checked(plan):
+        console.print(sentence)
     if plan.solver:
-        seconds = 1e3 * float(plan.solver["seconds"])
-        console.print(f"Solved in {seconds:.1f} ms by {plan.solver['name']}.")
+        console.print(_solved(plan))
 
 
 def _room(plan: Plan) -> str:

@@ -11,6 +11,7 @@ import typer
 
 from salver.cli.checks.audit import Gap, Highest, Noise, Topic, Units
 from salver.cli.common import NO_SAFE_PLAN, Json, Stops, Unsafe, print_json, result_console, save_plans, say
+from salver.cli.plans.plan import checked
 from salver.cli.plans.searching import stopping
 from salver.errors import ScenarioError, UnsafeError
 
@@ -149,16 +150,9 @@ def _tell(plan: Plan) -> None:
     from salver.planning.fastest.retiming import PATH_TOLERANCE
 
     tell = result_console().print
-    sentences = [
-        plan.status,
-        plan.verification.sentence,
-        plan.extent.sentence,
-        plan.arm_status,
-        plan.stops and plan.stops.sentence,
-    ]
-    for sentence in sentences:
+    for sentence in (plan.status.sentence, plan.arm_status and plan.arm_status.sentence, *checked(plan)):
         if sentence is not None:
-            tell(str(sentence))
+            tell(sentence)
     tell(f"No timing of this path is faster than {plan.solver['lower_bound']:.4f} s.")
     if (missed := plan.solver["waypoints_missed"]) > PATH_TOLERANCE:
         tell(f"The path misses waypoints by up to {missed:.2g} rad, because they are too many.")

@@ -134,7 +134,15 @@ def true_world(scenario: Scenario, parameters: Mapping[str, float] | None = None
     parameters: true values by name (docs/conventions.md), in SI units; with several objects, names have the prefix
     `object.`. Raises ScenarioError for an unknown name, an impossible value, or an object beside its supports.
     """
-    values: dict[str, Any] = dict(parameters or {})
+    loads: list[Load] = []
+    true = by_parameter(scenario, parameters or {})
+    for item, nominal in zip(scenario.objects, scenario.payload.bodies, strict=True):
+        loads.append(_load(item, nominal, true, scenario, loads))
+    return TrueWorld(tuple(loads), np.array([*(true.get(tilt, 0.0) for tilt in TILT), 0.0]))
+
+
+def by_parameter(scenario: Scenario, values: Mapping[str, Any]) -> dict[Parameter, float]:
+    """True values by parameter instead of by name. Raises ScenarioError for an unknown name, or for no number."""
     known = {parameter.name: parameter for parameter in all_parameters([item.name for item in scenario.objects])}
     for name, value in values.items():
         if name not in known:
@@ -143,11 +151,7 @@ def true_world(scenario: Scenario, parameters: Mapping[str, float] | None = None
             raise ScenarioError(f'There is no parameter "{name}" in {scenario.name}; known are {shown}.')
         if not isinstance(value, Real) or not np.isfinite(float(value)):
             raise ScenarioError(f"Parameter {name} = {value!r}; it must be a finite number.")
-    loads: list[Load] = []
-    true = {known[name]: float(value) for name, value in values.items()}
-    for item, nominal in zip(scenario.objects, scenario.payload.bodies, strict=True):
-        loads.append(_load(item, nominal, true, scenario, loads))
-    return TrueWorld(tuple(loads), np.array([*(true.get(tilt, 0.0) for tilt in TILT), 0.0]))
+    return {known[name]: float(value) for name, value in values.items()}
 
 
 def outside(uncertain: UncertainSet, parameters: Mapping[str, float]) -> dict[str, tuple[float, float] | None]:
