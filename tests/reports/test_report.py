@@ -21,7 +21,6 @@ from salver.reports.pages.sections import build
 from salver.reports.pages.words import asked, verdict
 from salver.reports.parameters import half_range
 from salver.reports.run import ReportedRun, read_run
-from salver.reports.tables import scenario_rows
 
 pytestmark = pytest.mark.slow
 
@@ -231,9 +230,3 @@ def test_distributions_of_perturbed_runs_end_at_the_largest_value(cube_run: Path
         factor = 1e6 if "µm" in charts[0]["x"] else 1e3
         assert curve["x"][-1] == pytest.approx(factor * errors.max(), rel=1e-4)
         assert curve["y"] == pytest.approx([100 * k / 6 for k in range(1, 7)], rel=1e-4)
-
-
-def test_the_task_in_rows(cube_plans: Path) -> None:
-    asked = dict(scenario_rows(read_run(cube_plans)))
-    assert asked["± mass"] == "25.6 g (10 %)"
-    assert asked["gains K_p"].startswith("500, 300")

@@ -1,74 +1,19 @@
-"""Numbers in rows: the scenario (the paper's Table I), what the solver did, how much of the arm is used."""
+"""Numbers in rows: what the solver did, how much of the arm is used."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from salver.models.arm.arm_limits import LIMITS
-from salver.planning.object.conditions import UNITS
-from salver.reports.parameters import ranges
 
 if TYPE_CHECKING:
     from salver.models.arm.arm import ArmModel
     from salver.reports.run import ReportedMotion, ReportedRun
-    from salver.scenario import Obstacle
 
 Rows = list[tuple[str, str]]
-
-
-def scenario_rows(run: ReportedRun) -> Rows:
-    """The task, as the paper's Table I and beyond."""
-    s, uncertain = run.scenario, run.scenario.payload.uncertain
-    rows: Rows = [("scenario", s.name), ("source", s.source or "–")]
-    rows += [
-        ("start", _vector(s.motion.start.position, "m")),
-        ("goal", _vector(s.motion.goal.position, "m")),
-        ("duration", f"{run.plan.duration:.4g} s"),
-        (
-            "reference",
-            f"polynomials of degree {s.motion.degree}, {s.motion.nodes} nodes, "
-            f"orientation {'free' if s.motion.may_turn else 'fixed'}",
-        ),
-        (
-            "tray",
-            f"{s.tray.size[0]:g} × {s.tray.size[1]:g} m, {s.tray.mass:g} kg, "
-            f"inertia {_vector(s.tray.inertia, 'kg m²')}",
-        ),
-    ]
-    for item, body in zip(s.objects, run.bodies, strict=True):
-        inertia = body.inertial.inertia_com
-        rows += [
-            (item.name, f"{item.mass:g} kg, friction {item.friction:g}, {body.contacts.count} contacts"),
-            (f"{item.name}, inertia", _vector(np.diag(inertia), "kg m²")),
-        ]
-    rows += [(f"± {name}", half) for name, _, half in ranges(uncertain)]
-    rows += [
-        ("uncertain set", uncertain.kind),
-        ("gains K_p", f"{s.control.kp[0]:g}, {s.control.kp[1]:g} 1/s² (translation, rotation)"),
-        ("gains K_d", f"{s.control.kd[0]:g}, {s.control.kd[1]:g} 1/s"),
-        (
-            "contact condition",
-            f"{s.contact.condition}, {s.contact.edges} edges a cone, "
-            f"margin {s.contact.margin:g} {UNITS[s.contact.condition]}",
-        ),
-        ("arm", s.arm.model if s.arm else "none"),
-    ]
-    return rows + [(obstacle.name, _obstacle(obstacle)) for obstacle in s.obstacles]
-
-
-def _obstacle(obstacle: Obstacle) -> str:
-    """An obstacle in words: what it is, how large, where."""
-    sizes = {
-        "box": lambda: f"{_vector(obstacle.size, 'm')}",
-        "sphere": lambda: f"radius {obstacle.radius:g} m",
-        "mesh": lambda: Path(obstacle.file or "").name,
-    }
-    size = sizes.get(obstacle.type, lambda: f"radius {obstacle.radius:g} m, length {obstacle.length:g} m")()
-    return f"obstacle, {obstacle.type}, {size}, at {_vector(obstacle.position, 'm')}"
 
 
 def solver_rows(run: ReportedRun) -> Rows:
@@ -113,10 +58,6 @@ def _arm_chain(chain: Mapping[str, Any] | None, check: Mapping[str, Any]) -> str
 
 def _text(item: Any) -> str | None:
     return f"{item:.6g}" if isinstance(item, int | float) else item
-
-
-def _vector(values: Any, unit: str) -> str:
-    return f"({', '.join(f'{x:g}' for x in values)}) {unit}"
 
 
 def arm_usage(m: ReportedMotion, arm: ArmModel) -> dict[str, np.ndarray]:

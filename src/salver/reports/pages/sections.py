@@ -13,7 +13,7 @@ from salver.models.arm.arm_limits import LIMITS
 from salver.reports.pages import charts, perturbed_runs
 from salver.reports.pages.cells import NOTHING, joined, motion_cell, outcome_cell, speed_bar, table
 from salver.reports.pages.words import campaign_outcomes, length, true_parameters
-from salver.reports.tables import arm_usage, scenario_rows, solver_rows
+from salver.reports.tables import arm_usage, solver_rows
 from salver.wording import listed, number
 
 if TYPE_CHECKING:
@@ -250,12 +250,11 @@ def _limits_in_words(arm: ArmModel) -> str:
 
 
 def _provenance(run: ReportedRun) -> Markup:
-    left, right = table(["asked", ""], scenario_rows(run)), table(["computed", ""], solver_rows(run))
-    details = NOTHING
+    details = table(["computed", ""], solver_rows(run))
     for name in ("scenario.toml", *(f"{m.stem}.json" for m in run.motions)):
         text = (run.directory / name).read_text(encoding="utf-8")
         details += Markup("<details><summary>{}</summary><pre>{}</pre></details>").format(name, text)
-    return Markup('<div class="columns"><div>{}</div><div>{}</div></div>{}').format(left, right, details)
+    return details
 
 
 def _peak(record: Record, key: str, factor: float) -> str:

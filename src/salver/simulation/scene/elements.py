@@ -241,35 +241,22 @@ def add_load(spec: Any, load: Load, k: int) -> None:
             group=4,
             **INERT,
         )
-    rgba = [*COLOURS[k % len(COLOURS)], 1 if load.value is None else WALL_OPACITY]
     centre, height = -load.com_G, load.solid.height
     raised = centre + np.array([0, 0, HULL_GAP / 2])
+    shape: dict[str, Any]
     if load.shape.type == "box":  # type: ignore[attr-defined]
-        sides = 2 * load.solid.base_polygon.max(axis=0)
-        body.add_geom(
-            name=hull_name(k),
-            type=mujoco.mjtGeom.mjGEOM_BOX,
-            size=[sides[0] / 2, sides[1] / 2, (height - HULL_GAP) / 2],
-            pos=raised,
-            rgba=rgba,
-            **INERT,
-        )
+        sides = load.solid.base_polygon.max(axis=0)
+        shape = {"type": mujoco.mjtGeom.mjGEOM_BOX, "size": [*sides, (height - HULL_GAP) / 2], "pos": raised}
     elif isinstance(load.shape, Cylinder):
-        body.add_geom(
-            name=hull_name(k),
-            type=mujoco.mjtGeom.mjGEOM_CYLINDER,
-            size=[load.shape.radius, (height - HULL_GAP) / 2, 0],
-            pos=raised,
-            rgba=rgba,
-            **INERT,
-        )
+        size = [load.shape.radius, (height - HULL_GAP) / 2, 0]
+        shape = {"type": mujoco.mjtGeom.mjGEOM_CYLINDER, "size": size, "pos": raised}
     else:
         points = load.solid.bounding_points_G.copy()
         points[:, 2] = np.maximum(points[:, 2], load.solid.base_z + HULL_GAP)
         mesh = spec.add_mesh(name=f"salver:mesh:{k}", uservert=points.ravel().tolist())
-        body.add_geom(
-            name=hull_name(k), type=mujoco.mjtGeom.mjGEOM_MESH, meshname=mesh.name, pos=centre, rgba=rgba, **INERT
-        )
+        shape = {"type": mujoco.mjtGeom.mjGEOM_MESH, "meshname": mesh.name, "pos": centre}
+    rgba = [*COLOURS[k % len(COLOURS)], 1 if load.value is None else WALL_OPACITY]
+    body.add_geom(name=hull_name(k), rgba=rgba, **shape, **INERT)
 
 
 def lent(still: RigidBody) -> float:
@@ -311,18 +298,19 @@ def _add_swing(spec: Any, body: Any, load: Load, k: int) -> None:
 
 def add_obstacle(spec: Any, obstacle: Obstacle, k: int) -> list[str]:
     """Add an obstacle; returns the names of its geoms, several for a mesh of several pieces."""
+    geom, radius, half = mujoco.mjtGeom, obstacle.radius or 0.0, 0.5 * (obstacle.length or 0.0)
     kinds = {
-        "box": (mujoco.mjtGeom.mjGEOM_BOX, [0.5 * x for x in obstacle.size or ()]),
-        "sphere": (mujoco.mjtGeom.mjGEOM_SPHERE, [obstacle.radius or 0.0, 0, 0]),
-        "capsule": (mujoco.mjtGeom.mjGEOM_CAPSULE, [obstacle.radius or 0.0, 0.5 * (obstacle.length or 0.0), 0]),
-        "cylinder": (mujoco.mjtGeom.mjGEOM_CYLINDER, [obstacle.radius or 0.0, 0.5 * (obstacle.length or 0.0), 0]),
+        "box": (geom.mjGEOM_BOX, [0.5 * x for x in obstacle.size or ()]),
+        "sphere": (geom.mjGEOM_SPHERE, [radius, 0, 0]),
+        "capsule": (geom.mjGEOM_CAPSULE, [radius, half, 0]),
+        "cylinder": (geom.mjGEOM_CYLINDER, [radius, half, 0]),
     }
     pieces: list[dict[str, Any]] = []
     if obstacle.type == "mesh":
         for j, points in enumerate(mesh_pieces(obstacle)):
             mesh = spec.add_mesh(name=f"{obstacle_name(k)}:{j}", uservert=points.ravel().tolist())
             mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
-            pieces.append({"type": mujoco.mjtGeom.mjGEOM_MESH, "meshname": mesh.name})
+            pieces.append({"type": geom.mjGEOM_MESH, "meshname": mesh.name})
     else:
         kind, size = kinds[obstacle.type]
         pieces.append({"type": kind, "size": size})
