@@ -151,11 +151,8 @@ def _titled(picture: np.ndarray, title: str) -> np.ndarray:
 
 
 def _side_by_side(pictures: list[np.ndarray]) -> np.ndarray:
-    gap = np.full((pictures[0].shape[0], _GAP, 3), 255, dtype=np.uint8)
-    row = [pictures[0]]
-    for picture in pictures[1:]:
-        row += [gap, picture]
-    return np.concatenate(row, axis=1)
+    framed = [np.pad(picture, ((0, 0), (0, _GAP), (0, 0)), constant_values=255) for picture in pictures]
+    return np.concatenate(framed, axis=1)[:, :-_GAP]
 
 
 Save = Callable[[Iterator[np.ndarray], float], None]

@@ -71,22 +71,17 @@ def prepare(
 
 
 def at_commands(scenario: Scenario, reference: Reference) -> MotionSamples:
-    """The reference at the commands of a run, from rest before the motion to rest after it."""
-    return reference.sample(_command_times(scenario, reference.duration))
+    """The reference at the commands of a run, from rest before the motion to rest after it, including t = 0."""
+    period, physics = scenario.physics.command_period, scenario.physics
+    before = round(physics.settle_before / period)
+    after = int(np.ceil((reference.duration + physics.settle_after) / period - 1e-9))
+    return reference.sample(period * np.arange(-before, after + 1, dtype=np.float64))
 
 
 def of_tray(wanted: MotionSamples, scene: Scene) -> MotionSamples:
     """Motion of the assumed frame E for which the first object, fixed to the tray, moves as `wanted`."""
     first = scene.loads[0].nominal
     return wanted.of_frame(*invert(first.p_EB, first.R_EB))
-
-
-def _command_times(scenario: Scenario, duration: float) -> Array:
-    """Times of the commands, s, from rest before the motion to rest after it, including t = 0."""
-    period = scenario.physics.command_period
-    before = round(scenario.physics.settle_before / period)
-    after = int(np.ceil((duration + scenario.physics.settle_after) / period - 1e-9))
-    return period * np.arange(-before, after + 1, dtype=np.float64)
 
 
 def measure(

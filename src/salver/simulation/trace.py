@@ -98,18 +98,8 @@ class Recorder:
     def keep(self, last: int) -> None:
         """Discard all but the last `last` samples."""
         gone = max(0, self.count - last)
-        samples = (
-            self.t,
-            self.q,
-            self.dq,
-            self.tau,
-            self.position,
-            self.quaternion,
-            self.qpos,
-            self.sensed,
-            self.pulled,
-        )
-        for values in samples:
+        joints = (self.t, self.q, self.dq, self.tau)
+        for values in (*joints, self.position, self.quaternion, self.qpos, self.sensed, self.pulled):
             values[: self.count - gone] = values[gone : self.count]
         del self.contacts[:gone]
         self.count -= gone

@@ -11,7 +11,6 @@ from salver.campaigns.summary import LEFT_TUBES
 from salver.reports.pages.cells import joined, motion_cell, outcome_cell, percent, table
 from salver.reports.pages.charts import LENGTHS, Spec, Units, series, suited
 from salver.reports.pages.words import length
-from salver.statistics import clopper_pearson
 
 if TYPE_CHECKING:
     from salver.reports.run import ReportedMotion, ReportedRun
@@ -48,14 +47,13 @@ def _outcomes(run: ReportedRun, plans: dict[str, Any]) -> Markup:
     rows = []
     for m in run.motions:
         for i, (word, rate) in enumerate(plans.get(m.stem, {}).get("outcomes", {}).items()):
-            interval = clopper_pearson(int(rate["count"]), int(rate["of"]))
             rows.append(
                 [
                     motion_cell(m.stem, m.label) if i == 0 else "",
                     outcome_cell(word),
-                    f"{interval.count} of {interval.total}",
-                    percent(interval.value),
-                    f"{percent(interval.low)} to {percent(interval.high)}",
+                    f"{rate['count']} of {rate['of']}",
+                    percent(rate["count"] / rate["of"]),
+                    f"{percent(rate['low'])} to {percent(rate['high'])}",
                 ]
             )
     return table(["", "outcome", "runs", "rate", "95 % interval (Clopper–Pearson)"], rows, numeric=(2, 3))
