@@ -1,6 +1,5 @@
 """The playground: a wild hand, with and without protection; its page in a real browser; what it keeps of a session."""
 
-import json
 import os
 import time
 from urllib.parse import urlsplit
@@ -18,6 +17,7 @@ from salver.playground.unprotected import Unprotected
 from salver.reports.run import read_run
 from salver.scenario import SCENARIO_DIR
 from salver.simulation.outcome import inner_motions
+from salver.simulation.physics import simulate
 from salver.simulation.trace import Recorder
 from salver.studio.server import Studio
 
@@ -59,12 +59,15 @@ def test_a_wild_hand_drops_nothing_until_the_protection_is_off_and_all_of_it_is_
         time.sleep(0.05)
     plan = load_plan(tmp_path / "kept")
     assert plan.ok, (plan.verification.sentence, plan.arm_status.sentence)
-    log = json.loads((tmp_path / "kept" / "execution" / "plan.json").read_text())
-    assert log["outcome"] == "holds"
-    assert log["joint_error_peak"] < 5e-3
-    assert read_run(tmp_path / "kept").motions[0].execution is not None  # what `salver report` shows
+    assert read_run(tmp_path / "kept").motions[0].label == "Live"  # what `salver report` shows
+    assert simulate(plan, parameters={"friction": 0.36}).outcome == "holds"
+    assert world.say({"record": True}).ok
+    assert "being recorded" in world.say({"protected": False}).sentence
+    assert world.say({"record": False}).ok
+    run(world, 0.02)
 
     assert world.say({"protected": False}).ok
+    assert "protected" in world.say({"record": True}).sentence
     wild(world, 0.6)
     assert became(world) != [""]
     assert "The arm moves" in world.say({"protected": True}).sentence

@@ -15,7 +15,7 @@ from salver.scenario import Scenario
 from salver.simulation.scene.engine import mujoco
 from salver.simulation.scene.loads import true_world
 from salver.simulation.scene.scene import build
-from salver.simulation.trace import Take, step
+from salver.simulation.trace import step
 
 
 class Plant:
@@ -53,10 +53,10 @@ class Plant:
         self.inner.begin()
         self.data.qacc_warmstart[:] = 0
 
-    def step(self, controller: ArmController, t: float, *takes: Take) -> None:
-        """One control period from time t. takes: see `salver.simulation.trace.step`."""
+    def step(self, controller: ArmController, t: float) -> None:
+        """One control period from time t."""
         torque = controller.step(ArmState(self.q, self.dq), t)
-        step(self.scene, self.data, t, torque, self._steps, self.inner.took, *takes)
+        step(self.scene, self.data, t, torque, self._steps, self.inner.took)
 
     def p_SB(self, k: int = 0) -> Array:
         """(3,) m: where object k is."""

@@ -15,17 +15,22 @@ from typing import Any
 import numpy as np
 
 from salver.control.arm import controller_for
+from salver.driver.live import commanded
 from salver.errors import SalverError, Status
 from salver.geometry import Array, quat_wxyz_from_matrix
 from salver.live import Live, LiveCourse
 from salver.live.replanning.wishes import numbers
 from salver.models.arm.arm import load_arm
+from salver.planning.plan_files import make_way
 from salver.playground.ball import Ball, Throw, furnish
 from salver.playground.plant import Plant
-from salver.playground.recording import SessionRecording
 from salver.playground.unprotected import Unprotected
 from salver.scenario import Scenario
 from salver.simulation.scene.engine import mujoco
+from salver.trajectory import JointMotion
+
+LONGEST = 115.0  # s of a recording; a live motion keeps 120 s of what was commanded
+RECORDED = "It is being recorded; end the recording first."
 
 
 class World:
@@ -61,9 +66,9 @@ class World:
         self._hand = (-np.inf, np.zeros(3), np.zeros(3))  # when it spoke last, v_S, omega_S
         self.t = 0.0
         self.note = ""
-        self._parameters, self._keep_in = dict(parameters or {}), keep_in
-        self._recording: SessionRecording | None = None
-        self._ending = self._was_free = False
+        self._keep_in = keep_in
+        self._recorded: float | None = None  # live time since which is recorded, s
+        self._ending = False
         self._placed()
 
     # --- what the controller follows: `salver.control.arm.Course`
@@ -118,21 +123,13 @@ class World:
     def advance(self) -> None:
         """One control period."""
         with self._lock:
-            recording = self._recording
-            due = recording is not None and recording.due()
-            controller = self._controller if self.protected else self._jogging
-            self.plant.step(controller, self.t, *([self._took] if due else []))
+            self.plant.step(self._controller if self.protected else self._jogging, self.t)
             self.t += self.period
             seen = self.ball.step(self.plant.data, self.t)
             if seen is not None:
                 self.live.obstacles(seen)
-            if recording is not None:
-                self._was_free |= self._free is not None
-                self._watch(recording)
-
-    def _took(self, t: float, q: Array, dq: Array, torque: Array, data: Any) -> None:
-        assert self._recording is not None
-        self._recording.took(t, q, dq, torque, self.at(0, 0.0), data)
+            if self._recorded is not None:
+                self._watch(self._recorded)
 
     @property
     def protected(self) -> bool:
@@ -189,6 +186,8 @@ class World:
     def _protect(self, wanted: bool) -> Status:
         if wanted == self.protected:
             return Status("accepted", "", True)
+        if self._recorded is not None:
+            return Status("refused", RECORDED, False)
         self._goal = None
         if not wanted:
             q, dq, _ = self._course.at(0, 0.0)
@@ -217,42 +216,46 @@ class World:
         return self.live.committed.at_rest or self.live.now >= self.live.committed.ends
 
     def _record(self, wanted: bool) -> Status:
-        if wanted == (self._recording is not None):
+        if wanted == (self._recorded is not None):
             return Status("accepted", "", True)
         if wanted and self._keep_in is None:
             return Status("refused", "There is no directory for recordings; begin with -o DIRECTORY.", False)
+        if wanted and not self.protected:
+            return Status("refused", "Only a protected motion is recorded.", False)
         if wanted and not self._resting:
             return Status("refused", "A recording begins at rest; press stop first.", False)
+        self._ending = not wanted
         if wanted:
-            self._was_free = self._ending = False
-            self._recording = SessionRecording(self.scenario, self._parameters, self.plant.scene, self.t)
+            self._recorded = self.live.now
             return Status("accepted", "", True)
-        self._ending = True
         stopped = bool(self.live.stopped)
         status = self.say({"stop": True})
-        return status if stopped or not self.protected else self.live.resume()  # it only has to come to rest
+        return status if stopped else self.live.resume()  # it only has to come to rest
 
-    def _watch(self, recording: SessionRecording) -> None:
-        """A recording that is to end, does so at rest; one that is too long is to end, 5 s before it is full."""
-        if recording.seconds > recording.longest - 5.0 and not self._ending:
+    def _watch(self, since: float) -> None:
+        """A recording that is to end, does so at rest; one that is too long is to end."""
+        if self.live.now - since > LONGEST and not self._ending:
             self._record(False)
-        if (self._ending and recording.rests) or recording.full:
-            self._recording = None
+        if self._ending and self._resting:
+            motion, self._recorded = self.live.commanded(since), None
             self.note = "The recording is being written."
-            threading.Thread(target=self._kept, args=(recording, self._was_free), name="recording").start()
+            threading.Thread(target=self._kept, args=(motion,), name="recording").start()
 
-    def _kept(self, recording: SessionRecording, unprotected: bool) -> None:
+    def _kept(self, motion: JointMotion) -> None:
+        """Write a run directory of which the commanded motion is the plan."""
         assert self._keep_in is not None
         try:
-            path = recording.save(self._keep_in, unprotected)
-            self.note = f"The recording is in {path.parent.parent}; salver report {path.parent.parent} shows it."
+            plan = commanded(self.scenario, motion)
+            make_way(plan.scenario, self._keep_in, force=True)
+            plan.save(self._keep_in)
+            self.note = f"The recording is in {self._keep_in}; salver report {self._keep_in} shows it."
         except Exception as error:  # a recording that cannot be kept is no reason to end
             self.note = f"The recording could not be kept ({type(error).__name__}: {error})."
 
     def _again(self) -> Status:
         """The arm where it began, everything in its place."""
-        if self._recording is not None:
-            return Status("refused", "It is being recorded; end the recording first.", False)
+        if self._recorded is not None:
+            return Status("refused", RECORDED, False)
         while not self.live.committed.at_rest and self.live.now < self.live.committed.ends:
             self.t += self.period
             self.live.command(self.t)
@@ -332,7 +335,7 @@ class World:
                 "margin": round(state.margin, 4),
                 "said": " ".join(filter(None, (*live, self.ball.sentence, self.note))),
                 "lead": round(state.lead, 3),
-                "recording": None if self._recording is None else round(self._recording.seconds, 2),
+                "recording": None if self._recorded is None else round(self.live.now - self._recorded, 2),
                 "path": self._path(),
                 "balls": [{"p": p_ball, "r": r_ball}] if self.ball.flies else [],
             }

@@ -16,18 +16,17 @@ from salver.simulation.tray_frame import TrayMotion
 Take = Callable[[float, Array, Array, Array, Any], None]  # of t, q, dq, tau and data, as `Recorder.take`
 
 
-def step(scene: Scene, data: Any, t: float, tau: Array, steps: int, *takes: Take) -> None:
+def step(scene: Scene, data: Any, t: float, tau: Array, steps: int, take: Take) -> None:
     """One command period from time t, s: `steps` of the engine under the torque tau (n,).
 
-    takes: called with the state at its start, when the engine has made one step since.
+    take: called with the state at its start, when the engine has made one step since.
     """
     n = scene.n
     q, dq = data.qpos[:n].copy(), data.qvel[:n].copy()
     data.qfrc_applied[:n] = tau
     scene.shake(data, t)
     mujoco.mj_step(scene.model, data)
-    for take in takes:
-        take(t, q, dq, tau, data)
+    take(t, q, dq, tau, data)
     if steps > 1:
         mujoco.mj_step(scene.model, data, nstep=steps - 1)
 
