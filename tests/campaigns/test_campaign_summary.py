@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from salver import scenario as scenarios
-from salver.campaigns.runners import round_scalars, run_scalars, tube_scalars
+from salver.campaigns.runners import round_scalars, run_scalars
 from salver.campaigns.summary import read_table, summarise, table, write_table
 from salver.errors import FileFormatError
 from salver.reports.run import _column
+from salver.simulation.closed_loop import tube_scalars
 
 
 class _FlatPlan:

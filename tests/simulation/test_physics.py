@@ -206,9 +206,6 @@ def test_figures_of_the_summary_are_those_of_the_record(fast):
          for c, r, seen in columns]
     )  # fmt: skip
     assert summary["tube"]["excess"] == pytest.approx(beyond.max(), abs=1e-6)
-    assert summary["tube"]["coverage"] == pytest.approx(np.mean(beyond <= 1e-3), abs=1e-3)
-    assert 0 < summary["tube"]["coverage"] < 1
-    assert summary["tube"]["radius_peak"] == pytest.approx(plan.cone_radius.max(), rel=1e-3)
     sparse = simulate(plan, parameters={"mass": 0.29}, options=Options(record_rate=100.0))
     np.testing.assert_array_equal(sparse.q, record.q[::10])
     assert {**sparse.summary, "wall_time": 0} == {**summary, "wall_time": 0, "tube": sparse.summary["tube"]}

@@ -13,8 +13,7 @@ import numpy as np
 
 from salver.campaigns.definition import Definition, instant_of_run, samples, seed_of_run
 from salver.errors import SalverError
-from salver.geometry import Array, interpolated
-from salver.sensitivity import tubes
+from salver.geometry import Array
 
 if TYPE_CHECKING:
     from salver.planning.plan import Plan
@@ -97,6 +96,7 @@ def _physics(
     stops: Sequence[float | None],
 ) -> list[Scalars]:
     """Scalars of runs in the physics engine. stops: s, time of the stop request of each run, or None."""
+    from salver.simulation.closed_loop import tube_scalars
     from salver.simulation.round import RoundExperiment
 
     results: list[Scalars] = []
@@ -120,7 +120,7 @@ def _physics(
 def _closed_loop(plan: Plan, runs: Sequence[int], drawn: Sequence[Mapping[str, float]]) -> list[Scalars]:
     """Scalars of runs of the object under its controller alone (eqs 18, 19), without contact and arm, as for tubes."""
     from salver.control.object import Gains
-    from salver.simulation.closed_loop import rollout
+    from salver.simulation.closed_loop import rollout, tube_scalars
 
     payload = plan.scenario.payload
     body = payload.first
@@ -135,7 +135,7 @@ def _closed_loop(plan: Plan, runs: Sequence[int], drawn: Sequence[Mapping[str, f
     results: list[Scalars] = []
     for run in runs:
         coefficients, deviation = result.cone_coefficients[run % BLOCK], result.deviation[run % BLOCK]
-        scalars = tube_scalars(plan, result.t, coefficients)
+        scalars: Scalars = {**tube_scalars(plan, result.t, coefficients)}
         least = scalars["cone_least"]
         assert isinstance(least, float)
         scalars["outcome"] = "holds" if least >= 0 else "leaves cone"
@@ -150,41 +150,6 @@ def _stride(t: Array) -> int:
     count = len(t) - 1
     wanted = max(1, int(SPACING / (t[-1] - t[0]) * count))
     return next(k for k in range(wanted, 0, -1) if count % k == 0)
-
-
-def tube_scalars(plan: Plan, t: Array, coefficients: Array) -> Scalars:
-    """Least cone coefficient of a run, and the excess of its coefficients over the plan's tube (negative: inside).
-
-    coefficients: (T, n_lambda) at t (T,); only those during the motion count. tube_excess: largest
-    |Lambda - nominal| - radius, N. tube_excess_relative: as a share of the largest radius. tube_excess_settled: that
-    share from 8 / kd on, when the controller's transient has decayed to 2 %. Before, run and tube are not comparable:
-    the tube of eq (19) starts with zero width, because the controller starts with the nominal wrench, whereas an object
-    on a real tray presses with its true weight from the start.
-    """
-    if coefficients is None or not len(plan.cone_radius):
-        return {}
-    within = (t >= 0) & (t <= plan.t[-1])
-    t, coefficients = t[within], coefficients[within]
-    if len(t) == 0 or not np.all(np.isfinite(coefficients)):
-        return {}
-    from scipy.interpolate import make_interp_spline
-
-    nominal = make_interp_spline(plan.t, plan.cone_coefficients, k=3)(t)
-    radius = interpolated(plan.t, plan.cone_radius, t)
-    excess = tubes.excess(coefficients, nominal, radius)
-    when = int(np.argmax(excess.max(axis=1)))
-    largest = float(plan.cone_radius.max())
-    return {
-        "cone_least": float(coefficients.min()),
-        "tube_excess": float(excess.max()),
-        "tube_excess_relative": _largest(excess, largest),
-        "tube_excess_settled": _largest(excess[t >= 8 / min(plan.scenario.control.kd)], largest),
-        "tube_excess_time": float(t[when]),
-    }
-
-
-def _largest(excess: Array, radius: float) -> float | None:
-    return float(excess.max() / radius) if radius > 0 and excess.size else None
 
 
 def run_scalars(summary: Mapping[str, Any]) -> Scalars:

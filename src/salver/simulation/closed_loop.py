@@ -9,15 +9,21 @@ differences of these rollouts are therefore good to many digits.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
+from scipy.interpolate import make_interp_spline
 
 from salver.control.object import Errors, Gains, acceleration, apply, command
-from salver.geometry import Array, exp, right_jacobian_inverse
+from salver.geometry import Array, exp, interpolated, right_jacobian_inverse
 from salver.integration import Rate, integrate
 from salver.models.rigid_body import RigidBody, spatial_inertia, wrench
+from salver.sensitivity import tubes
 from salver.trajectory import MotionSamples, Reference
+
+if TYPE_CHECKING:
+    from salver.planning.plan import Plan
 
 # Longest step times the fastest rate of the error dynamics, with an error below 1e-6 of the deviation, usually below
 # 1e-7 (benchmarks/rollouts.py).
@@ -132,3 +138,36 @@ def _from_deviation(deviation: npt.ArrayLike | None, n: int, reference: MotionSa
     d = np.broadcast_to(np.asarray(deviation, dtype=float), (n, 12))
     e_w = apply(exp(-d[:, 3:6]) - np.eye(3), reference.omega_B) - d[:, 9:]
     return np.concatenate([-d[:, :3], -d[:, 3:6], -d[:, 6:9], e_w], axis=1)
+
+
+def tube_scalars(plan: Plan, t: Array, coefficients: Array) -> dict[str, float | None]:
+    """Least cone coefficient of a run, and the excess of its coefficients over the plan's tube (negative: inside).
+
+    coefficients: (T, n_lambda) at t (T,); only those during the motion count. tube_excess: largest
+    |Lambda - nominal| - radius, N. tube_excess_relative: as a share of the largest radius. tube_excess_settled: that
+    share from 8 / kd on, when the controller's transient has decayed to 2 %. Before, run and tube are not comparable:
+    the tube of eq (19) starts with zero width, because the controller starts with the nominal wrench, whereas an object
+    on a real tray presses with its true weight from the start.
+    """
+    if coefficients is None or not len(plan.cone_radius):
+        return {}
+    within = (t >= 0) & (t <= plan.t[-1])
+    t, coefficients = t[within], coefficients[within]
+    if len(t) == 0 or not np.all(np.isfinite(coefficients)):
+        return {}
+    nominal = make_interp_spline(plan.t, plan.cone_coefficients, k=3)(t)
+    radius = interpolated(plan.t, plan.cone_radius, t)
+    excess = tubes.excess(coefficients, nominal, radius)
+    when = int(np.argmax(excess.max(axis=1)))
+    largest = float(plan.cone_radius.max())
+    return {
+        "cone_least": float(coefficients.min()),
+        "tube_excess": float(excess.max()),
+        "tube_excess_relative": _largest(excess, largest),
+        "tube_excess_settled": _largest(excess[t >= 8 / min(plan.scenario.control.kd)], largest),
+        "tube_excess_time": float(t[when]),
+    }
+
+
+def _largest(excess: Array, radius: float) -> float | None:
+    return float(excess.max() / radius) if radius > 0 and excess.size else None

@@ -15,7 +15,6 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.interpolate import interp1d
 
 from salver.control.arm import ArmController, ArmState, Relay, Saturation
 from salver.errors import SalverError, ScenarioError, UnreachableError
@@ -24,6 +23,7 @@ from salver.models.arm.arm import ArmModel, load_arm
 from salver.models.arm.arm_limits import JointLimits
 from salver.scenario import Scenario
 from salver.simulation import tray_frame
+from salver.simulation.closed_loop import tube_scalars
 from salver.simulation.record import SimulationRecord
 from salver.simulation.run import Options, Run, at_commands, measure, of_tray, prepare
 from salver.simulation.scene.engine import mujoco
@@ -104,7 +104,8 @@ class Experiment:
         }
         record = measure(run, trace, summary, began)
         if self.stop_at is None:
-            record.summary["tube"] = _against_tube(plan, record)  # type: ignore[index]
+            found = tube_scalars(plan, record.t, record.cone_coefficients)
+            record.summary["tube"] = {"excess": found.get("tube_excess")}  # type: ignore[index]
         else:
             assert plan.stops is not None
             course = plan.stops.course(self.stop_at)
@@ -185,24 +186,6 @@ def _arm_summary(limits: JointLimits, trace: Trace, saturation: Saturation) -> d
         "velocity_share_peak": float(speed.max()),
         "position_margin": float(-outside.max()),
         "limits_kept": bool(saturation.torque == 0 and speed.max() <= 1 and outside.max() <= 0),
-    }
-
-
-def _against_tube(plan: Plan, record: SimulationRecord) -> dict[str, float]:
-    """Compare Lambda of the measured contact forces with its tube, nominal +- radius, during the plan.
-
-    coverage: share of all (instant, coefficient) pairs inside the tube, to 1 mN. excess: largest amount outside, N.
-    """
-    moving = record.t <= plan.duration
-    t = record.t[moving]
-    grid = plan.t
-    nominal = interp1d(grid, plan.cone_coefficients, axis=0, kind="cubic")(t)
-    radius = interp1d(grid, plan.cone_radius, axis=0)(t)
-    beyond = np.abs(record.cone_coefficients[moving] - nominal) - radius
-    return {
-        "coverage": float(np.mean(beyond <= 1e-3)),
-        "excess": float(max(0.0, beyond.max())),
-        "radius_peak": float(radius.max()),
     }
 
 

@@ -284,8 +284,8 @@ def _lines(record: SimulationRecord, several: bool) -> dict[str, str]:
     lines["object off its reference, peak"] = _pose(summary["e_p_peak"], summary["e_o_peak"])
     lines["tray off its reference, peak"] = _pose(summary["tray_e_p_peak"], summary["tray_e_o_peak"])
     lines["least measured cone coefficient"] = f"{1e3 * summary['cone_coefficient_min']:.1f} mN"
-    if "tube" in summary:
-        lines["... most outside the plan's tube"] = f"{1e3 * summary['tube']['excess']:.1f} mN"
+    if (beyond := summary.get("tube", {}).get("excess")) is not None:
+        lines["... most outside the plan's tube"] = f"{1e3 * max(0.0, beyond):.1f} mN"
     if "arm" in summary:
         arm = summary["arm"]
         lines["torque, speed of their limits"] = (
