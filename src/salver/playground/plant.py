@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from typing import Any
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -26,13 +25,12 @@ class Plant:
         scenario: Scenario,
         arm: ArmModel,
         parameters: Mapping[str, float] | None = None,
-        also: Callable[[Any], None] | None = None,
     ) -> None:
-        """parameters: true values by name, where not nominal. also: adds to the mujoco.MjSpec what else there is.
+        """parameters: true values by name, where not nominal.
 
         Raises ScenarioError for a parameter that is not known or cannot be.
         """
-        self.scene = build(scenario, true_world(scenario, parameters), arm, also=also)
+        self.scene = build(scenario, true_world(scenario, parameters), arm)
         self.data = mujoco.MjData(self.scene.model)
         self.period = scenario.physics.command_period
         self.inner = InnerMotions(self.scene, self.period)

@@ -22,7 +22,7 @@ from salver.live import Live, LiveCourse
 from salver.live.replanning.wishes import numbers
 from salver.models.arm.arm import load_arm
 from salver.planning.plan_files import make_way
-from salver.playground.ball import Ball, Throw, furnish
+from salver.playground.ball import Ball, Throw
 from salver.playground.plant import Plant
 from salver.playground.unprotected import Unprotected
 from salver.scenario import Scenario
@@ -48,12 +48,12 @@ class World:
 
         Raises ScenarioError when there is no arm, or the load is not safe at rest where the motion begins.
         """
-        self.scenario, self.live, throw = scenario, Live(scenario, lead=lead), Throw()
+        self.scenario, self.live = scenario, Live(scenario, lead=lead)
         assert scenario.arm is not None  # a live motion has one
         self.arm = load_arm(scenario.arm, scenario.tray)
-        self.plant = Plant(scenario, self.arm, parameters, lambda spec: furnish(spec, self.arm, throw))
+        self.plant = Plant(scenario, self.arm, parameters)
         self.period = self.plant.period
-        self.ball = Ball(self.plant.scene.model, self.arm, scenario.payload, throw)
+        self.ball = Ball(self.arm, scenario.payload, Throw())
         self._lock = threading.RLock()
         self._course = LiveCourse(self.live)
         self._controller = controller_for(scenario, self, None, arm=self.arm, space="joint")
@@ -125,7 +125,7 @@ class World:
         with self._lock:
             self.plant.step(self._controller if self.protected else self._jogging, self.t)
             self.t += self.period
-            seen = self.ball.step(self.plant.data, self.t)
+            seen = self.ball.step(self.t, self.plant.q)
             if seen is not None:
                 self.live.obstacles(seen)
             if self._recorded is not None:
@@ -158,7 +158,7 @@ class World:
                 case "protected" if isinstance(value, bool):
                     return self._protect(value)
                 case "throw" if value is True:
-                    self.ball.throw(self.plant.data, self.t, self.plant.scene.tray_pose(self.plant.data)[0])
+                    self.ball.throw(self.t, self.plant.scene.tray_pose(self.plant.data)[0])
                     return Status("accepted", "", True)
                 case "again":
                     return self._again()
@@ -309,9 +309,8 @@ class World:
             p_SE, R_SE = scene.tray_pose(data)
             v_E = (self.arm.body_jacobian(q) @ self.plant.dq)[:3]
             state, words = self.live.state, self._became()
-            self.ball.measure(data, q)
             live = (state.stopped, state.passing, state.refused) if self.protected else ()
-            p_ball, r_ball = np.round(self.ball.state(data)[0], 4).tolist(), self.ball.radius
+            p_ball, r_ball = np.round(self.ball.at(self.t)[0], 4).tolist(), self.ball.radius
             return {
                 "t": round(self.t, 3),
                 "joints": np.round(joint_poses(q[None], self.arm)[0], 5).ravel().tolist(),

@@ -9,7 +9,6 @@ Without an arm the tray is at rest in the engine: frame E is the engine's world,
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -151,18 +150,14 @@ def build(
     *,
     visual: bool = False,
     strapped: bool = False,
-    also: Callable[[Any], None] | None = None,
     seed: int = 0,
 ) -> Scene:
     """Compile the scene of one run.
 
     visual: with meshes and light, for pictures; the physics does not change. strapped: objects are fixed to the tray,
-    without contacts. also: a function that adds further elements to the mujoco.MjSpec. seed: seed of the tray's
-    vibration.
+    without contacts. seed: seed of the tray's vibration.
     """
     spec = specify(scenario, world, arm, visual=visual, strapped=strapped)
-    if also is not None:
-        also(spec)
     shake = scenario.uncertainty.shake
     shaking = None if shake is None or strapped else Shaking.drawn(shake.vibration, seed)
     return replace(_compiled(spec, arm, world, 2 * scenario.physics.timestep), shaking=shaking)
