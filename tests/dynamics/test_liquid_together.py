@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -12,8 +10,6 @@ from salver.dynamics.liquid.sloshing import SloshingResponse
 from salver.dynamics.motion_gradients import Unknowns
 from salver.geometry import Array
 from salver.linear_filter import LinearFilter
-from salver.models.uncertain.worst_contents import SURE
-from salver.planning.trajopt.constraints.constraints import ContactConstraint
 from salver.planning.trajopt.curves import FreeCurve, Grid
 from salver.planning.trajopt.evaluation import MotionEvaluation
 from salver.planning.trajopt.problem import TransportProblem, transport_problem
@@ -88,27 +84,6 @@ def test_taken_to_give_way_as_one_near_by_waves_err_by_less_than_they_change(gla
         assert np.abs(guessed - after).max() < 0.25 * np.abs(after - before).max(), name
         assert taken.loads[name][1].planned is taken.loads[name][0].planned
         assert len(parts) == 2
-
-
-@pytest.mark.parametrize(("swing", "faster"), [(0.0, 1.0), (0.1, 2.5)], ids=["slow", "beyond"])
-def test_looked_at_coarsely_what_is_near_its_edge_is_as_it_is(
-    glasses: TransportProblem, swing: float, faster: float
-) -> None:
-    """Contact with all that liquids add: rows within 2 % of the weight, and the largest, however far; others no better
-    than they are. A scenario that asks for a margin has its edge there."""
-    here, told = moved(glasses, faster, swing), []
-    for margin in (0.0, 0.05):
-        for rows in glasses.contacts[:2]:
-            contact = ContactConstraint(rows, margin)
-            exact, coarse = (next(iter(contact.blocks(replace(here, coarsely=x)))).values for x in (False, True))
-            assert np.all(coarse >= exact - 1e-12)
-            near = exact > SURE - margin
-            np.testing.assert_allclose(coarse[near], exact[near], atol=1e-12)
-            np.testing.assert_allclose(coarse.max(), exact.max(), atol=1e-12)
-            told.append((near.any(), (coarse > exact + 1e-6).any()))
-    near, bounded = np.array(told).T
-    assert near.all() == (swing > 0)
-    assert bounded.any() == near.any()  # where nothing is near, all is told as it is
 
 
 @pytest.mark.parametrize("columns", [filters.MOST_BANDED_DRIVES, filters.MOST_BANDED_DRIVES + 1, 29, 30])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from itertools import product
-from typing import Any
 
 import numpy as np
 import pytest
@@ -16,7 +15,7 @@ from salver.geometry import Array
 from salver.models.contact_rows import contact_rows
 from salver.models.uncertain.contents import Filling, Hull
 from salver.models.uncertain.parameters import Parameter
-from salver.models.uncertain.worst_case import Drift, UncertainRows, WorstCase, values_near
+from salver.models.uncertain.worst_case import Drift, UncertainRows, WorstCase
 from salver.models.uncertain.worst_contents import SURE
 from salver.scenario import Scenario
 
@@ -318,19 +317,3 @@ def test_contacts_that_cannot_be_worked_with_are_refused() -> None:
     with pytest.raises(ScenarioError, match="upper on lower"):
         contact_rows(beside.payload)
     assert contact_rows(beside.payload.nominal)
-
-
-@pytest.mark.parametrize("kind", ["box", "ellipsoid", "filled"])
-def test_what_is_added_to_rows_is_added_whatever_the_set_is(kind: str) -> None:
-    rng = np.random.default_rng(6)
-    rows, terms = random_rows(rng, kind)
-    w, more = rng.normal(size=(3, 12)), rng.uniform(0.1, 0.5, (3, 2))
-
-    def added(instants: Any, some: Any) -> Array:
-        return more[instants][:, some]
-
-    for drift in (None, Drift(terms, 0.1 * rng.normal(size=(3, 12, len(terms))))):
-        alone, together = values_near(rows, w, drift), values_near(rows, w, drift, added)
-        known = alone > SURE
-        assert known.any()
-        assert_allclose((together - alone)[known], more[known], atol=1e-9)

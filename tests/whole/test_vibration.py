@@ -24,7 +24,7 @@ from salver.live.committed.motion import resting
 from salver.models.contact_rows import contact_rows
 from salver.models.tray_motion import FULL_SPEED, at_rest
 from salver.models.uncertain.parameters import Vibration
-from salver.models.uncertain.worst_case import WorstCase, values_near
+from salver.models.uncertain.worst_case import WorstCase
 from salver.planning.fastest import transport_problem
 from salver.planning.make import make_plan
 from salver.planning.object import conditions
@@ -177,7 +177,7 @@ def test_bounds_and_derivatives_know_of_it(load: Any) -> None:
         exact = rows.worst(w)
         assert_allclose(exact - still.worst(w), np.broadcast_to(rows.shaken, exact.shape), atol=1e-12)
         assert rows.shaken.min() > 0
-        assert np.all(values_near(rows, w, None) >= exact - 1e-12)
+        assert np.all(WorstCase.of(rows, w, None, coarsely=True).values >= exact - 1e-12)
         node, row = (x.ravel() for x in np.indices(exact.shape))
         slope = WorstCase(rows, w, None, exact).attained(node, row)
         away = w + 1e-6 * np.random.default_rng(0).standard_normal(w.shape)

@@ -12,7 +12,6 @@ from salver.dynamics.payload_response import PayloadResponse
 from salver.geometry import Array, Indices
 from salver.models.contact.internal_wrench import internal_wrenches
 from salver.models.contact_rows import ContactRows
-from salver.models.uncertain.worst_case import ALL
 
 AT_ONCE = 256  # instants that are computed at once
 
@@ -54,7 +53,7 @@ class RowValues:
         if self.loads is not None:  # in pieces of time, because all cases at all instants would need too much memory
             for first in range(0, len(value), AT_ONCE):
                 at = slice(first, first + AT_ONCE)
-                value[at] += most_added(rows, self.loads.worst, at, ALL)
+                value[at] += most_added(rows, self.loads.worst, at)
         return value
 
 

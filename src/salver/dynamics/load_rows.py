@@ -14,7 +14,7 @@ from salver.dynamics.load_response import LoadResponse
 from salver.dynamics.motion_gradients import Unknowns, wrench_by
 from salver.geometry import Array, Indices
 from salver.models.contact_rows import ContactRows
-from salver.models.uncertain.worst_case import ALL, Some
+from salver.models.uncertain.worst_case import ALL
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,9 +67,9 @@ def of_parts(counts: Sequence[int], which: Indices) -> Iterator[tuple[int, Indic
         before += count
 
 
-def most_added(rows: ContactRows, responses: Mapping[str, tuple[LoadResponse, ...]], at: Some, some: Some) -> Array:
-    """Contributions (T, n) of loads to some rows at some instants, each in its worst case."""
-    return sum((_most(added) for _, _, added in _each_added(rows, responses, at, some)), np.zeros((1, 1)))
+def most_added(rows: ContactRows, responses: Mapping[str, tuple[LoadResponse, ...]], at: slice) -> Array:
+    """Contributions (T, n) of loads to rows at some instants, each in its worst case."""
+    return sum((_most(added) for _, _, added in _each_added(rows, responses, at)), np.zeros((1, 1)))
 
 
 def _most(added: list[Array]) -> Array:
@@ -78,18 +78,18 @@ def _most(added: list[Array]) -> Array:
 
 
 def _each_added(
-    rows: ContactRows, responses: Mapping[str, tuple[LoadResponse, ...]], at: Some = ALL, some: Some = ALL
+    rows: ContactRows, responses: Mapping[str, tuple[LoadResponse, ...]], at: slice = ALL
 ) -> Iterator[tuple[int | None, tuple[LoadResponse, ...], list[Array]]]:
     """For each load: the index of its body in the network, or None for one elsewhere; its parts; and their
-    contributions (K, T, n) to some rows at some instants, or 0 as (1, 1, 1)."""
+    contributions (K, T, n) to the rows at some instants, or 0 as (1, 1, 1)."""
     index = {body.name: j for j, body in enumerate(rows.network.bodies)}
     for name, parts in responses.items():
         j = index.get(name)
-        held = None if j is None else rows.wrench[j][some].T
-        yield j, parts, [_added(part, rows.nominal[some].T, held, at) for part in parts]
+        held = None if j is None else rows.wrench[j].T
+        yield j, parts, [_added(part, rows.nominal.T, held, at) for part in parts]
 
 
-def _added(part: LoadResponse, nominal: Array, held: Array | None, at: Some) -> Array:
+def _added(part: LoadResponse, nominal: Array, held: Array | None, at: slice) -> Array:
     """Contribution of a part to rows `nominal` (12, n), and to rows `held` (6, n) of the wrench on its container."""
     added = np.zeros((1, 1, 1))
     if part.reaction is not None:  # for all objects: the arm's deviation moves the whole tray

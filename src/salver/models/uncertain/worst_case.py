@@ -39,9 +39,7 @@ from salver.models.uncertain.contents import Filling
 from salver.models.uncertain.parameters import Parameter, Vibration, support
 from salver.models.uncertain.worst_contents import SURE, ContentsCase, bounded, fill
 
-Some = Indices | slice
 ALL = slice(None)
-Added = Callable[[Some, Some], Array]
 _CHUNK = 160_000  # terms that are computed at once; they fit into the cache, and are too few for several threads
 
 
@@ -92,12 +90,6 @@ class UncertainRows:
     def by_entry(self) -> Array:
         """c_k, then d_l, for each entry of w (12, n_p + n_r, n)."""
         return np.ascontiguousarray(np.moveaxis(np.concatenate([self.parameter, self.remainder]), 2, 0))
-
-    @cached_property
-    def largest(self) -> Array:
-        """c_0, the largest sum of all other terms per |w_i|, and |c_0|, side by side (n, 36)."""
-        each = np.abs(np.concatenate([self.parameter, self.remainder])).sum(axis=0)
-        return np.hstack([self.nominal, each, np.abs(self.nominal)])
 
     @cached_property
     def shaken(self) -> Array:
@@ -186,9 +178,9 @@ class WorstCase:
     ) -> WorstCase:
         """The worst case of rows at w (T, 12). coarsely: values may be upper bounds for rows with a margin of more than
         `-SURE` and twice the required `margin`."""
-        if not coarsely:
+        if not coarsely or rows.fillings or rows.spread is not None:
             return cls(rows, w, drift, _values(rows, w, drift))
-        return cls(rows, w, drift, values_near(rows, w, drift, margin=max(0.0, SURE + 2.0 * margin)))
+        return cls(rows, w, drift, _values_near(rows, w, drift, min(SURE, -2.0 * margin)))
 
     def attained(self, node: Indices, row: Indices) -> Array:
         """Derivative (r, 12) of the worst case by w at nodes and rows (r,), with the drift constant."""
@@ -298,18 +290,17 @@ def _strayed(
     return strayed, less
 
 
-def _values(rows: UncertainRows, w: Array, drift: Drift | None, some: Some = ALL) -> Array:
-    """Worst case (T, n) of all rows, or of some rows without fillings, computed in pieces of time; the searches for the
-    worst fillings run for all pieces together."""
-    nominal = rows.nominal[some]
+def _values(rows: UncertainRows, w: Array, drift: Drift | None) -> Array:
+    """Worst case (T, n) of all rows, computed in pieces of time; the searches for the worst fillings run for all pieces
+    together."""
     if rows.certain and (drift is None or not drift.terms):
-        either = [side @ nominal.T + rows.shaken[some] for _, side in _sides(w, drift)]
+        either = [side @ rows.nominal.T + rows.shaken for _, side in _sides(w, drift)]
         return np.maximum(*either) if len(either) > 1 else either[0]
-    n_k, n = 0 if drift is None else len(drift.terms), len(nominal)
+    n_k, n = 0 if drift is None else len(drift.terms), len(rows.nominal)
     per_row = len(rows.parameter) + len(rows.remainder) + n_k + 30 * len(rows.fillings)
     values = np.empty((len(w), n))
     every = max(1, _CHUNK // max(1, n * per_row))
-    cases, unsolved = _cases(rows, w, drift, some), []
+    cases, unsolved = _cases(rows, w, drift), []
     for start in range(0, len(w), every):
         part = slice(start, start + every)
         found = list(cases(part))
@@ -325,36 +316,25 @@ def _values(rows: UncertainRows, w: Array, drift: Drift | None, some: Some = ALL
     return values
 
 
-def values_near(
-    rows: UncertainRows, w: Array, drift: Drift | None, added: Added | None = None, margin: float = 0.0
-) -> Array:
-    """Worst case (T, n), or a cheap upper bound of rows whose bound is at most `SURE - margin`.
-
-    added: a function of (instants, rows) with further terms to be added to rows.
-    """
-    if rows.fillings or rows.spread is not None:
-        return _values(rows, w, drift) + (0.0 if added is None else added(ALL, ALL))
-    moved = np.zeros_like(w) if drift is None else np.abs(drift.dw).sum(axis=2)
-    swing = np.zeros_like(w) if drift is None or drift.swing is None else np.abs(drift.swing)
-    values = np.hstack([w, np.abs(w) + swing, swing + moved]) @ rows.largest.T + rows.shaken
-    if added is not None:
-        values += added(ALL, ALL)
-    due = values > SURE - margin
-    instants, some = np.flatnonzero(due.any(axis=1)), np.flatnonzero(due.any(axis=0))
+def _values_near(rows: UncertainRows, w: Array, drift: Drift | None, near: float) -> Array:
+    """Worst case (T, n) of rows without fillings over a box; a cheap upper bound where that is at most `near`."""
+    still = Drift((), np.zeros((*w.shape, 0))) if drift is None else drift
+    moved, swing = np.abs(still.dw).sum(axis=2), np.abs(np.zeros_like(w) if still.swing is None else still.swing)
+    each = np.abs(np.concatenate([rows.parameter, rows.remainder])).sum(axis=0)
+    by = np.hstack([rows.nominal, each, np.abs(rows.nominal)])
+    values = np.hstack([w, np.abs(w) + swing, swing + moved]) @ by.T + rows.shaken
+    instants, some = (np.flatnonzero((values > near).any(axis=axis)) for axis in (1, 0))
     if len(instants):
-        felt = None
-        if drift is not None:
-            felt = Drift(drift.terms, drift.dw[instants], None if drift.swing is None else drift.swing[instants])
-        exact = _values(rows, w[instants], felt, some)
-        values[np.ix_(instants, some)] = exact if added is None else exact + added(instants, some)
+        felt = Drift(still.terms, still.dw[instants], None if still.swing is None else still.swing[instants])
+        values[np.ix_(instants, some)] = _values(rows.only(some), w[instants], felt)
     return values
 
 
-def _cases(rows: UncertainRows, w: Array, drift: Drift | None, some: Some) -> Callable[[slice], Iterator[ContentsCase]]:
+def _cases(rows: UncertainRows, w: Array, drift: Drift | None) -> Callable[[slice], Iterator[ContentsCase]]:
     """Cases whose maximum is the worst case, in a slice of time: both signs of the swing, with and without drift."""
     n_p, n_k = len(rows.acting), 0 if drift is None else len(drift.terms)
     felt = ALL if drift is not None else np.any(w != 0, axis=0)  # without rotation only three of the twelve are nonzero
-    nominal, flat = rows.nominal[some].T[felt], rows.by_entry[:, :, some][felt]
+    nominal, flat = rows.nominal.T[felt], rows.by_entry[felt]
     _, n_c, n = flat.shape
     flat = flat.reshape(len(flat), n_c * n)
     sides = [np.ascontiguousarray(side[:, felt]) for _, side in _sides(w, drift)]
@@ -374,11 +354,11 @@ def _cases(rows: UncertainRows, w: Array, drift: Drift | None, some: Some) -> Ca
             other = change[:, n_k - len(roles.other) :]
             extra = np.abs(other, out=other).sum(axis=1)
             for k, j in roles.mass:
-                extra += rows.mass_signs[some, j] * change[:, place[k]]
+                extra += rows.mass_signs[:, j] * change[:, place[k]]
         for side in sides:
             terms = (side[part] @ flat).reshape(count, n_c, n)
             own = [filling.coefficients(side[part]) for filling in fillings]
-            level = side[part] @ nominal + np.abs(terms[:, n_p:]).sum(axis=1) + rows.shaken[some]
+            level = side[part] @ nominal + np.abs(terms[:, n_p:]).sum(axis=1) + rows.shaken
             for filling, of in zip(fillings, own, strict=True):
                 level -= np.einsum("np,tnp->tn", filling.nominal, of)
             radius = support(terms[:, :n_p], rows.spread, axis=1)

@@ -64,9 +64,7 @@ def _lacking(found: Found, plan: Plan) -> tuple[Speed, ...]:
     between = [Speed(factor, rate) for factor in factors for rate in sorted(rates)]
 
     def fails(speed: Speed) -> bool:
-        contacts = [
-            ContactConstraint(rows, plan.scenario.contact.margin, speed, coarsely=True) for rows in problem.contacts
-        ]
+        contacts = [ContactConstraint(rows, plan.scenario.contact.margin, speed) for rows in problem.contacts]
         return worst_of(evaluate(contacts, motion, margins=False))[0] > 0
 
     return tuple(speed for speed in between if speed not in problem.speeds and fails(speed))

@@ -51,7 +51,7 @@ class MotionEvaluation:
     points at which dynamics and distances are evaluated; limits of the joints' own motion are cheap and evaluated at
     all points. imposed: whether the rows are constraints of a programme; else they are checked between its nodes.
     moving: whether the motion begins moving. cases: of each load's dynamics; past: their initial states, if not at
-    rest. coarsely: whether a bound is enough for rows far from their limit. resting: duration of the rest after the
+    rest. resting: duration of the rest after the
     motion that is evaluated, s. compliant: whether load dynamics move the arm; to first order, as here, that grows with
     the periods that a slow motion lasts and not with the arm's response, so at other speeds it is left out. known:
     quantities that need not be computed.
@@ -68,7 +68,6 @@ class MotionEvaluation:
     moving: bool
     cases: CaseGroups = ()
     past: Past | None = None
-    coarsely: bool = False
     resting: float = 0.0
     compliant: bool = True
     known: Known = NOTHING
@@ -172,13 +171,13 @@ class MotionEvaluation:
         basic = self.model, self.frame_id, self.tracking, s, self.resting, z, nodes, self.imposed, False, self.cases
         terms = MotionTerms.deriving(self.model, self.frame_id, z[:3], s, nodes[[0, -1]])  # at all of them the same
         if like is not None:
-            still = MotionEvaluation(*basic, like.rest.past, self.coarsely).knowing(terms=terms).straying_as(like.rest)
+            still = MotionEvaluation(*basic, like.rest.past).knowing(terms=terms).straying_as(like.rest)
             loads = like.rest.load_responses.along(self.resting * s, terms.w, self.load_responses)
             return still.knowing(loads=loads)
         t, tracking = self.shares * self.duration, self.tracking
         if tracking is not None and self.response is not None:
             tracking = tracking.begun(self.response.state_at(t, t[-1]))
-        still = MotionEvaluation(*basic, replace(self.left, now=t[-1]), self.coarsely)
+        still = MotionEvaluation(*basic, replace(self.left, now=t[-1]))
         return replace(still, tracking=tracking, compliant=self.compliant).knowing(terms=terms)
 
     @cached_property

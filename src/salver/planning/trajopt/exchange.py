@@ -216,8 +216,7 @@ def _status(
 def _seen(fine: Curve, point: Point) -> MotionEvaluation:
     """The motion at a point, on the fine grid."""
     z = fine.motion(point.coefficients, point.duration)
-    motion = fine.problem.at(fine.grid.s, z, point.duration, fine.grid.nodes, imposed=False)
-    return replace(motion, coarsely=point.margin == 0.0)  # with a margin, rows further away count too
+    return fine.problem.at(fine.grid.s, z, point.duration, fine.grid.nodes, imposed=False)
 
 
 def _slowed(

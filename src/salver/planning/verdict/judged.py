@@ -144,7 +144,7 @@ class Judged:
             z, before = np.concatenate([z, rest], axis=1), np.concatenate([before, rest[3]])
         whole = replace(problem, cases=problem.every_case).at(t / t[-1], z, float(t[-1]), imposed=False)
         derived = np.union1d(np.append(knots, len(t) - 1), np.arange(0, len(t), options.deriving))
-        more = {"jerk_before": before, "derived": derived, "moving": False, "coarsely": bool(problem.cases)}
+        more = {"jerk_before": before, "derived": derived, "moving": False}
         return cls(problem, motion, t, VerdictEvaluation(**(vars(whole) | more)), options)
 
     def of_kind(self, *kinds: type[Constraint]) -> list[Constraint]:

@@ -9,20 +9,18 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from salver.dynamics.load_response import LoadResponse
-from salver.dynamics.load_rows import LoadRows, most_added
+from salver.dynamics.load_rows import LoadRows
 from salver.dynamics.motion_gradients import Unknowns
 from salver.geometry import Array, Indices, hat
 from salver.models.arm.arm_limits import LIMITS, JointLimits, LimitKind
 from salver.models.contact_rows import ContactRows
 from salver.models.tray_motion import FULL_SPEED, Speed
-from salver.models.uncertain.worst_case import ALL, Drift, WorstCase, values_near
-from salver.models.uncertain.worst_contents import SURE
+from salver.models.uncertain.worst_case import WorstCase
 from salver.planning.trajopt.constraints.obstacles import CLEARANCE, KeepOut
 from salver.planning.trajopt.evaluation import MotionEvaluation
 
@@ -307,7 +305,8 @@ class ContactConstraint(Constraint):
     """Facets of the contact wrench cones of one network of touching objects, at the worst parameters.
 
     margin: of the scenario, as a share of the normal force at rest. speed: factor. exactly: for an arm without tracking
-    error, which the check of a plan requires too. coarsely: whether a bound is enough for rows far from their limit.
+    error, which the check of a plan requires too. coarsely: whether a bound is enough for rows far from their
+    limit, unless a load has inner dynamics.
     """
 
     rows: ContactRows
@@ -321,15 +320,11 @@ class ContactConstraint(Constraint):
         tracking = None if self.exactly or not speed.factor else motion.tracking
         w, drift = motion.felt(speed.factor, speed.rate, self.exactly)
         loads = motion.at_factor(speed.factor).loads if speed.factor else {}
-        if motion.coarsely:
-            worst, history = self._near(loads, w, drift), None
-            values = worst.values
-        else:
-            worst = WorstCase.of(self.rows, w, drift, self.coarsely, self.margin)
-            values, history = worst.values, None
-            if loads:
-                added = LoadRows.of(self.rows, loads)
-                values, history = values + added.values, added.history
+        worst = WorstCase.of(self.rows, w, drift, self.coarsely and not loads, self.margin)
+        values, history = worst.values, None
+        if loads:
+            added = LoadRows.of(self.rows, loads)
+            values, history = values + added.values, added.history
 
         def gradient(i: Indices, f: Indices) -> Array:
             slope, side = worst.attained_swinging(i, f)
@@ -358,15 +353,6 @@ class ContactConstraint(Constraint):
             factor=speed.factor,
             in_words=_of_the_weight,
         )
-
-    def _near(self, loads: dict[str, tuple[LoadResponse, ...]], w: Array, drift: Drift | None) -> WorstCase:
-        """Rows with the contribution of load dynamics: exact near their limit and, unless a bound is enough, for the
-        largest row."""
-        rows, added = self.rows, partial(most_added, self.rows, loads)
-        values = values_near(rows, w, drift, added if loads else None, self.margin)
-        if values.max() <= SURE - self.margin and not self.coarsely:
-            values = WorstCase.of(rows, w, drift).values + added(ALL, ALL)
-        return WorstCase(rows, w, drift, values)
 
 
 def _of_the_weight(excess: float) -> str:
