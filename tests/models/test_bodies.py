@@ -50,7 +50,7 @@ def test_simplified_polygon_lies_within() -> None:
 def test_stack_turned_by_45_degrees_touches_in_an_octagon() -> None:
     items = scenario([cube("lower"), cube("upper", on="lower", yaw_deg=45.0)]).payload.bodies
     upper = items[1]
-    assert upper.supports == ("lower",)
+    assert upper.on == ("lower",)
     assert upper.regions == (8,)
     assert_allclose(upper.p_EB, [0, 0, 0.06], atol=1e-12)
     assert_allclose(upper.contacts.p_BC[:, 2], -0.02)

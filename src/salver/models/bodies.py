@@ -55,50 +55,29 @@ class LooseObject:
         return self.solid.centroid_G + self.com
 
 
-@dataclass(frozen=True)
-class Body:
+@dataclass(frozen=True, kw_only=True)
+class Body(LooseObject):
     """One carried object at rest on the tray.
 
     Its frame B has its origin at the nominal centre of mass and the axes of the shape (z up).
-    inertial: nominal inertial parameters in B (centre of mass at the origin).
-    p_EB, R_EB: pose of B in the tray frame E. com_G: origin of B in the shape frame G.
-    supports: names of the objects that it stands on, or ("tray",). contacts: with all supports, in B, in their order.
-    regions: number of contact points with each support. any_contents: see `salver.models.uncertain.contents`.
-    inner, empty: as in `LooseObject`.
+    p_EB, R_EB: pose of B in the tray frame E. contacts: with all supports (`on`), in B, in their order. regions: number
+    of contact points with each support.
     """
 
-    name: str
-    solid: shapes.Solid
-    inertial: RigidBody
     p_EB: Array
     R_EB: Array
-    com_G: Array
-    supports: tuple[str, ...]
     contacts: ContactSet
     regions: tuple[int, ...]
-    any_contents: bool = False
 
     @property
     def points_B(self) -> Array:
         """Points (k, 3) in B whose convex hull contains the solid, m."""
         return self.solid.bounding_points_G - self.com_G
 
-    inner: LoadDynamics | None = None
-    empty: RigidBody | None = None
-
-    @property
-    def own(self) -> RigidBody:
-        """The body whose mass, centre of mass and inertia are given, in B: without its liquid or pendulum."""
-        return self.inertial if self.empty is None else self.empty
-
     def inner_origin_B(self, value: float) -> Array:
         """Origin O (3,) in B, m, of its liquid or pendulum, at a fill height or pendulum length, m."""
         assert self.inner is not None
         return np.array([0.0, 0.0, self.inner.origin(self.solid.base_z, value)]) - self.com_G
-
-    @property
-    def friction(self) -> float:
-        return float(self.contacts.friction[0])
 
     @property
     def z_range_E(self) -> tuple[float, float]:
@@ -193,18 +172,11 @@ def bodies(objects: Sequence[LooseObject], edges: int = 4, phase: float = 0.0) -
         points_B = np.column_stack([corners, np.full(len(corners), solid.base_z)]) - item.com_G
         contacts = support_contacts(points_B, item.friction, edges, phase)
         made[item.name] = Body(
-            item.name,
-            solid,
-            item.inertial,
-            centre_E + R_EB @ item.com_G,
-            R_EB,
-            item.com_G,
-            item.on,
-            contacts,
-            tuple(len(region) for region in regions),
-            item.any_contents,
-            item.inner,
-            item.empty,
+            **vars(item),
+            p_EB=centre_E + R_EB @ item.com_G,
+            R_EB=R_EB,
+            contacts=contacts,
+            regions=tuple(len(region) for region in regions),
         )
         top[item.name] = base + solid.height
         surface[item.name] = centre_E[:2] + solid.top_polygon @ R_EB[:2, :2].T
@@ -242,15 +214,15 @@ def check_standing(items: Sequence[Body], tray_half: Array) -> None:
     """Raise ValueError if bodies on a tray of half size (2,), m, are tilted, off their supports, or intersect."""
     made = {body.name: body for body in items}
     for body in items:
-        for name, count in zip(body.supports, body.regions, strict=True):
+        for name, count in zip(body.on, body.regions, strict=True):
             if count < 3:
                 raise ValueError(
                     f"{body.name} stands beside {name}, not on it; move it with at, from the middle of the tray"
                 )
-        tops = [0.0 if n == TRAY else made[n].z_range_E[1] for n in body.supports]
+        tops = [0.0 if n == TRAY else made[n].z_range_E[1] for n in body.on]
         if np.ptp(tops) > 1e-6:
             raise ValueError(
-                f"{body.name} stands on {' and '.join(body.supports)}, whose tops differ by "
+                f"{body.name} stands on {' and '.join(body.on)}, whose tops differ by "
                 f"{1e3 * np.ptp(tops):.1f} mm; they must be level"
             )
     outlines = [body.p_EB[:2] + (body.solid.outline_polygon - body.com_G[:2]) @ body.R_EB[:2, :2].T for body in items]
@@ -265,7 +237,7 @@ def check_standing(items: Sequence[Body], tray_half: Array) -> None:
                     "from the middle of the tray"
                 )
     for body in items:
-        if body.supports == (TRAY,):
+        if body.on == (TRAY,):
             corners = (body.R_EB @ body.contacts.p_BC.T).T[:, :2] + body.p_EB[:2]
             beyond = np.abs(corners) - tray_half
             if beyond.max() > 1e-9:

@@ -54,7 +54,7 @@ def networks(items: Sequence[Body]) -> tuple[ContactNetwork, ...]:
     """The networks of bodies, in the scenario's order; a single body on the tray is a network."""
     group = {body.name: {body.name} for body in items}
     for body in items:
-        for support in body.supports:
+        for support in body.on:
             if support != TRAY:
                 merged = group[body.name] | group[support]
                 for name in merged:
@@ -72,7 +72,7 @@ def _network(items: tuple[Body, ...]) -> ContactNetwork:
     interfaces = []
     for i, body in enumerate(items):
         start = 0
-        for support, count in zip(body.supports, body.regions, strict=True):
+        for support, count in zip(body.on, body.regions, strict=True):
             points = slice(start, start + count)
             start += count
             part = replace(

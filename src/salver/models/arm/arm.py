@@ -21,7 +21,7 @@ from salver.geometry import GRAVITY_S, Array, adjoint, invert, matrix_from_rpy
 from salver.models.arm.arm_limits import JointLimits, VelocityByPosition, joint_limits, read_joint_limits
 from salver.models.arm.known_arms import KNOWN_ARMS, robot_file
 from salver.models.arm.tables import Arm
-from salver.models.arm.urdf import SUFFIXES, installed_chain, read_chain, read_disabled_pairs
+from salver.models.arm.urdf import SUFFIXES, read_chain, read_disabled_pairs
 from salver.models.contact.contact import ContactSet
 from salver.models.described import Tray
 
@@ -166,7 +166,7 @@ def load_arm(arm: Arm, tray: Tray) -> ArmModel:
     flange = arm.flange or (known.flange if known else None)
     if flange is None:
         raise ScenarioError(f"arm.flange is missing; with the URDF {path} it must name the link that carries the tray.")
-    chain = (installed_chain if known else read_chain)(path, flange, _folders(arm.package_dirs))
+    chain = read_chain(path, flange, _folders(arm.package_dirs))
     model = _build(chain.urdf, path)
     weightless = tuple(link for j, link in moved_links(model).items() if not model.inertias[j].mass > 0)
     yaw = float(np.deg2rad(arm.base_yaw_deg))

@@ -109,16 +109,6 @@ def read_chain(path: Path, flange: str, package_dirs: Sequence[Path] = ()) -> Ch
     return Chain(ElementTree.tostring(root, encoding="unicode"), tuple(links), names, all_joints, by_position)
 
 
-def installed_chain(path: Path, flange: str, package_dirs: Sequence[Path] = ()) -> Chain:
-    """`read_chain` of a URDF that is part of an installed package, cached."""
-    return _read_once(path, flange, tuple(package_dirs), tuple(_ros_folders()))
-
-
-@lru_cache(maxsize=8)
-def _read_once(path: Path, flange: str, package_dirs: tuple[Path, ...], ros_folders: tuple[Path, ...]) -> Chain:
-    return read_chain(path, flange, package_dirs)
-
-
 def read_disabled_pairs(path: Path, links: Collection[str]) -> frozenset[tuple[str, str]]:
     """Pairs of links, names in order, whose collisions an SRDF (MoveIt's semantic description) disables.
 

@@ -7,7 +7,6 @@ import numpy as np
 from salver.geometry import Array, interpolated
 
 _COARSE = 25  # instants at which the linear programme is solved first; others are interpolated
-_ROWS = 40  # constraints that enter the linear programme at a time
 _MOST = 200  # largest number of further instants that are solved because the interpolated choice fails there
 
 
@@ -45,24 +44,10 @@ def internal_wrenches(value: Array, internal: Array) -> Array:
 
 
 def _least(value: Array, internal: Array) -> Array:
-    """w_0 that minimises max(value + internal w_0).
-
-    Few rows are active, so that the programme starts with the largest ones and adds those that its solution violates.
-    """
+    """w_0 that minimises max(value + internal w_0)."""
     from scipy.optimize import linprog
 
-    n_w = internal.shape[1]
-    # Bounds beyond any solution, so that the programme is never unbounded with its first rows.
-    bound = 1e3 * (1 + float(np.abs(value).max())) / float(np.linalg.norm(internal, axis=1).max())
-    limits = [(-bound, bound)] * n_w + [(None, None)]
-    cost = np.append(np.zeros(n_w), 1.0)
-    active = np.zeros(len(value), dtype=bool)
-    shown = value
-    while True:
-        active[np.argsort(shown)[-_ROWS:]] = True
-        rows = np.column_stack([internal[active], -np.ones(int(active.sum()))])
-        result = linprog(cost, A_ub=rows, b_ub=-value[active], bounds=limits, method="highs")
-        shown = value + internal @ result.x[:n_w]
-        if float(shown.max()) <= result.x[-1] + 1e-9 or active.all():
-            return np.asarray(result.x[:n_w])
-        shown = np.where(active, -np.inf, shown)
+    cost = np.append(np.zeros(internal.shape[1]), 1.0)
+    rows = np.column_stack([internal, -np.ones(len(value))])
+    result = linprog(cost, A_ub=rows, b_ub=-value, bounds=(None, None), method="highs")
+    return np.asarray(result.x[:-1])

@@ -140,8 +140,8 @@ def _check_known_to_paper(scenario: Scenario) -> None:
     if payload.dynamic:
         raise ScenarioError(f'{unsupported} {payload.dynamic[0].inside}; use "exact".')
     for body in payload.bodies:
-        if body.supports != (TRAY,):
-            below = " and ".join(body.supports)
+        if body.on != (TRAY,):
+            below = " and ".join(body.on)
             raise ScenarioError(f'{unsupported} objects on each other ({body.name} stands on {below}); use "exact".')
 
 

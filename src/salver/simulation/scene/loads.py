@@ -255,7 +255,7 @@ def _supports(body: Body, solid: Solid, p_EB: Array, scenario: Scenario, below: 
     base_B = np.column_stack([solid.base_polygon - body.com_G[:2], np.full(len(solid.base_polygon), base_z)])
     base_E = (p_EB + base_B @ R_EB.T)[:, :2]
     supports: dict[str, Array] = {}
-    for name in body.supports:
+    for name in body.on:
         if name == TRAY:
             half = 0.5 * np.array(scenario.tray.size)
             surface = half * np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]])
@@ -269,5 +269,5 @@ def _supports(body: Body, solid: Solid, p_EB: Array, scenario: Scenario, below: 
             points[:, 2] = base_z
             supports[name] = points
     if not supports:
-        raise ScenarioError(f"{body.name} stands beside {' and '.join(body.supports)}; its base must overlap with it.")
+        raise ScenarioError(f"{body.name} stands beside {' and '.join(body.on)}; its base must overlap with it.")
     return supports
