@@ -169,6 +169,8 @@ def _binary(node: ast.BinOp) -> Iterator[tuple[ast.AST, str]]:
     if isinstance(node.op, ast.MatMult):
         if ast.unparse(node.left) != ast.unparse(node.right):
             yield _with(node, left=node.right, right=node.left), "factors swapped"
+    elif isinstance(node.op, ast.BitOr) and isinstance(node.right, ast.Dict):  # a copy with other values
+        yield node.left, "entry dropped"
     elif type(node.op) in ARITHMETIC:
         yield _with(node, op=ARITHMETIC[type(node.op)]()), _kind(node.op)
         if isinstance(node.op, ast.Sub) and ast.unparse(node.right) == f"{ast.unparse(node.left)}[0]":

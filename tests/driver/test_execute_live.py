@@ -302,17 +302,6 @@ def test_wishes_are_said_at_their_times_and_a_twist_as_long_as_it_lasts():
     assert [note["t"] for note in prompter.notes] == pytest.approx([0.01, 0.011, 0.03, 0.2, 0.25])
 
 
-def test_lines_may_come_while_it_moves_and_a_wrong_one_is_only_noted():
-    heard = Heard()
-    prompter = Prompter(heard).listening(io.StringIO('nonsense\n{"stop": true}\n'), "standard input")
-    for k in range(5000):
-        prompter.period(k * 1e-3)
-        if prompter.over:
-            break
-    assert [name for name, *_ in heard.told] == ["stop"]
-    assert "standard input, line 1: 'nonsense" in prompter.notes[0]["answer"]
-
-
 def heard_in(prompter, heard, periods):
     """What is requested in so many periods, once all lines have come."""
     while not prompter._ended:

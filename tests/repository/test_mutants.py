@@ -46,6 +46,7 @@ KNOWN = signatures(["def run(a, b, c=1): ...", "class Thing:\n    x: int\n    y:
         ("y = [a, b]", {"y = []"}),
         ("y = np.stack([a, b])", set()),
         ("y = {'a': a, 'b': b}", {"y = {'a': a}", "y = {'b': b}"}),
+        ("y = a | {'b': b}", {"y = a"}),
         ("y = run(a, b, c)", {"y = run(a, b)"}),
         ("y = run(a, b)", {"y = run(b, a)"}),
         ("y = Thing(x=a, y=b)", {"y = Thing(x=a)"}),
