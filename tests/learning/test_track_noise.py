@@ -11,7 +11,7 @@ import pytest
 
 from lagging_joint_logs import UNEQUAL, lagging, logged
 from salver.geometry import Array
-from salver.learning.tracking.deviations import of_lags, under_torque
+from salver.learning.tracking.deviations import DeviationFit, of_lags, under_torque
 from salver.learning.tracking.executed import executed
 from salver.learning.tracking.track import Judge, track
 from salver.planning.plan import Plan
@@ -117,3 +117,10 @@ def test_a_joint_that_stands_still_and_is_read_so_leaves_the_others_as_they_are(
     assert np.abs(done.q - joint.sample(done.t)[0]).max() < 1e-5
     assert done.noise[2] < 1e-12
     assert np.all(np.delete(done.noise, 2) > 1e-5)
+
+
+def test_to_another_deviation_a_fit_moves_along_its_tangents() -> None:
+    rng = np.random.default_rng(3)
+    base, tangent, by = rng.normal(size=(3, 50, 2)), rng.normal(size=(3, 2, 50, 3)), rng.normal(size=(2, 3))
+    moved = base + np.einsum("djkm,jm->dkj", tangent, by)
+    assert DeviationFit(base, tangent).to(moved[0]) == pytest.approx(moved, abs=1e-9)

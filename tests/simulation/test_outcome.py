@@ -12,7 +12,7 @@ from salver import scenario as scenarios
 from salver.geometry import exp
 from salver.scenario import parse
 from salver.simulation import creep
-from salver.simulation.outcome import Behaviour, Thresholds, _rate, behaviour, judge
+from salver.simulation.outcome import Behaviour, Thresholds, _rate, behaviour, inner_motions, judge
 from salver.simulation.scene.loads import true_world
 from salver.simulation.scene.scene import Scene, build
 from salver.simulation.trace import Trace
@@ -51,17 +51,20 @@ def still(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     )
 
 
-def seen(scene: Scene, p_EB: np.ndarray, R_EB: np.ndarray, bias: creep.TrayBias | None = None) -> Behaviour:
-    """What is made of these poses while the tray itself flies and tumbles, which must not matter."""
-    rng = np.random.default_rng(1)
-    p_XE, R_XE = rng.normal(size=(COUNT, 3)), exp(rng.normal(size=(COUNT, 3)))
+def run(p_EB: np.ndarray, R_EB: np.ndarray, p_XE: np.ndarray, R_XE: np.ndarray) -> Trace:
     m, none = p_EB.shape[1], np.empty((COUNT, 0))
-    trace = Trace(
+    return Trace(
         t=T, q=none, dq=none, tau=none, p_XE=p_XE, R_XE=R_XE,
         p_XB=p_XE[:, None] + np.einsum("tij,tmj->tmi", R_XE, p_EB), R_XB=R_XE[:, None] @ R_EB,
         foot_force_B=np.zeros((COUNT, 4 * m, 3)), force_X=np.zeros((COUNT, m, 3)),
         touches=np.ones((COUNT, m), bool), collides=np.zeros(COUNT, bool),
     )  # fmt: skip
+
+
+def seen(scene: Scene, p_EB: np.ndarray, R_EB: np.ndarray, bias: creep.TrayBias | None = None) -> Behaviour:
+    """What is made of these poses while the tray itself flies and tumbles, which must not matter."""
+    rng = np.random.default_rng(1)
+    trace = run(p_EB, R_EB, rng.normal(size=(COUNT, 3)), exp(rng.normal(size=(COUNT, 3))))
     return behaviour(scene, trace, bias or creep.still_bias(COUNT), TRAY)
 
 
@@ -338,3 +341,21 @@ def test_contacts_that_chatter_are_not_waves():
     jolt = _rate(t, 0.01 * (t[:, None] > 0.1), 0.02)
     assert jolt.max() == pytest.approx(0.01 / 0.02)
     assert np.count_nonzero(jolt) == 20
+
+
+def test_a_cup_that_is_tilted_fast_raises_its_liquid():
+    """By 1.3 Omega^2 R^2 / g of its angular velocity across its axis, R its 40 mm; about it, by nothing."""
+    case = scenarios.load("panda-coffee").with_changes(arm=None)
+    scene = build(case, true_world(case))
+    standing = run(*still(scene), np.zeros((COUNT, 3)), np.tile(UPRIGHT, (COUNT, 1, 1)))
+    modes = len(scene.swings[0].qpos_ids)
+    for omega, across in (([2.0, -1.0, 0.0], 5.0), ([0.0, 0.0, 3.0], 0.0)):
+        turned = replace(
+            standing,
+            swung=np.zeros((COUNT, 1, modes, 2)),
+            moved=np.zeros((COUNT, 1, 3)),
+            turned=np.tile(omega, (COUNT, 1, 1)),
+            pulled=np.tile([0.0, 0.0, -9.81], (COUNT, 1, 1)),
+        )
+        highest = inner_motions(scene, turned)[:, 0, 2]
+        np.testing.assert_allclose(highest, 1.3 * across * 0.04**2 / 9.81, atol=1e-9)
