@@ -304,7 +304,7 @@ function createViewer(canvas, scene) {
     }));
     variants = scene.variants.map((v) => ({
       ...v,
-      joints: float32(v.joints), tray: float32(v.tray), objects: float32(v.objects), forces: float32(v.forces), contacts: float32(v.contacts),
+      joints: float32(v.joints), tray: float32(v.tray), objects: float32(v.objects), forces: float32(v.forces ?? ""), contacts: float32(v.contacts ?? ""),
       path: made(tube(v.path, 0.0011 * reach)),
       inside: v.inside.map((l) => l && { ...l, moves: float32(l.moves), shape: made(l.triangles ? solid(l.triangles) : column(l.bottom, l.level, [0, 0])) }),
     }));

@@ -85,7 +85,8 @@ def replay_scene(run: ReportedRun, arm: ArmModel | None) -> dict[str, Any]:
 def still(
     key: str, colour: str, bodies: Sequence[Body], tray: tuple[Array, Array], joints: Array, path: list[list[float]]
 ) -> dict[str, Any]:
-    """A variant for the viewer that does not move: the tray at (p_SE, R_SE), its load on it, what swings hanging.
+    """A variant for the viewer that does not move, without contacts: the tray at (p_SE, R_SE), its load on it, what
+    swings hanging.
 
     joints: (n + 1, 7), as `joint_poses`. path: points of a line that is drawn, m.
     """
@@ -97,11 +98,6 @@ def still(
         "joints": packed(joints),
         "tray": packed([*p_SE, *quat_wxyz_from_matrix(R_SE)]),
         "objects": packed(_on_tray(p_SE[None], R_SE[None], bodies)),
-        "contactCount": 0,
-        "contacts": "",
-        "forces": "",
-        "friction": 0.0,
-        "metresPerNewton": 0.0,
         "inside": [None if b.inner is None else _at_rest(b, b.inner, R_SE) for b in bodies],
         "path": path,
     }

@@ -18,7 +18,7 @@ from salver.wording import listed, number
 
 if TYPE_CHECKING:
     from salver.models.arm.arm import ArmModel
-from salver.reports.run import Record, ReportedMotion, ReportedRun
+from salver.reports.run import Record, ReportedRun
 
 Tile = tuple[str, str, str]  # label, figure, and what is said below it
 
@@ -162,7 +162,7 @@ RUNS = {
     ),
     "execution": (
         "On the arm",
-        "The control loop that drives the real arm: what it tracked, and how well it kept its period.",
+        "The control loop that drives the real arm: what it tracked.",
     ),
 }
 
@@ -186,36 +186,14 @@ def _run_section(page: Sections, run: ReportedRun, kind: str) -> None:
     last = "true parameters" if kind != "execution" else "arm"
     head = ["", "outcome", "slip, mm", "lift, mm", "tip, °", "e_p, mm", "e_o, mrad", last]
     extra = table(head, rows, numeric=range(2, 7))
-    if kind == "execution":
-        extra += _clocks(records)
+    for m, record in records:
+        if record.summary.get("stopped"):
+            extra += Markup("<p><b>{} was stopped:</b> {}</p>").format(m.label, record.summary["stopped"])
     title, intro = RUNS[kind]
     page.add(kind, title, intro, charts.run_charts(records), extra)
 
 
 _PEAKS = (("slip", 1e3), ("lift", 1e3), ("tip_angle", 180 / np.pi), ("e_p", 1e3), ("e_o", 1e3))
-
-
-def _clocks(records: list[tuple[ReportedMotion, Record]]) -> Markup:
-    """Statistics of the control loop's period, and why it stopped if it did."""
-    rows, stops = [], NOTHING
-    for m, record in records:
-        clock = record.summary.get("timing", {})
-        if "jitter_median" in clock:
-            rows.append(
-                [
-                    motion_cell(m.stem, m.label),
-                    clock["periods"],
-                    clock["missed"],
-                    *(number(1e3 * clock[key], 3) for key in ("jitter_median", "jitter_p999", "jitter_max")),
-                    *(number(1e3 * clock[key], 3) for key in ("step_median", "step_p999")),
-                ]
-            )
-        if record.summary.get("stopped"):
-            stops += Markup("<p><b>{} was stopped:</b> {}</p>").format(m.label, record.summary["stopped"])
-    head = ["", "periods", "missed", "jitter, ms", "at 99.9 %", "at most", "step, ms", "at 99.9 %"]
-    if rows:
-        stops += Markup('<div style="margin-top:14px">{}</div>').format(table(head, rows, numeric=range(1, 8)))
-    return stops
 
 
 def _usage_table(run: ReportedRun, arm: ArmModel) -> Markup:
