@@ -120,7 +120,7 @@ def test_a_ball_that_meets_the_load_has_hit_it():
     outside = next(k for k, distance in enumerate(apart) if distance < 0.02 * np.sqrt(3))  # the half diagonal
     assert all("has come to" in text and "-" not in text for k, text in said if k < outside)
     inside = next(k for k, distance in enumerate(apart) if distance < 0.02) + 10
-    assert {text for k, text in said if inside <= k} == {"The ball has hit cube, and flies through."}
+    assert {text for k, text in said if inside <= k} == {"The ball has hit the cube, and flies through."}
 
 
 def test_without_protection_the_arm_keeps_its_own_limits():

@@ -68,7 +68,7 @@ class Ball:
         if not self.flies or not np.isfinite(self.passed):
             return ""
         if self._hit:
-            return f"The ball has hit {self._hit}, and flies through."
+            return f"The ball has hit the {self._hit}, and flies through."
         return f"The ball has come to {1e3 * self.passed:.0f} mm."
 
     def at(self, t: float) -> tuple[Array, Array]:
