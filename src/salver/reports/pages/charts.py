@@ -60,10 +60,10 @@ def margin_charts(run: ReportedRun) -> list[Spec]:
     for m in run.motions:
         c = curves[m.stem]
         margin.append(series(m, f"{m.label}, worst case", c.t, 100 * c.worst))
-        margin.append(series(m, f"{m.label}, nominal", c.t, 100 * c.nominal, width=1.0, opacity=0.55))
+        margin.append(series(m, f"{m.label}, nominal load", c.t, 100 * c.nominal, width=1.0, opacity=0.55))
         friction.append(series(m, m.label, c.t, c.coefficient if c.coefficient is not None else 100 * c.friction))
         tip.append(series(m, f"{m.label}, worst case", c.t, 1e3 * c.tip_worst))
-        tip.append(series(m, f"{m.label}, nominal", c.t, 1e3 * c.tip, width=1.0, opacity=0.55))
+        tip.append(series(m, f"{m.label}, nominal load", c.t, 1e3 * c.tip, width=1.0, opacity=0.55))
     zero = {"y": 0, "label": ""}
     follows = (
         "on the reference itself" if run.paper or run.given else "with the errors that they cause in the closed loop"
@@ -297,7 +297,7 @@ def inside_charts(run: ReportedRun) -> list[Spec]:
             x, low, high = thin(m.t, 1e3 * found.min(axis=0), 1e3 * found.max(axis=0))
             bands.append({"x": x, "low": low, "high": high, "colour": ROLE_COLOURS[m.stem]})
             nominal = whole.nominal[body.name][0].modes.seen[0, :, 2]
-            curves.append(series(m, f"{m.label}, nominal", m.t, 1e3 * nominal))
+            curves.append(series(m, f"{m.label}, nominal load", m.t, 1e3 * nominal))
             if m.simulation is not None and m.simulation.arrays.get("surface", np.zeros((0, 0))).shape[1]:
                 seen = m.simulation.arrays["surface"][:, k, 2]
                 curves.append(
