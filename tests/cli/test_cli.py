@@ -117,6 +117,14 @@ def test_scenarios_for_people():
     assert "2.5 s" in done.stdout
 
 
+def test_a_mistake_is_json_too_where_json_was_asked_for(here):
+    code, said, wrong = here("plan", "nosuch", "--json")
+    assert code == 2
+    assert json.loads(said)["error"].startswith('There is no ready-made scenario "nosuch"')
+    assert "nosuch" in wrong
+    assert here("plan", "nosuch")[:2] == (2, "")
+
+
 @pytest.mark.slow
 def test_scenarios_for_machines(here):
     code, said, wrong = here("scenarios", "--json")

@@ -74,12 +74,11 @@ def handled(command: Command) -> Command:
                 result = command(*args, **kwargs)
             sys.stdout.flush()
             return result
-        except (UnreachableError, UnsafeError) as error:
-            say(f"salver: {error}")
-            raise typer.Exit(NO_SAFE_PLAN) from None
         except SalverError as error:
             say(f"salver: {error}")
-            raise typer.Exit(WRONG_USE) from None
+            if kwargs.get("json"):
+                print_json({"error": str(error)})
+            raise typer.Exit(NO_SAFE_PLAN if isinstance(error, UnreachableError | UnsafeError) else WRONG_USE) from None
         except KeyboardInterrupt:
             say("salver: interrupted; files that were written before are complete.")
             raise typer.Exit(INTERRUPTED) from None
