@@ -11,7 +11,7 @@ import pytest
 from salver import scenario
 from salver.planning.fastest import FastestOptions, fastest, search, transport_problem
 from salver.planning.fastest.optimum import few_pieces
-from salver.planning.fastest.planned import _planned, _sterner
+from salver.planning.fastest.planned import _planned, _sterner, plan_fastest
 from salver.planning.fastest.search import _Search
 from salver.planning.seeds.starts import around, ends
 from salver.planning.trajopt.bound import least_duration
@@ -58,6 +58,24 @@ def test_a_search_that_is_interrupted_says_so_and_keeps_what_it_has(behind_a_pos
     assert 0 < shares[-1] < 1
     assert "straight path of the joints" in tried
     assert tried[-1].endswith(" s, refined")
+
+
+@pytest.mark.slow
+def test_what_an_interruption_takes_is_as_short_as_was_said_though_other_speeds_come_after_it():
+    """The cup's motion of 0.73 s spills at other speeds until it is searched for again."""
+    said = []
+
+    class Impatient(Watch):
+        def __setattr__(self, name, value):
+            super().__setattr__(name, value)
+            if name == "best" and value is not None:
+                said.append(value)
+                self.interrupt()
+
+    plan = plan_fastest(scenario.load("panda-coffee"), watch=Impatient())
+    assert plan.ok
+    assert plan.speeds.every
+    assert plan.duration < 1.03 * said[0]
 
 
 def test_a_search_that_finds_nothing_answers_with_a_straight_line_that_holds(behind_a_post):
