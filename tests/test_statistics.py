@@ -23,10 +23,10 @@ def test_four_of_twenty_as_in_textbooks():
     assert rate.value == 0.2
 
 
-@pytest.mark.parametrize(("count", "total", "level"), [(3, 17, 0.95), (16, 17, 0.9), (50, 135, 0.99)])
-def test_the_bounds_are_where_the_binomial_tails_have_their_probability(count, total, level):
-    rate = clopper_pearson(count, total, level)
-    tail = (1 - level) / 2
+@pytest.mark.parametrize(("count", "total"), [(3, 17), (16, 17), (50, 135)])
+def test_the_bounds_are_where_the_binomial_tails_have_their_probability(count, total):
+    rate = clopper_pearson(count, total)
+    tail = 0.025
     assert stats.binom.sf(count - 1, total, rate.low) == pytest.approx(tail, rel=1e-9)
     assert stats.binom.cdf(count, total, rate.high) == pytest.approx(tail, rel=1e-9)
 
@@ -52,13 +52,13 @@ def test_mcnemar_counts_only_the_discordant_pairs():
     first = [True] * 8 + [False] + [True] * 50 + [False] * 3
     second = [False] * 8 + [True] + [True] * 50 + [False] * 3
     result = mcnemar(first, second)
-    assert (result.both, result.only_first, result.only_second, result.neither) == (50, 8, 1, 3)
-    assert result.p_value == pytest.approx(2 * 10 / 512)
+    assert [result[key] for key in ("both", "only_first", "only_second", "neither")] == [50, 8, 1, 3]
+    assert result["p_value"] == pytest.approx(2 * 10 / 512)
 
 
 def test_mcnemar_of_equal_outcomes_is_no_evidence():
-    assert mcnemar([True, False], [True, False]).p_value == 1.0
-    assert mcnemar([True, False], [False, True]).p_value == 1.0
+    assert mcnemar([True, False], [True, False])["p_value"] == 1.0
+    assert mcnemar([True, False], [False, True])["p_value"] == 1.0
     with pytest.raises(ValueError, match="must be equal"):
         mcnemar([True], [True, False])
 

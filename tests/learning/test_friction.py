@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 from salver.cli import app
 from salver.errors import SalverError, ScenarioError
 from salver.geometry import Array, log
-from salver.learning.friction.friction import USUAL, friction, needed
+from salver.learning.friction.friction import OPTIONS, friction, needed
 from salver.learning.friction.tilts import _motion, tilt_test
 from salver.models.arm.arm import load_arm
 from salver.models.tray_motion import at_rest
@@ -120,7 +120,7 @@ def test_ranges_hold_what_the_engine_had(plan: Plan, true: float) -> None:
     assert found.low is not None
     assert found.high is not None
     assert found.low <= true <= found.high
-    assert found.high - found.low < 2 * np.deg2rad(0.5) * (1 + true) + 3 * USUAL.shakes + 0.03
+    assert found.high - found.low < 2 * np.deg2rad(0.5) * (1 + true) + 3 * OPTIONS.shakes + 0.03
 
 
 @pytest.mark.slow

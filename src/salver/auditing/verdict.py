@@ -43,7 +43,7 @@ EDGES = 16  # of the friction pyramids, which are at most 2 % inside the round c
 
 AT_ONCE = 4096  # instants whose margins are computed at once
 SPILLS = ("spills", "unsettled")
-AT_REST = 1e-3  # m/s or rad/s, below which the tray is at rest, below which the tray is at rest
+AT_REST = 1e-3  # m/s or rad/s, below which the tray is at rest
 
 
 @dataclass(frozen=True, repr=False)
@@ -128,10 +128,6 @@ class Audit(Shown, Tabular):
     def worst(self) -> Status:
         """The verdict in the worst case of the scenario's uncertain set."""
         return self._verdict(worst=True)
-
-    def reserve(self, worst: bool = False) -> Array:
-        """Reserve (T,), m/s^2: additional acceleration in any direction at which the load still holds."""
-        return self._borne[worst].reserve
 
     @cached_property
     def _borne(self) -> tuple[Borne, Borne]:

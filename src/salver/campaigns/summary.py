@@ -173,7 +173,7 @@ def _pair(first: Sequence[Row], second: Sequence[Row], first_name: str, second_n
     """Comparison of two plans on the runs that both have."""
     a, b = ({row["run"]: row["outcome"] == "holds" for row in rows} for rows in (first, second))
     runs = sorted(a.keys() & b.keys())
-    result = mcnemar([a[k] for k in runs], [b[k] for k in runs]).as_dict()
+    result = mcnemar([a[k] for k in runs], [b[k] for k in runs])
     differences = {}
     for name in ("peak_slip", "e_p_peak", "e_o_peak", "cone_least"):
         one, other = ({r["run"]: r[name] for r in rows if _is_number(r.get(name))} for rows in (first, second))

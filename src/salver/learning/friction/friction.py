@@ -58,7 +58,7 @@ class FrictionOptions:
     spare: float = 0.02
 
 
-USUAL = FrictionOptions()
+OPTIONS = FrictionOptions()
 
 
 @dataclass(frozen=True)
@@ -150,16 +150,15 @@ def friction(
     held: float | None = None,
     slid: float | None = None,
     level: float | None = None,
-    options: FrictionOptions = USUAL,
 ) -> Friction:
     """The range of the load's friction from a run of a plan.
 
     Args:
-        samples: log of the joints, from rest to rest; None: as planned, to `options.unseen`.
+        samples: log of the joints, from rest to rest; None: as planned, to `OPTIONS.unseen`.
         held: s from the start of the motion, until when the load certainly did not slide; default: the whole motion,
             unless `slid` is given.
         slid: s, when it certainly had begun to slide.
-        level: deg, largest tilt error of the robot's base; default: `options.level`.
+        level: deg, largest tilt error of the robot's base; default: `OPTIONS.level`.
 
     Raises:
         ScenarioError: the plan or the observations do not allow it.
@@ -170,18 +169,18 @@ def friction(
     if plan.joint is None:
         raise ScenarioError(f"{scenario.name}: this plan has no motion of an arm, from which friction is identified.")
     _can_be_seen(plan, held, slid)
-    level = options.level if level is None else level
+    level = OPTIONS.level if level is None else level
     arm = load_arm(plan.scenario.arm, scenario.tray)  # type: ignore[arg-type]
     if samples is None:
         t = np.linspace(0.0, plan.duration, 1 + int(np.ceil(plan.duration / 0.02)))
-        motion, lean = plan.joint.sample(t)[:3], level + options.unseen
+        motion, lean = plan.joint.sample(t)[:3], level + OPTIONS.unseen
     else:
         done = executed(plan.joint, samples)
         t, motion, lean = done.t, (done.q, done.dq, done.ddq), level
     terms = motion_terms(with_load(arm, scenario.payload.bodies).pin_model, arm.tray_id, *motion)
     lean = leaning(scenario, lean)
     least, most = needed(terms.w, body.p_EB, _reach(scenario, body), GRAVITY * lean)
-    high = most + options.shakes * (1 + most)
+    high = most + OPTIONS.shakes * (1 + most)
     until = plan.duration if held is None else held
     before = (t >= 0) & (t <= until) & (held is not None or slid is None)
     low_at = int(np.argmax(np.where(before, least, 0.0)))

@@ -11,7 +11,7 @@ import numpy as np
 from salver.contact_margins.motion import tray_motion
 from salver.errors import ScenarioError, Status
 from salver.geometry import Array, exp
-from salver.learning.friction.friction import METHOD, USUAL, FrictionOptions, leaning
+from salver.learning.friction.friction import METHOD, OPTIONS, leaning
 from salver.learning.logs import one_load
 from salver.models.contact_rows import contact_rows
 from salver.planning.make import with_arm
@@ -24,7 +24,7 @@ STEEPER = 1e-3  # rad, added to the angle that is needed
 MOST = 1.5  # largest friction that can be tested: a tilt of about 60 deg
 
 
-def tilt_test(scenario: Scenario, shown: float, level: float | None = None, options: FrictionOptions = USUAL) -> Plan:
+def tilt_test(scenario: Scenario, shown: float, level: float | None = None) -> Plan:
     """Plan a tilt of the tray at the start pose, and back: a load that does not slide has at least friction
     `shown`.
 
@@ -34,11 +34,11 @@ def tilt_test(scenario: Scenario, shown: float, level: float | None = None, opti
     body = one_load(scenario, "a friction test")
     if not 0 < shown <= MOST:
         raise ScenarioError(f"A friction of {shown:g} was asked for; it must be above 0 and at most {MOST:g}.")
-    lean = leaning(scenario, (options.level if level is None else level) + options.unseen)
+    lean = leaning(scenario, (OPTIONS.level if level is None else level) + OPTIONS.unseen)
 
     a = np.arctan(shown)  # (sin - lean) / (cos + lean) of the angle is `shown`
     angle = float(a + np.arcsin(min(1.0, lean * (1 + shown) * np.cos(a))) + STEEPER)
-    steepest = _headings(scenario, options)
+    steepest = _headings(scenario)
     headings = [heading for heading, most in steepest if most >= angle]
     if not headings:
         most = steepest[0][1]
@@ -48,8 +48,8 @@ def tilt_test(scenario: Scenario, shown: float, level: float | None = None, opti
             f"{body.name} could tip at {np.rad2deg(most):.1f} deg, and to show a friction of {shown:g} the tray must "
             f"tilt by {np.rad2deg(angle):.1f} deg; at most {np.floor(1000 * can) / 1000:g} can be asked for."
         )
-    tested = _tested(scenario, (np.tan(angle) + 2 * lean) * (1 + options.spare) + options.spare)
-    t, *turn = _profile(angle, options)
+    tested = _tested(scenario, (np.tan(angle) + 2 * lean) * (1 + OPTIONS.spare) + OPTIONS.spare)
+    t, *turn = _profile(angle)
     words = (
         f"Tilts by {np.rad2deg(angle):.1f} deg in {0.5 * t[-1]:.1f} s and back; that the load does not slide proves a "
         f"friction of {shown:g}."
@@ -82,7 +82,7 @@ def _tested(scenario: Scenario, coefficient: float) -> Scenario:
     )
 
 
-def _headings(scenario: Scenario, options: FrictionOptions) -> list[tuple[float, float]]:
+def _headings(scenario: Scenario) -> list[tuple[float, float]]:
     """Headings of a tilt, rad, with the largest angle, rad, at which no load of the set tips; the steepest first."""
     rows = [
         each.only(np.flatnonzero(~each.label.astype(bool)))
@@ -94,8 +94,8 @@ def _headings(scenario: Scenario, options: FrictionOptions) -> list[tuple[float,
         first, last = 0, len(angles)  # the first is kept, the last is not
         while last - first > 1:
             middle = (first + last) // 2
-            w = _felt(scenario, heading, *_profile(float(angles[middle]), options))
-            tips = max(float(each.worst(w).max()) for each in rows) > -options.spare
+            w = _felt(scenario, heading, *_profile(float(angles[middle])))
+            tips = max(float(each.worst(w).max()) for each in rows) > -OPTIONS.spare
             first, last = (first, middle) if tips else (middle, last)
         found.append((float(heading), float(angles[first])))
     return sorted(found, key=lambda item: -item[1])
@@ -116,11 +116,11 @@ def _motion(scenario: Scenario, heading: float, t: Array, angle: Array, rate: Ar
     return MotionSamples(t, still + np.array(start.position), still, still, R_SB, *turns)
 
 
-def _profile(angle: float, options: FrictionOptions) -> tuple[Array, Array, Array, Array]:
+def _profile(angle: float) -> tuple[Array, Array, Array, Array]:
     """Times and angle with two derivatives, (T,) each, of a tilt by `angle`, rad, and back."""
-    one_way = max(STEP, 1.875 * np.rad2deg(angle) / options.speed)
-    t = np.arange(0.0, 2 * one_way + options.hold + STEP, STEP)
-    t *= (2 * one_way + options.hold) / t[-1]
-    up, down = t / one_way, (t - one_way - options.hold) / one_way
+    one_way = max(STEP, 1.875 * np.rad2deg(angle) / OPTIONS.speed)
+    t = np.arange(0.0, 2 * one_way + OPTIONS.hold + STEP, STEP)
+    t *= (2 * one_way + OPTIONS.hold) / t[-1]
+    up, down = t / one_way, (t - one_way - OPTIONS.hold) / one_way
     share, rate, bend = ((smooth_step(up, k) - smooth_step(down, k)) / one_way**k for k in range(3))
     return t, angle * share, angle * rate, angle * bend

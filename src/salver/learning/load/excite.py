@@ -107,7 +107,7 @@ class Information(Objective):
         return self.known + np.einsum("tck,tcl,t->kl", read, centred, time), centred, terms
 
 
-def plan_excite(scenario: Scenario, duration: float, *, options: FastestOptions | None = None) -> Plan:
+def plan_excite(scenario: Scenario, duration: float) -> Plan:
     """Plan an excitation trajectory of a duration, s, from the scenario's start pose and back.
 
     Raises ScenarioError for an unsuitable scenario, UnreachableError when no motion is found.
@@ -123,7 +123,7 @@ def plan_excite(scenario: Scenario, duration: float, *, options: FastestOptions 
         motion__goal_yaw="fixed",
         motion__duration=duration,
     )
-    options = options or FastestOptions()
+    options = FastestOptions()
     problem = transport_problem(there, level=there.motion.orientation == "fixed")
     pairs = ends(problem, np.random.default_rng(options.seed), few=1)
     if not pairs:

@@ -48,8 +48,7 @@ class SensorNoise:
         colour: s, correlation time of coloured noise; 0.05 instead of 0.035 widens ranges by 7 to 10 %.
         slow: s, correlation time of a drift.
         friction: N m and N m s, change of Coulomb and viscous friction of a joint between two runs; doubled, ranges
-        from
-            joint torques widen.
+            from joint torques widen.
         all_friction: N m and N m s, friction itself, which cancels except where two runs have different velocities.
         standstill: rad/s, velocities over which Coulomb friction changes its sign, which no log shows.
         unlike: relative error, and delay in s, of the arm's own torques where its motion deviates from the empty run's.

@@ -33,8 +33,7 @@ class TrackingOptions:
 
     Attributes:
         astray: largest deviation of a joint from the plan, as a share of its travel (of at least 0.3 rad); doubled,
-        logs
-            of other motions pass.
+            logs of other motions pass.
         pace: relative slowdown of a run that is accepted; doubled, a speed override of 5 % passes.
         rest: rad/s, below which the arm is at rest at the end of the log; doubled, the end of the motion is cut off.
         sparsest: least samples per second of a log; halved, vibration of the load at 20 Hz is missed.
@@ -53,6 +52,9 @@ class TrackingOptions:
     rate: float = 400.0
     slowest: float = 2.0
     fastest: float = 80.0
+
+
+OPTIONS = TrackingOptions()
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,54 +103,51 @@ def read_joints(path: str | Path, arm: ArmModel, topic: str | None = None) -> Jo
     return reordered(samples, tuple(arm.joint_names))
 
 
-def executed(
-    plan: JointMotion, samples: JointSamples, fitted: Fitted = of_lags, options: TrackingOptions | None = None
-) -> Executed:
+def executed(plan: JointMotion, samples: JointSamples, fitted: Fitted = of_lags) -> Executed:
     """The executed motion of a plan from its log, with joints in the arm's order. Raises FileFormatError."""
-    options = options or TrackingOptions()
     t, q, source = samples.t, samples.q, samples.source
     check_times(t, q, source, plan.q)
-    if (len(t) - 1) / t[-1] < options.sparsest:
+    if (len(t) - 1) / t[-1] < OPTIONS.sparsest:
         raise FileFormatError(
-            f"{source} has {(len(t) - 1) / t[-1]:.0f} samples a second; at least {options.sparsest:.0f} are needed to "
+            f"{source} has {(len(t) - 1) / t[-1]:.0f} samples a second; at least {OPTIONS.sparsest:.0f} are needed to "
             "see what shakes a load."
         )
     shift, step = lateness(t, q, plan), float(np.median(np.diff(t)))
     t = t - shift
     off = q - plan.sample(t)[0]
     moving = (t >= 0) & (t <= plan.duration)
-    _is_of(plan, t[moving], off[moving], source, options)
+    _is_of(plan, t[moving], off[moving], source)
     seen = plan.sample(np.array([0.0, t[0], t[-1], plan.duration]))[0]
     for k, missing in ((0, f"begins {t[0]:.3f} s after"), (2, f"ends {plan.duration - t[-1]:.3f} s before")):
         if np.abs(seen[k + 1] - seen[k]).max() > 1e-3:
             raise FileFormatError(
                 f"{source} {missing} the motion does; it must hold the whole motion, with rest around it."
             )
-    kept = (t >= -options.before) & (t <= plan.duration + options.after)
-    every = max(1, int(1 / (options.rate * step)))
+    kept = (t >= -OPTIONS.before) & (t <= plan.duration + OPTIONS.after)
+    every = max(1, int(1 / (OPTIONS.rate * step)))
     even = t[kept][0] + step * np.arange(int(np.ptp(t[kept]) / step + 1e-6) + 1)
     even = even[: len(even) // every * every]
     off = interpolated(t, off, even)
     speed = np.abs(np.polyfit(even[even > even[-1] - 0.04], (off + plan.sample(even)[0])[even > even[-1] - 0.04], 1)[0])
-    if speed.max() > options.rest:
+    if speed.max() > OPTIONS.rest:
         raise FileFormatError(
             f"{source} ends while a joint still moves at {speed.max():.2g} rad/s; record until the arm rests, some "
             "0.3 s on."
         )
     t, off = even.reshape(-1, every).mean(axis=1), off.reshape(-1, every, off.shape[1]).mean(axis=1)
     fits = [DeviationFit.known(np.zeros((3, *off.shape))), *fitted(t, plan, off)]
-    fastest = min(0.4 / (every * step), options.fastest)
-    found = Executed(t, off, off, off, off, off[0], shift, off, plan, fits, every, fastest, options.slowest)
+    fastest = min(0.4 / (every * step), OPTIONS.fastest)
+    found = Executed(t, off, off, off, off, off[0], shift, off, plan, fits, every, fastest, OPTIONS.slowest)
     return found.again(off)
 
 
-def _is_of(plan: JointMotion, t: Array, off: Array, source: str, options: TrackingOptions) -> None:
+def _is_of(plan: JointMotion, t: Array, off: Array, source: str) -> None:
     """Raise FileFormatError when a deviation (K, n) is too large, too small or too slow for a run of the plan."""
     each = np.abs(off).max(axis=0) / np.maximum(np.ptp(plan.q, axis=0), 0.3)
-    if each.max() > options.astray:
+    if each.max() > OPTIONS.astray:
         raise FileFormatError(
             f"{source}: a joint is {100 * each.max():.0f} % of its way from the plan, and at most "
-            f"{100 * options.astray:.0f} % are accepted: another motion, another speed, another order of joints, or a "
+            f"{100 * OPTIONS.astray:.0f} % are accepted: another motion, another speed, another order of joints, or a "
             "robot that is not controlled."
         )
     if np.abs(off).max() < 1e-7:
@@ -159,7 +158,7 @@ def _is_of(plan: JointMotion, t: Array, off: Array, source: str, options: Tracki
     dq = plan.sample(t)[1]  # the delay of a slower run grows over time
     rows = np.stack([dq.ravel(), ((t - t.mean())[:, None] * dq).ravel()], axis=1)
     slower = -float(np.linalg.lstsq(rows, off.ravel(), rcond=None)[0][1])
-    if abs(slower) > options.pace:
+    if abs(slower) > OPTIONS.pace:
         raise FileFormatError(
             f"{source} is of a run {100 * abs(slower):.0f} % {'slower' if slower > 0 else 'quicker'} than planned; "
             "carry the plan out at its own speed (no speed override)."

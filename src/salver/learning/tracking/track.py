@@ -153,7 +153,7 @@ class Tracking:
         return f"{joint.name} {what} ({1e3 * joint.peak:.2f} m{joint.unit} off at most)"
 
 
-def track(plan: Plan, samples: JointSamples, judge: Judge | None = None, seed: int = 0) -> Tracking:
+def track(plan: Plan, samples: JointSamples, judge: Judge | None = None) -> Tracking:
     """Compare the executed motion with a plan of an arm. samples: log with joints in the arm's order (`read_joints`).
 
     Raises ScenarioError for a plan without a joint motion, FileFormatError for a log that is not of it.
@@ -170,15 +170,13 @@ def track(plan: Plan, samples: JointSamples, judge: Judge | None = None, seed: i
     over, of = judge.rows(terms.w, drift)
     k, wanted = int(np.argmax(over)), judge.terms(*plan.joint.sample(t))
     planned = judge.rows(wanted.w, judge.drift(t, wanted))[0].max()
-    row, noise = _without_noise(judge, done, drift, np.random.default_rng(seed))
+    row, noise = _without_noise(judge, done, drift)
     names = [face.name for rows in judge.contacts for face in rows.network.interfaces]
     joints = tuple(sorted(_joints(judge, plan.joint, done, drift), key=lambda joint: -joint.row))
     return Tracking(plan, done, row, float(planned), float(t[k]), names[of[k]], noise, joints)
 
 
-def _without_noise(
-    judge: Judge, done: Executed, drift: Drift | None, rng: np.random.Generator, draws: int = 8
-) -> tuple[float, float]:
+def _without_noise(judge: Judge, done: Executed, drift: Drift | None) -> tuple[float, float]:
     """Largest constraint along the executed motion without the bias by noise, and its standard deviation.
 
     Both come from adding simulated noise: its effect on the smoothed result equals that of the noise in the log.
@@ -187,7 +185,8 @@ def _without_noise(
     def largest(seen: Executed) -> float:
         return float(judge.rows(judge.terms(seen.q, seen.dq, seen.ddq).w, drift)[0].max())
 
-    drawn = [largest(done.again(done.off + done.noise * rng.standard_normal(done.off.shape))) for _ in range(draws)]
+    rng = np.random.default_rng(0)
+    drawn = [largest(done.again(done.off + done.noise * rng.standard_normal(done.off.shape))) for _ in range(8)]
     return 2 * largest(done) - float(np.mean(drawn)), float(np.std(drawn))
 
 
