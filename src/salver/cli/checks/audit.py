@@ -71,32 +71,23 @@ def audit(
     from salver.auditing import AuditOptions, audit_legs
     from salver.auditing import audit as run
 
-    case, options_given = model.load(scenario), AuditOptions(highest, noise, gap)
+    case, chosen = model.load(scenario), AuditOptions(highest, noise, gap)
     if case.legs:
-        legs = audit_legs(trajectory, case, topic, options_given, units)
-        if json:
-            print_json({"legs": [leg.summary() for leg in legs]})
-        for number, leg in enumerate(legs, 1):
-            if not json:
-                result_console().print(f"Leg {number}, with {listed([item.name for item in leg.scenario.objects])}:")
-                _show(leg)
-        if not all(leg.ok for leg in legs):
-            raise typer.Exit(NO_SAFE_PLAN)
-        return
-    result = run(trajectory, case, topic, options_given, units)
-    if json:
-        print_json(result.summary())
+        results = audit_legs(trajectory, case, topic, chosen, units)
     else:
-        given = {
-            "topic": topic,
-            "units": units,
-            "highest": None if highest == 50.0 else highest,
-            "noise": noise,
-            "gap": gap,
-        }
+        results = (run(trajectory, case, topic, chosen, units),)
+    if json:
+        print_json({"legs": [leg.summary() for leg in results]} if case.legs else results[0].summary())
+    elif case.legs:
+        for number, leg in enumerate(results, 1):
+            result_console().print(f"Leg {number}, with {listed([item.name for item in leg.scenario.objects])}:")
+            _show(leg)
+    else:
+        fast = None if highest == 50.0 else highest
+        given = {"topic": topic, "units": units, "highest": fast, "noise": noise, "gap": gap}
         options = "".join(f" --{name} {quote(str(value))}" for name, value in given.items() if value is not None)
-        _show(result, f"{quote(str(trajectory))} -s {quote(scenario)}", options)
-    if not result.ok:
+        _show(results[0], f"{quote(str(trajectory))} -s {quote(scenario)}", options)
+    if not all(result.ok for result in results):
         raise typer.Exit(NO_SAFE_PLAN)
 
 
