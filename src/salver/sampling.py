@@ -92,7 +92,7 @@ def _uniform(uncertain: UncertainSet, n: int, seed: int, possible: Possible, fir
     for row, k in enumerate(range(first, first + n)):
         rng = np.random.default_rng([seed, k])
         for _ in range(_TRIES):
-            values[row] = from_unit_cube(uncertain, rng.random(cube_dimension(uncertain)))
+            values[row] = _point(uncertain, rng)
             if possible(values[row : row + 1])[0]:
                 break
         else:
@@ -150,26 +150,18 @@ def _signs(code: int, n_p: int) -> Array:
     return np.array([1.0 if code >> j & 1 else -1.0 for j in range(n_p)])
 
 
-def cube_dimension(uncertain: UncertainSet) -> int:
-    """Number of uniform numbers that one point of the set needs: n_p for a box, n_p + 1 for an ellipsoid."""
-    return uncertain.size + (uncertain.kind == "ellipsoid" and uncertain.size > 1)
-
-
-def from_unit_cube(uncertain: UncertainSet, cube: Array) -> Array:
-    """Map points of the unit cube (..., cube_dimension) to points of the set (..., n_p), preserving volume.
+def _point(uncertain: UncertainSet, rng: np.random.Generator) -> Array:
+    """A point of the set (n_p,), uniform over its volume.
 
     For an ellipsoid: a direction from normal numbers, and a radius that is the n_p-th root of a uniform number.
     """
     n_p = uncertain.size
-    if cube_dimension(uncertain) == n_p:
-        s = 2 * cube - 1
+    if uncertain.kind == "box" or n_p == 1:
+        s = 2 * rng.random(n_p) - 1
     else:
-        from scipy.special import ndtri
-
-        normal = ndtri(np.clip(cube[..., :n_p], 1e-15, 1 - 1e-15))
-        length = np.linalg.norm(normal, axis=-1, keepdims=True)
-        s = normal / np.where(length > 0, length, 1.0) * cube[..., n_p:] ** (1 / n_p)
-    return uncertain.nominal + s @ uncertain.factor.T
+        direction = rng.standard_normal(n_p)
+        s = direction / np.linalg.norm(direction) * rng.random() ** (1 / n_p)
+    return np.asarray(uncertain.nominal + s @ uncertain.factor.T)
 
 
 def _possible(uncertain: UncertainSet, bodies: Sequence[Body] | None) -> Possible:

@@ -72,49 +72,44 @@ class Context:
         """Records of some runs of one plan; a run that fails has the outcome "error" and a sentence."""
         begin = time.perf_counter()
         drawn = [self.parameters(run) for run in runs]
-        seeds = [seed_of_run(self.definition.seed, run) for run in runs]
         if self.definition.engine == "physics":
-            results = _physics(self._experiments[stem], drawn, seeds, [self._stop_at(stem, run) for run in runs])
+            each = [
+                (p, seed_of_run(self.definition.seed, k), self._stop_at(stem, k))
+                for k, p in zip(runs, drawn, strict=True)
+            ]
+            results = [_physics(self._experiments[stem], *one) for one in each]
         else:
             results = _closed_loop(self._plans[stem], runs, drawn)  # type: ignore[arg-type]
         seconds = (time.perf_counter() - begin) / len(runs)
         return [
-            {"stem": stem, "run": run, "seconds": round(seconds, 4), "parameters": p, **_split(result)}
+            {
+                "stem": stem,
+                "run": run,
+                "seconds": round(seconds, 4),
+                "parameters": p,
+                "outcome": result.pop("outcome"),
+                "scalars": result,
+            }
             for run, p, result in zip(runs, drawn, results, strict=True)
         ]
 
 
-def _split(result: Scalars) -> dict[str, Any]:
-    scalars = dict(result)
-    return {"outcome": scalars.pop("outcome"), "scalars": scalars}
-
-
 def _physics(
-    experiment: Experiment | RoundExperiment,
-    drawn: Sequence[Mapping[str, float]],
-    seeds: Sequence[int],
-    stops: Sequence[float | None],
-) -> list[Scalars]:
-    """Scalars of runs in the physics engine. stops: s, time of the stop request of each run, or None."""
+    experiment: Experiment | RoundExperiment, parameters: dict[str, float], seed: int, stop_at: float | None
+) -> Scalars:
+    """Scalars of a run in the physics engine. stop_at: s, time of the stop request, or None."""
     from salver.simulation.closed_loop import tube_scalars
     from salver.simulation.round import RoundExperiment
 
-    results: list[Scalars] = []
-    for parameters, seed, stop_at in zip(drawn, seeds, stops, strict=True):
-        try:
-            if isinstance(experiment, RoundExperiment):
-                results.append(round_scalars(experiment.run(dict(parameters), seed, stop_at)))
-                continue
-            one = experiment if stop_at is None else replace(experiment, stop_at=stop_at)
-            record = one.run(dict(parameters), seed)
-        except SalverError as error:
-            results.append({"outcome": "error", "sentence": str(error)})
-            continue
-        scalars = run_scalars(record.summary)
-        if stop_at is None:
-            scalars |= tube_scalars(experiment.plan, record.t, record.cone_coefficients)
-        results.append(scalars)
-    return results
+    try:
+        if isinstance(experiment, RoundExperiment):
+            return round_scalars(experiment.run(parameters, seed, stop_at))
+        one = experiment if stop_at is None else replace(experiment, stop_at=stop_at)
+        record = one.run(parameters, seed)
+    except SalverError as error:
+        return {"outcome": "error", "sentence": str(error)}
+    scalars = run_scalars(record.summary)
+    return scalars | (tube_scalars(experiment.plan, record.t, record.cone_coefficients) if stop_at is None else {})
 
 
 def _closed_loop(plan: Plan, runs: Sequence[int], drawn: Sequence[Mapping[str, float]]) -> list[Scalars]:

@@ -187,7 +187,7 @@ def read_bag(path: Path, topic: str | None = None, as_path: bool = False) -> Sam
         samples = _from_trajectory(message.joint_names, message.points, source, as_path)
         if len(messages) > 1:
             note = f"The topic has {len(messages)} trajectories; this is the first."
-            samples = JointSamples(**{**samples.__dict__, "notes": (*samples.notes, note)})
+            samples = replace(samples, notes=(*samples.notes, note))
         return samples
     if kind == PATH:
         path_message: Any = messages[0][1]

@@ -62,14 +62,11 @@ def _path(motion: MotionSeries, positions: Array, quat_wxyz: Array) -> dict[str,
             "header": header_of(int(ns)),
             "pose": {
                 "position": dict(zip("xyz", map(float, p), strict=True)),
-                "orientation": dict(zip("wxyz", map(float, q), strict=True)),
+                "orientation": dict(zip("xyzw", map(float, q), strict=True)),
             },
         }
-        for ns, p, q in zip(motion.ns, positions, quat_wxyz, strict=True)
+        for ns, p, q in zip(motion.ns, positions, np.roll(quat_wxyz, -1, axis=1), strict=True)
     ]
-    for pose in poses:  # message order
-        orientation = pose["pose"]["orientation"]
-        pose["pose"]["orientation"] = {c: orientation[c] for c in "xyzw"}
     return {"header": header_of(0), "poses": poses}
 
 

@@ -135,25 +135,18 @@ def joint_samples(
 def reordered(samples: JointSamples, names: tuple[str, ...]) -> JointSamples:
     """The motion with the columns of the joints `names`, in that order; others are left out."""
     missing = [name for name in names if name not in samples.names]
-    if missing and len(samples.names) == len(names) and not any(name in names for name in samples.names):
-        return samples if _numbered(samples.names) else _refuse_names(samples, names, missing)
     if missing:
-        _refuse_names(samples, names, missing)
+        # Names that only number the joints (q1, J1, A1, ...) fit any arm with as many joints.
+        numbered = all(NUMBERED.fullmatch(name) or name.isdigit() for name in samples.names)
+        if numbered and len(samples.names) == len(names) and not set(names) & set(samples.names):
+            return samples
+        raise FileFormatError(
+            f"{samples.source} has no joint {missing[0]}; it has {', '.join(samples.names)}, and the scenario's arm "
+            f"has {', '.join(names)}."
+        )
     order = [samples.names.index(name) for name in names]
     dq, ddq, tau = (None if x is None else x[:, order] for x in (samples.dq, samples.ddq, samples.tau))
     return replace(samples, names=names, q=samples.q[:, order], dq=dq, ddq=ddq, tau=tau)
-
-
-def _numbered(names: tuple[str, ...]) -> bool:
-    """Whether the names only number the joints (q1, J1, A1, ...), so that they fit any arm with as many joints."""
-    return all(NUMBERED.fullmatch(name) or name.isdigit() for name in names)
-
-
-def _refuse_names(samples: JointSamples, names: tuple[str, ...], missing: list[str]) -> JointSamples:
-    raise FileFormatError(
-        f"{samples.source} has no joint {missing[0]}; it has {', '.join(samples.names)}, and the scenario's arm has "
-        f"{', '.join(names)}."
-    )
 
 
 def _finite(arrays: dict[str, Array], source: str) -> None:
