@@ -53,49 +53,30 @@ def calibrate(
 
     Ends with 0 when a test was planned or a range was found.
     """
-    if (Path(source) / "scenario.toml").is_file():
-        _read(Path(source), log, {"held": held, "slid": slid}, level, scenario, out, json)
-    else:
-        named = {"log": log, "held": held, "slid": slid, "scenario": scenario}
-        for name, value in named.items():
-            if value is not None:
-                raise ScenarioError(f"--{name} needs the run directory of a plan; {source} is not one.")
-        _plan(source, shows, level, out, json)
-
-
-def _plan(source: str, shows: float | None, level: float | None, out: Path | None, json: bool) -> None:
-    from salver import scenario as scenarios
-    from salver.learning.friction.tilts import tilt_test
-
-    if shows is None or out is None:
-        raise ScenarioError("To plan the test, give --shows FRICTION and --out DIRECTORY.")
-    check_no_plan(out)
-    plan = tilt_test(scenarios.load(source), shows, level)
-    save_test_motion(plan, out, f"salver execute {out}, then salver calibrate friction {out}", json)
-
-
-def _read(
-    directory: Path,
-    log: Path | None,
-    seen: dict[str, float | None],
-    level: float | None,
-    scenario: str | None,
-    out: Path | None,
-    json: bool,
-) -> None:
     from salver import scenario as scenarios
     from salver.learning.friction.friction import friction
+    from salver.learning.friction.tilts import tilt_test
     from salver.learning.logs import one_load
     from salver.learning.tracking.executed import read_joints
     from salver.models.arm.arm import load_arm
     from salver.planning.plan import load_plan
 
+    if not (Path(source) / "scenario.toml").is_file():
+        for name, value in {"log": log, "held": held, "slid": slid, "scenario": scenario}.items():
+            if value is not None:
+                raise ScenarioError(f"--{name} needs the run directory of a plan; {source} is not one.")
+        if shows is None or out is None:
+            raise ScenarioError("To plan the test, give --shows FRICTION and --out DIRECTORY.")
+        check_no_plan(out)
+        test = tilt_test(scenarios.load(source), shows, level)
+        save_test_motion(test, out, f"salver execute {out}, then salver calibrate friction {out}", json)
+        return
     check_new_toml(out)
-    plan = load_plan(directory)
+    plan = load_plan(source)
     one_load(plan.scenario, "a friction test")
     assert plan.scenario.arm is not None
     samples = None if log is None else read_joints(log, load_arm(plan.scenario.arm, plan.scenario.tray))
-    found = friction(plan, samples, held=seen["held"], slid=seen["slid"], level=level)
+    found = friction(plan, samples, held=held, slid=slid, level=level)
     if out is not None:
         save_scenario(found.learnt_scenario(None if scenario is None else scenarios.load(scenario)), out)
     if json:
