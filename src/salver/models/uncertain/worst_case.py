@@ -37,7 +37,7 @@ import numpy as np
 from salver.geometry import Array, Indices
 from salver.models.uncertain.contents import Filling
 from salver.models.uncertain.parameters import Parameter, Vibration, support
-from salver.models.uncertain.worst_contents import SURE, ContentsCase, bounded, fill
+from salver.models.uncertain.worst_contents import SURE, ContentsCase, Unsolved, bounded
 
 ALL = slice(None)
 _CHUNK = 160_000  # terms that are computed at once; they fit into the cache, and are too few for several threads
@@ -311,8 +311,9 @@ def _values(rows: UncertainRows, w: Array, drift: Drift | None) -> Array:
             values[part] = found[0].value
             for case in found[1:]:
                 np.maximum(values[part], case.value, out=values[part])
-    if unsolved:
-        fill(rows.fillings, unsolved, values)
+    if unsolved:  # all together, because a search for a single row is inefficient
+        every_one = Unsolved.joined(unsolved)
+        np.maximum.at(values, tuple(every_one.at), every_one.worst(rows.fillings))
     return values
 
 

@@ -4,7 +4,6 @@ largest or near violation, an upper bound for the others."""
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
@@ -47,23 +46,13 @@ class Unsolved:
         )
         return cls(at, known, most, coefficients, target)
 
-    @cached_property
-    def highest(self) -> Array:
-        """Upper bounds (m,) of the values with the worst fillings."""
-        return self.known + sum(self.most)
-
-    def only(self, some: Indices, target: Array) -> Unsolved:
-        """Some of the rows, with other targets."""
-        most, coefficients = [x[some] for x in self.most], [x[some] for x in self.coefficients]
-        return Unsolved(self.at[:, some], self.known[some], most, coefficients, target)
-
     def worst(self, fillings: tuple[Filling, ...]) -> Array:
         """Values (m,) with the worst fillings, computed one by one, with the others at their upper bounds."""
-        rest = list(self.most)
+        rest, highest = list(self.most), self.known + sum(self.most)
         for j, filling in enumerate(fillings):
             others = self.known + sum(rest) - rest[j]
             rest[j] = filling.largest(self.coefficients[j], self.target - others)[0]
-        return np.minimum(self.highest, self.known + sum(rest))
+        return np.minimum(highest, self.known + sum(rest))
 
 
 def bounded(fillings: tuple[Filling, ...], cases: list[ContentsCase], start: int) -> tuple[Array, list[Unsolved]]:
@@ -87,24 +76,3 @@ def bounded(fillings: tuple[Filling, ...], cases: list[ContentsCase], start: int
             unsolved.append(Unsolved(np.stack([start + instant, row]), case.value[at], most, coefficients, target))
     high[needed] = -np.inf
     return np.asarray(high.max(axis=0)), unsolved
-
-
-def fill(fillings: tuple[Filling, ...], unsolved: list[Unsolved], values: Array) -> None:
-    """Raise values (T, n), in place, to the exact worst cases of unsolved rows.
-
-    The searches run for all rows together, because a search for a single row is inefficient: first for the row of each
-    instant that may be the largest, then for rows that may exceed it.
-    """
-    every = Unsolved.joined(unsolved)
-    last = np.lexsort((every.highest, every.at[0]))
-    last = last[np.append(np.diff(every.at[0][last]) > 0, True)]
-    first = every.only(last, every.target[last])
-    found, known = first.worst(fillings), np.full(len(values), -np.inf)
-    known[first.at[0]] = np.minimum(found, SURE)
-    target, worst = np.maximum(every.target, known[every.at[0]]), every.highest.copy()
-    worst[last] = found
-    left = every.highest > target
-    left[last] = False
-    others = np.flatnonzero(left)
-    worst[others] = every.only(others, target[others]).worst(fillings)
-    np.maximum.at(values, tuple(every.at), worst)
