@@ -209,13 +209,6 @@ def _respond(error_filter: LinearFilter, forcing: Dual, which: Indices, count: i
     errors[:, :, which] = error_filter.respond(forcing.value)
     if forcing.tangent is None:
         return Dual(errors[0]), Dual(errors[1])
-    # Most variables change few components: one axis of the position changes one axis of the error.
-    drive = forcing.tangent.reshape(len(forcing.tangent), forcing.tangent[0].size)
-    moved = drive.any(axis=0)
-    n_z = forcing.tangent.shape[-1]
-    columns = np.zeros((count, 3 * n_z), dtype=bool)
-    columns[which] = moved.reshape(len(which), 3 * n_z)
-    tangents = np.zeros((2, error_filter.nodes, columns.size))
-    tangents[..., columns.ravel()] = error_filter.respond(drive[:, moved])
-    e, rate = tangents.reshape(2, error_filter.nodes, count, 3, n_z)
-    return Dual(errors[0], e), Dual(errors[1], rate)
+    tangents = np.zeros((*errors.shape, forcing.tangent.shape[-1]))
+    tangents[:, :, which] = error_filter.respond(forcing.tangent)
+    return Dual(errors[0], tangents[0]), Dual(errors[1], tangents[1])
