@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from salver.contact_margins.values import RowValues
-from salver.geometry import Array, Indices
+from salver.geometry import Array
 from salver.models.contact.contact import ContactSet
 from salver.models.contact.wrench_cone import friction_needed, tip_over_margin
 from salver.models.contact_rows import ContactRows, Labels, cone_rows
@@ -138,24 +138,21 @@ class InterfaceMargins:
         if float(self.tipping_worst.min()) < -_TOLERANCE or least >= HIGHEST:
             return float("inf")
 
-        def beyond(inverse: float, at: Indices) -> Array:
-            """Largest friction-limited row at instants with a friction of 1 / inverse: negative where it holds."""
+        def beyond(inverse: float) -> float:
+            """Largest friction-limited row with a friction of 1 / inverse: negative where it holds."""
 
             def rows_of(contacts: ContactSet) -> tuple[Array, Labels]:
                 return cone_rows(replace(contacts, friction=np.full(contacts.count, 1.0 / inverse)))
 
             rows = whole.model.rows(self.network, whole.model.uncertain, rows_of, True)
-            value = whole.at(at).worst_case(rows) + self._internal_worst[at] @ rows.internal.T
-            return -self._margin(rows, value, True)
+            value = whole.worst_case(rows) + self._internal_worst @ rows.internal.T
+            return -float(self._margin(rows, value, True).min())
 
-        every = np.arange(len(whole.w))
-        failing = every[beyond(1.0 / least, every) > 0]
-        if not len(failing):
+        if beyond(1.0 / least) <= 0:
             return least
-        if beyond(1.0 / HIGHEST, failing).max() > 0:
+        if beyond(1.0 / HIGHEST) > 0:
             return float("inf")
-        found = brentq(lambda x: beyond(x, failing).max(), 1.0 / HIGHEST, 1.0 / least, xtol=1e-6, rtol=1e-6)
-        return 1.0 / float(found)
+        return 1.0 / float(brentq(beyond, 1.0 / HIGHEST, 1.0 / least, xtol=1e-6, rtol=1e-6))
 
     @property
     def least_friction(self) -> float:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Self
 
 from salver.contact_margins.model import MarginModel
 from salver.dynamics.load_rows import LoadRows, most_added
 from salver.dynamics.payload_response import PayloadResponse
-from salver.geometry import Array, Indices
+from salver.geometry import Array
 from salver.models.contact.internal_wrench import internal_wrenches
 from salver.models.contact_rows import ContactRows
 
@@ -41,11 +40,6 @@ class RowValues:
         """Rows (T, n) at nominal parameters."""
         value = rows.worst(self.w)
         return value if self.loads is None else value + LoadRows.of(rows, self.loads.nominal).values
-
-    def at(self, keep: Indices) -> Self:
-        """The values at some of their instants."""
-        loads = None if self.loads is None else self.loads.at(keep)
-        return replace(self, t=self.t[keep], w=self.w[keep], loads=loads)
 
     def worst_case(self, rows: ContactRows) -> Array:
         """Worst case of the rows (T, n)."""
