@@ -171,7 +171,8 @@ def min_jerk_line(duration: float, p_start: Array, p_goal: Array, R_start: Array
 
 
 def smooth_step(u: Array, order: int = 0) -> Array:
-    """The min-jerk step 10 u^3 - 15 u^4 + 6 u^5, constant outside [0, 1], or its first or second derivative."""
+    """The min-jerk step 10 u^3 - 15 u^4 + 6 u^5 (Flash and Hogan 1985), constant outside [0, 1], or its first or second
+    derivative."""
     u = np.clip(u, 0.0, 1.0)
     if order == 0:
         return np.asarray(u**3 * (10 - 15 * u + 6 * u**2))
@@ -255,18 +256,27 @@ class Quintics:
         rising, falling = u**k, (1 - u) ** k[::-1]
         found = []
         for order in orders:
-            control = self._controls[order]
+            control = self._by_piece[order]
             weights = _binomial(control.shape[1]) * rising[:, : control.shape[1]] * falling[:, order:]
             found.append((weights[:, None] @ control[piece])[:, 0])
         return found
 
-    @cached_property
-    def _controls(self) -> list[Array]:
-        """Bernstein coefficients (n, ., d) of the value and its first three derivatives."""
+    @property
+    def hulls(self) -> list[Array]:
+        """Bernstein coefficients of the value and its first three derivatives, (6, n, d) to (3, n, d).
+
+        In each piece the values lie between the least and the largest (convex hull property; Farin, "Curves and
+        Surfaces", section 5.2).
+        """
         found, h = [self.coefficients], np.diff(self.t)[:, None]
-        for degree in range(len(self.coefficients) - 1, len(self.coefficients) - 4, -1):
-            found.append(degree * (found[-1][1:] - found[-1][:-1]) / h)
-        return [np.ascontiguousarray(np.swapaxes(control, 0, 1)) for control in found]
+        for degree in (5, 4, 3):
+            found.append((found[-1][1:] - found[-1][:-1]) * (degree / h))
+        return found
+
+    @cached_property
+    def _by_piece(self) -> list[Array]:
+        """`hulls`, piece by piece: (n, ., d)."""
+        return [np.ascontiguousarray(np.swapaxes(hull, 0, 1)) for hull in self.hulls]
 
 
 @lru_cache(maxsize=8)
@@ -280,19 +290,6 @@ def ways(t: Array, states: Array) -> Array:
     The motion is one quintic in each interval, with states (3, T, n) q, dq, ddq at t; see `JointMotion.travel`.
     """
     return np.asarray(np.abs(np.diff(Quintics.through(t, states).coefficients, axis=0)).sum(axis=0))
-
-
-def hulls(t: Array, states: Array) -> list[Array]:
-    """Bernstein coefficients of joint positions and their first three derivatives, (6, T - 1, n) to (3, T - 1, n).
-
-    The motion is one quintic in each interval of t (T,), with states (3, T, n) q, dq, ddq at t. Its values lie between
-    the least and the largest coefficient (convex hull property; Farin, "Curves and Surfaces", section 5.2).
-    """
-    h = np.diff(t)[:, None]
-    found = [Quintics.through(t, states).coefficients]
-    for degree in (5, 4, 3):
-        found.append((found[-1][1:] - found[-1][:-1]) * (degree / h))
-    return found
 
 
 def extremes(hull: Array) -> Array:
@@ -379,6 +376,14 @@ class JointMotion(Outlined):
             z[:, at] = np.swapaxes(values / step[:, :, None, None] ** np.arange(4.0)[:, None, None], 0, 1)
         t[-1], z[:3, -1], z[3, -1] = self.t[-1], (self.q[-1], self.dq[-1], self.ddq[-1]), self.jerk_before[-1]
         return t, z
+
+    def resampled(self, longest: float) -> JointMotion:
+        """The same motion, with more samples where its steps are longer than `longest`, s."""
+        counts = np.maximum(1, np.ceil(np.diff(self.t) / longest - 1e-9)).astype(np.intp)
+        if counts.max() == 1:
+            return self
+        t, z = self.evenly(counts)
+        return JointMotion(t, *z[:3])
 
     @cached_property
     def jerk_before(self) -> Array:

@@ -11,8 +11,9 @@ from salver.planning.fastest import FastestOptions, Objective, Point, QuadraticM
 from salver.planning.seeds.starts import ends, straight
 from salver.planning.trajopt.curves import Curve
 from salver.planning.trajopt.problem import TransportProblem
-from salver.planning.trajopt.spline import RestSpline, SplineMotion, min_jerk_blend
+from salver.planning.trajopt.spline import RestSpline, SplineMotion
 from salver.scenario import Scenario, load, parse
+from salver.trajectory import smooth_step
 
 
 def cube(friction: float = 0.4, **changes: object) -> Scenario:
@@ -39,7 +40,7 @@ def line(problem: TransportProblem, spline: RestSpline) -> Array:
     goal = problem.goal.nearest(problem.arm, problem.limits, problem.start_posture)
     assert goal is not None
     s = np.linspace(0, 1, 101)
-    return spline.fit(s, problem.start_posture + min_jerk_blend(s)[:, None] * (goal - problem.start_posture))
+    return spline.fit(s, problem.start_posture + smooth_step(s)[:, None] * (goal - problem.start_posture))
 
 
 def cup_and_jar() -> Scenario:

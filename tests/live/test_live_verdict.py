@@ -25,12 +25,11 @@ from salver.planning.trajopt.constraints.constraints import (
 )
 from salver.planning.trajopt.constraints.load_limits import AtRest
 from salver.planning.trajopt.problem import TransportProblem
-from salver.planning.trajopt.spline import min_jerk_blend
 from salver.planning.verdict.judged import PLANNED, STANDARD, Judged, no_gradient
 from salver.planning.verdict.margins import ConstraintMargins
 from salver.planning.verdict.verify import Verdict, clearance, torque_rate, verify
 from salver.scenario import parse
-from salver.trajectory import JointMotion, extremes, hulls
+from salver.trajectory import JointMotion, Quintics, extremes, smooth_step
 
 
 @pytest.fixture(scope="module")
@@ -338,7 +337,7 @@ def test_an_acceleration_that_rises_and_falls_between_two_instants_is_seen():
     peak = np.abs(pulse.sample(np.linspace(0.0, step, 10001))[2]).max()
     for count in (1, 4):
         t, z = pulse.evenly(np.array([count]))
-        assert np.abs(extremes(hulls(t, z[:3])[2])).max() == pytest.approx(peak, rel=1e-6)
+        assert np.abs(extremes(Quintics.through(t, z[:3]).hulls[2])).max() == pytest.approx(peak, rel=1e-6)
     refused = verified(problem, pulse, 0.0, None)
     assert refused.committed is None
     assert refused.what.startswith(("acceleration", "jerk"))
@@ -412,7 +411,7 @@ def test_the_room_of_a_liquid_alone_refuses_a_motion(coffee):
     s, turn = np.linspace(0.0, 1.0, 41), 0.4 * np.eye(problem.n)[0]
     for duration, held in ((1.2, True), (0.8, False)):
         rates = [30 * s**2 * (1 - s) ** 2 / duration, 60 * s * (1 - s) * (1 - 2 * s) / duration**2]
-        swung = problem.start_posture + np.outer(min_jerk_blend(s), turn)
+        swung = problem.start_posture + np.outer(smooth_step(s), turn)
         motion = JointMotion(s * duration, swung, *(np.outer(rate, turn) for rate in rates))
         found = verified(problem, motion, 0.0, None)
         assert (found.committed is not None) == held

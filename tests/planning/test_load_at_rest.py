@@ -14,11 +14,11 @@ from salver.planning.trajopt.curves import FreeCurve, Grid
 from salver.planning.trajopt.exchange import programme_of
 from salver.planning.trajopt.objectives import Point
 from salver.planning.trajopt.problem import transport_problem
-from salver.planning.trajopt.spline import RestSpline, min_jerk_blend
+from salver.planning.trajopt.spline import RestSpline
 from salver.planning.verdict.judged import PLANNED, Judged
 from salver.planning.verdict.verify import clearance
 from salver.sensitivity.arm import compliance
-from salver.trajectory import JointMotion
+from salver.trajectory import JointMotion, smooth_step
 from shaken_loads import LAMP
 
 
@@ -65,7 +65,7 @@ def test_after_a_slow_motion_nothing_swings(problem):
     s, duration = np.linspace(0.0, 1.0, 161), 1.0
     turn, start = np.array([0.5, 0.1, 0.2, 0.0, 0.0, 0.1, 0.3]), begun(problem).coefficients[0]
     z = np.zeros((4, len(s), 7))
-    z[0] = start + np.outer(min_jerk_blend(s), turn)
+    z[0] = start + np.outer(smooth_step(s), turn)
     z[1], z[2] = np.outer(30 * s**2 * (1 - s) ** 2, turn), np.outer(60 * s * (1 - s) * (1 - 2 * s), turn)
     slow = problem.at(s, z, duration, imposed=False).at_factor(0.01)
     (left,) = slow.rest.loads[problem.payload.first.name]
@@ -76,7 +76,7 @@ def test_how_far_an_arm_may_stray_while_it_settles_counts_at_the_end(problem):
     s, duration = np.linspace(0.0, 1.0, 41), 0.6
     turn, start = np.array([0.5, 0.1, 0.2, 0.0, 0.0, 0.1, 0.3]), begun(problem).coefficients[0]
     rates = 30 * s**2 * (1 - s) ** 2 / duration, 60 * s * (1 - s) * (1 - 2 * s) / duration**2
-    q, dq, ddq = (np.outer(x, turn) for x in (min_jerk_blend(s), *rates))
+    q, dq, ddq = (np.outer(x, turn) for x in (smooth_step(s), *rates))
     judged = Judged.of(problem, JointMotion(s * duration, start + q, dq, ddq), PLANNED)
     last = strayed(*judged.along.tray_radius())[-1]
     assert judged.off[-1] == pytest.approx(strayed(*judged.along.rest.tray_radius()).max(), rel=0.02)

@@ -178,7 +178,7 @@ class Plan(Shown, Tabular, Plotted):
     @cached_property
     def cost(self) -> float:
         """The integral (13) with the scenario's weighting."""
-        return sensitivity_cost(self.scenario, self.t, self.evaluation.closed_loop.sensitivity)
+        return sensitivity_cost(self.scenario, self.t, self.evaluation.sensitivity())
 
     @property
     def ok(self) -> bool:

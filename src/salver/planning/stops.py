@@ -33,14 +33,14 @@ from salver.planning.trajopt.ends import Anywhere, AtPosture
 from salver.planning.trajopt.evaluation import EASING
 from salver.planning.trajopt.exchange import optimise
 from salver.planning.trajopt.problem import TransportProblem, transport_problem
-from salver.planning.trajopt.spline import RestSpline, SplineMotion, min_jerk_blend
+from salver.planning.trajopt.spline import RestSpline, SplineMotion
 from salver.planning.verdict.judged import PLANNED, VerdictOptions
 from salver.planning.verdict.verify import Verdict, verify
 from salver.sensitivity.arm.compliance import LoadResponses
 from salver.sensitivity.arm.task import task_law
 from salver.sensitivity.arm.terms import motion_terms
 from salver.sensitivity.arm.tracking import Deviation, deviation, late
-from salver.trajectory import JointMotion, SampledReference
+from salver.trajectory import JointMotion, SampledReference, smooth_step
 
 if TYPE_CHECKING:
     from salver.planning.plan import Plan
@@ -315,7 +315,7 @@ def _going_on(motion: JointMotion, now: float, begin: float, ahead: JointMotion)
 def _braking(spline: RestSpline, state: AtPosture, duration: float) -> SplineMotion:
     """Braking: the velocity of every joint decreases along the smooth step 1 - 3 s^2 + 2 s^3."""
     s = np.linspace(0.0, 1.0, 121)
-    q = state.q + np.outer(0.5 * duration * min_jerk_blend(s), state.rates[0])
+    q = state.q + np.outer(0.5 * duration * smooth_step(s), state.rates[0])
     return SplineMotion(spline, spline.fit(s, q), duration)
 
 

@@ -23,9 +23,10 @@ from salver.planning.trajopt.ends import Anywhere, AtPosture
 from salver.planning.trajopt.exchange import programme_of
 from salver.planning.trajopt.objectives import LeastMargin, Point
 from salver.planning.trajopt.problem import TransportProblem, transport_problem
-from salver.planning.trajopt.spline import RestSpline, SplineMotion, min_jerk_blend
+from salver.planning.trajopt.spline import RestSpline, SplineMotion
 from salver.planning.trajopt.sqp import SqpOptions, minimise
 from salver.scenario import load
+from salver.trajectory import smooth_step
 from transport_problems import Distance, bottle, cube, line
 
 UNCERTAIN = {"mass": "20%", "com": [0.003, 0.002, 0.004], "inertia": "10%", "friction": "10%"}
@@ -249,7 +250,7 @@ def test_a_motion_that_keeps_every_condition_is_found_again(share):
     quickest = fastest(problem)
     longer = SplineMotion(quickest.spline, quickest.coefficients, 2 * quickest.duration)
     nodes = quickest.spline.nodes(FastestOptions().nodes_per_span)
-    blend = min_jerk_blend(np.linspace(0, 1, len(longer.coefficients)))[:, None]
+    blend = smooth_step(np.linspace(0, 1, len(longer.coefficients)))[:, None]
     wanted = longer.coefficients + share * np.random.default_rng(2).uniform(-1, 1, 7) * blend * (1 - blend)
     grid = programme_of(problem, FreeCurve, longer, nodes).curve.grid
     there = Distance(FreeCurve(problem, grid).motion(wanted, longer.duration))

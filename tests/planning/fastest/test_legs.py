@@ -38,11 +38,12 @@ from salver.planning.trajopt.constraints.via_poses import PassPose
 from salver.planning.trajopt.curves import FreeCurve, Grid
 from salver.planning.trajopt.exchange import SHORTEST
 from salver.planning.trajopt.programme import Programme
-from salver.planning.trajopt.spline import RestSpline, min_jerk_blend
+from salver.planning.trajopt.spline import RestSpline
 from salver.planning.trajopt.watch import Watch
 from salver.reports.pages.page import write_report
 from salver.scenario.legs import Leg, loads
 from salver.simulation.record import load_record
+from salver.trajectory import smooth_step
 
 CYLINDER = {"type": "cylinder", "radius": 0.03, "height": 0.1}
 
@@ -509,7 +510,7 @@ def test_rows_of_a_pose_to_pass_need_no_unknown_for_the_time_of_passing():
     one, other = chains([problem], np.random.default_rng(0))[0][0]
     spline, s = RestSpline(5, 6), np.linspace(0, 1, 101)
     grid = Grid.of(spline, spline.nodes(2))
-    path = one + min_jerk_blend(s)[:, None] * (other - one)
+    path = one + smooth_step(s)[:, None] * (other - one)
     path += 0.1 * np.sin(np.pi * s)[:, None] ** 2 * np.linspace(-1, 1, problem.n)
     at = spline.fit(s, path)
     p_SE, R_SE = problem.arm.tray_pose((spline.matrices(np.array([0.437]))[0] @ at)[0])

@@ -218,8 +218,9 @@ def test_of_limits_that_are_broken_the_worst_is_told_first(arm: ArmModel) -> Non
 def test_what_is_no_number_is_within_no_limit(arm: ArmModel, of: str) -> None:
     motion = min_jerk(0.1, 2.0, 9)
     assert verdict(arm, motion).ok
-    getattr(motion, of)[4, 2] = np.nan
-    status = verdict(arm, motion)
+    values = getattr(motion, of).copy()
+    values[4, 2] = np.nan
+    status = verdict(arm, replace(motion, **{of: values}))
     assert not status.ok
     assert status.code == "limit_exceeded"
 

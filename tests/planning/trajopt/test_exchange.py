@@ -20,7 +20,8 @@ from salver.planning.trajopt.evaluation import Indices, MotionEvaluation
 from salver.planning.trajopt.exchange import SHORTEST, ExchangeOptions, _between, optimise
 from salver.planning.trajopt.objectives import Point
 from salver.planning.trajopt.problem import TransportProblem
-from salver.planning.trajopt.spline import RestSpline, SplineMotion, min_jerk_blend
+from salver.planning.trajopt.spline import RestSpline, SplineMotion
+from salver.trajectory import smooth_step
 
 
 def nothing(node: Indices, row: Indices) -> Array:
@@ -140,7 +141,7 @@ def test_a_narrow_place_between_the_nodes_is_gone_through_slowly_and_every_step_
 
     monkeypatch.setattr(exchange, "minimise", counted)
     spline, s = RestSpline(5, 8), np.linspace(0, 1, 101)
-    begin = SplineMotion(spline, spline.fit(s, min_jerk_blend(s)[:, None]), 4.0)
+    begin = SplineMotion(spline, spline.fit(s, smooth_step(s)[:, None]), 4.0)
     found = optimise(a_joint(Slower(most)), FreeCurve, begin, 3)
     assert found.status.ok, found.status
     assert found.binding == ("speed",)
@@ -160,7 +161,7 @@ def test_a_narrow_place_between_the_nodes_is_gone_through_slowly_and_every_step_
 def test_a_search_goes_on_only_while_it_may_come_below_what_is_to_be_beaten() -> None:
     """No motion at speeds of at most 1 from 0 to 1 takes less than 1 s, and at rest at its ends somewhat more."""
     spline, s = RestSpline(5, 6), np.linspace(0, 1, 101)
-    begin = SplineMotion(spline, spline.fit(s, min_jerk_blend(s)[:, None]), 4.0)
+    begin = SplineMotion(spline, spline.fit(s, smooth_step(s)[:, None]), 4.0)
     problem = a_joint(Slower(np.ones_like))
     free, wide, tight = (optimise(problem, FreeCurve, begin, 3, beat=beat) for beat in (np.inf, 1.5, 1.0))
     assert free.status.ok

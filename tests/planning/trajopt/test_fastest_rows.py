@@ -24,11 +24,11 @@ from salver.planning.trajopt.ends import AtPosture
 from salver.planning.trajopt.objectives import Duration, Point
 from salver.planning.trajopt.problem import TransportProblem, transport_problem
 from salver.planning.trajopt.programme import Programme, Subproblem
-from salver.planning.trajopt.spline import RestSpline, b_splines, min_jerk_blend
+from salver.planning.trajopt.spline import RestSpline, b_splines
 from salver.planning.trajopt.sqp import SqpOptions, minimise
 from salver.scenario import Scenario, load
 from salver.sensitivity.arm.terms import motion_terms
-from salver.trajectory import SampledReference
+from salver.trajectory import SampledReference, smooth_step
 from transport_problems import bottle, cube, line
 
 UNCERTAIN = {"mass": "20%", "com": [0.003, 0.002, 0.004], "inertia": "10%", "friction": "10%"}
@@ -67,8 +67,8 @@ def test_spline_derivatives_are_derivatives():
 def test_spline_reproduces_a_min_jerk_line():
     spline = RestSpline(5, 14)
     s = np.linspace(0, 1, 201)
-    coefficients = spline.fit(s, min_jerk_blend(s)[:, None])
-    assert np.abs(spline.matrices(s)[0] @ coefficients - min_jerk_blend(s)[:, None]).max() < 1e-10
+    coefficients = spline.fit(s, smooth_step(s)[:, None])
+    assert np.abs(spline.matrices(s)[0] @ coefficients - smooth_step(s)[:, None]).max() < 1e-10
 
 
 # Terms and rows ------------------------------------------------------------------------------------------------

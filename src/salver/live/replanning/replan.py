@@ -40,11 +40,11 @@ from salver.planning.trajopt.bound import least_time
 from salver.planning.trajopt.constraints.constraints import ContactConstraint
 from salver.planning.trajopt.curves import FreeCurve, Grid, launched
 from salver.planning.trajopt.exchange import Checked, ExchangeOptions, optimise, programme_of
-from salver.planning.trajopt.spline import RestSpline, SplineMotion, min_jerk_blend
+from salver.planning.trajopt.spline import RestSpline, SplineMotion
 from salver.planning.trajopt.sqp import SqpOptions, SqpSolution, minimise
 from salver.planning.trajopt.watch import Watch
 from salver.planning.verdict.judged import STANDARD
-from salver.trajectory import JointMotion
+from salver.trajectory import JointMotion, smooth_step
 
 SPLINE = RestSpline(degree=5, spans=8)
 
@@ -260,7 +260,7 @@ def straight(at: TransportProblem, options: ReplanOptions = STANDARD_REPLANNING)
         options.least_duration, options.likely * max(_by_joints(at.limits, start, goal), _by_friction(at, start, goal))
     )
     s = np.linspace(0, 1, 121)
-    return SplineMotion(SPLINE, SPLINE.fit(s, start.q + min_jerk_blend(s)[:, None] * (goal - start.q)), duration)
+    return SplineMotion(SPLINE, SPLINE.fit(s, start.q + smooth_step(s)[:, None] * (goal - start.q)), duration)
 
 
 def _by_joints(limits: JointLimits, start: AtPosture, goal: Array) -> float:

@@ -221,7 +221,8 @@ def joint_plan(
     exact = scenario
     if scenario.contact.condition != "exact":
         exact = scenario.with_changes(contact__condition="exact")
-    close = _closer(joint)
+    # Dense enough that quintics of the tray's motion know its acceleration to 1e-3 m/s^2.
+    close = joint.resampled(0.02)
     reference = SampledReference(object_motion(problem, close.t, close.q, close.dq, close.ddq))
     parts = None if problem.keep_out is None else problem.keep_out.parts
     plan = Plan(exact, method, reference, status, joint, verdict(problem.arm, joint, problem.items, parts))
@@ -229,16 +230,6 @@ def joint_plan(
         tau = torques(problem.arm, JointMotion(plan.t, *joint.sample(plan.t)), problem.items)
         plan = replace(plan, tau=tau)
     return replace(plan, solver=record)
-
-
-def _closer(joint: JointMotion) -> JointMotion:
-    """The motion with samples dense enough that quintics of the tray's motion between them agree with the joints'."""
-    step = 0.02  # s at most: the tray's acceleration is then known to 1e-3 m/s^2
-    counts = np.maximum(1, np.ceil(np.diff(joint.t) / step - 1e-9).astype(int))
-    if counts.max() == 1:
-        return joint
-    t, z = joint.evenly(counts)
-    return JointMotion(t, *z[:3])
 
 
 def tracking_record(found: FastestMotion) -> dict[str, float]:

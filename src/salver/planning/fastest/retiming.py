@@ -30,10 +30,10 @@ from salver.planning.trajopt.constraints.obstacles import KeepOut
 from salver.planning.trajopt.curves import Grid, PathCurve
 from salver.planning.trajopt.exchange import CurveOf, optimise
 from salver.planning.trajopt.problem import TransportProblem, transport_problem
-from salver.planning.trajopt.spline import RestSpline, SplineMotion, min_jerk_blend
+from salver.planning.trajopt.spline import RestSpline, SplineMotion
 from salver.scenario import Scenario
 from salver.sensitivity.arm.terms import motion_terms
-from salver.trajectory import JointMotion
+from salver.trajectory import JointMotion, smooth_step
 
 if TYPE_CHECKING:
     from salver.planning.plan import Plan
@@ -132,7 +132,7 @@ def _calm(problem: TransportProblem, curve_of: CurveOf, law: RestSpline, duratio
     """A smooth time law of at least `duration` that meets all constraints, as the start of the search; None if none of
     those tried does. A start that excites a swinging load too much would lead to one of many poor local optima."""
     s = np.linspace(0.0, 1.0, 401)
-    smooth = law.fit(s, min_jerk_blend(s)[:, None])
+    smooth = law.fit(s, smooth_step(s)[:, None])
     curve = curve_of(problem, Grid.of(law, np.linspace(0.0, 1.0, 81)))
     for longer in duration * 1.15 ** np.arange(15):  # up to seven times as long
         motion = problem.at(curve.grid.s, curve.motion(smooth, longer), longer, curve.grid.nodes)

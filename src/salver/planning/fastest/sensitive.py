@@ -14,7 +14,7 @@ from salver.geometry import Array
 from salver.linear_filter import QuadratureGrid
 from salver.planning.fastest.found import FastestMotion, FastestOptions
 from salver.planning.fastest.safest import plan_best, quickest_within
-from salver.planning.object.cost import CostWeights, cost_residual, refinement, sensitivity_cost, tray_loop
+from salver.planning.object.cost import CostWeights, cost_instants, cost_residual, sensitivity_cost, tray_loop
 from salver.planning.trajopt.curves import Curve, FreeCurve, Grid
 from salver.planning.trajopt.objectives import Objective, Point, QuadraticModel
 from salver.planning.trajopt.problem import TransportProblem
@@ -28,6 +28,9 @@ from salver.trajectory import min_jerk_line
 
 if TYPE_CHECKING:
     from salver.planning.plan import Plan
+
+
+STEPS = 60  # of the integral of the cost, at least: in a sixtieth of a motion its acceleration is nearly linear
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +98,7 @@ class SensitivityCost(Objective):
     @cached_property
     def grid(self) -> QuadratureGrid:
         """The grid on which the cost is integrated."""
-        return self.loop.grid(_instants(self.loop, self.duration))
+        return self.loop.grid(cost_instants(self.loop, self.duration, STEPS))
 
     @cached_property
     def _curves(self) -> tuple[FreeCurve, FreeCurve]:
@@ -145,17 +148,11 @@ def plan_least_sensitive(
     return plan_best(quickest, duration, objective, cost, told, "least-sensitive", options=options, watch=watch)
 
 
-def _instants(loop: TrayLoop, duration: float) -> Array:
-    """Times, s, between which the cost is integrated."""
-    steps = 60  # at least: over a sixtieth of a motion its acceleration is nearly linear
-    return np.linspace(0, duration, steps * refinement(loop, duration / steps) + 1)
-
-
 def _cost_of_line(scenario: Scenario) -> float:
     """Cost, eq (13), of the straight min-jerk line in the same duration."""
     motion, loop = scenario.motion, tray_loop(scenario)
     assert motion.duration is not None
     ends = (np.array(motion.start.position), np.array(motion.goal.position))
     line = min_jerk_line(motion.duration, *ends, motion.start.rotation, motion.goal.rotation)
-    t = _instants(loop, motion.duration)
+    t = cost_instants(loop, motion.duration, STEPS)
     return sensitivity_cost(scenario, t, loop.along(line, t))

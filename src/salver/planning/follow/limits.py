@@ -49,7 +49,7 @@ def peaks(arm: ArmModel, motion: JointMotion, bodies: Sequence[Body] = ()) -> li
     Position is measured from the middle of the range. The motion is checked between its samples too: at twice as many
     instants, and at 200 at least.
     """
-    motion, limits = _finely(motion), arm.planning_limits
+    motion, limits = motion.resampled(motion.duration / 200), arm.planning_limits
     t = np.sort(np.concatenate([motion.t, 0.5 * (motion.t[1:] + motion.t[:-1])]))
     torque = torques(arm, motion, bodies)
     times = {"position": t, "torque": motion.t}
@@ -70,15 +70,6 @@ def peaks(arm: ArmModel, motion: JointMotion, bodies: Sequence[Body] = ()) -> li
         unit = kind.unit_of(arm.linear[i])
         found.append(Peak(kind.name, float(abs(share[k, i])), arm.joint_names[i], time, value, bound, unit))
     return found
-
-
-def _finely(motion: JointMotion) -> JointMotion:
-    """The motion resampled such that no step exceeds a 200th of its duration."""
-    counts = np.ceil(np.diff(motion.t) * 200 / (motion.t[-1] - motion.t[0]) - 1e-9).astype(np.intp)
-    if counts.max(initial=1) <= 1 or not all(np.isfinite(x).all() for x in (motion.q, motion.dq, motion.ddq)):
-        return motion
-    t, z = motion.evenly(counts)
-    return JointMotion(t, *z[:3])
 
 
 def blocked_end(parts: ArmGeometry, ends: Mapping[str, tuple[Array, Array]], whatever: str = "") -> Status | None:

@@ -8,13 +8,10 @@ import numpy as np
 
 from salver.control.object import Gains
 from salver.geometry import Array, Indices
-from salver.linear_filter import fastest_rate
 from salver.models.bodies import Body
 from salver.scenario import Scenario
 from salver.sensitivity.dual import Dual
 from salver.sensitivity.tray import TrayLoop, TraySensitivity
-
-_STEP = 0.35  # largest product of the fastest rate and the step: the integral's relative error is then about 1e-4
 
 
 def tray_loop(scenario: Scenario) -> TrayLoop:
@@ -58,10 +55,11 @@ def base_radius(body: Body) -> float:
     return float(np.linalg.norm(body.base_polygon_B, axis=1).max())
 
 
-def refinement(loop: TrayLoop, step: float) -> int:
-    """Number of parts into which a step (s) is divided for the integral of the cost."""
-    fastest = max(fastest_rate(*pair) for pair in zip(loop.gains.kp, loop.gains.kd, strict=True))
-    return max(1, int(np.ceil(fastest * step / _STEP)))
+def cost_instants(loop: TrayLoop, duration: float, steps: int) -> Array:
+    """Uniform instants, s, of the integral of the cost: these steps, each divided until it is short for the fastest
+    error; the integral's relative error is then about 1e-4."""
+    coarse = loop.grid(np.linspace(0, duration, steps + 1))
+    return np.linspace(0, duration, steps * coarse.substeps + 1)
 
 
 def integration_weights(instants: int, duration: float) -> Array:

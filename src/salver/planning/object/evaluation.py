@@ -6,20 +6,20 @@ planner's linear algebra.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 
 import numpy as np
 
 from salver.display import Outlined
 from salver.geometry import Array, Mask
-from salver.linear_filter import QuadratureGrid
 from salver.models.uncertain.parameters import UncertainSet
 from salver.planning.object.conditions import apart, conditions_along
 from salver.planning.object.cost import tray_loop
 from salver.scenario import Scenario
 from salver.sensitivity.dual import joined
-from salver.sensitivity.tray import BodyMotion, TrayLoop, TraySensitivity
+from salver.sensitivity.tray import BodyMotion, TraySensitivity
 from salver.sensitivity.tubes import radius
 from salver.trajectory import MotionSamples, Reference
 
@@ -30,8 +30,8 @@ class Evaluation(Outlined):
 
     samples: the motion of B. wrench_B: (T, 6) nominal wrench. cone_coefficients: (T, n_lambda) Lambda of eq (19).
     slack: (T, n_c) contact conditions of the scenario minus their tubes, in the condition's unit, before the margin.
-    slack_owner: (n_c,) object or interface of each column. closed_loop: response to parameter errors, computed when it
-    is first read. distribution: (n_lambda, 6) map from the wrench to the coefficients. uncertain: the uncertain set.
+    slack_owner: (n_c,) object or interface of each column. sensitivity: returns that of the closed loop, computed when
+    it is first called. distribution: (n_lambda, 6) map from the wrench to the coefficients. uncertain: the set.
     """
 
     samples: MotionSamples
@@ -39,19 +39,19 @@ class Evaluation(Outlined):
     cone_coefficients: Array
     slack: Array
     slack_owner: tuple[str, ...]
-    closed_loop: ObjectLoop
+    sensitivity: Callable[[], TraySensitivity]
     distribution: Array
     uncertain: UncertainSet
 
     @property
     def state_sensitivity(self) -> Array:
         """(T, 12, n_p)."""
-        return self.closed_loop.sensitivity.state
+        return self.sensitivity().state
 
     @cached_property
     def input_sensitivity(self) -> Array:
         """(T, n_lambda, n_p)."""
-        return np.asarray(self.distribution @ self.closed_loop.sensitivity.wrench)
+        return np.asarray(self.distribution @ self.sensitivity().wrench)
 
     @cached_property
     def cone_radius(self) -> Array:
@@ -86,39 +86,23 @@ class Evaluation(Outlined):
         return float(slack[k, i]), float(self.t[k]), self.slack_owner[i]
 
 
-@dataclass(frozen=True, eq=False)
-class ObjectLoop:
-    """The object's closed loop along a reference. motion: the reference at the instants of `grid`."""
-
-    loop: TrayLoop
-    grid: QuadratureGrid
-    motion: BodyMotion
-    reference: Reference
-
-    @cached_property
-    def sensitivity(self) -> TraySensitivity:
-        between = BodyMotion.of(self.reference.sample(self.grid.times))
-        return self.loop.sensitivity(self.grid, self.motion, between)
-
-
 def evaluate(scenario: Scenario, reference: Reference, instants: int, rest: float = 0.0) -> Evaluation:
     """Evaluate a reference at uniform instants from its start to its end, and for `rest` seconds at rest after it."""
     loop, payload = tray_loop(scenario), scenario.payload
-    grid = loop.grid(np.linspace(0, reference.duration + rest, instants))
-    samples = reference.sample(grid.t)
+    t = np.linspace(0, reference.duration + rest, instants)
+    samples, sensitivity = reference.sample(t), cache(lambda: loop.along(reference, t))
     motion = BodyMotion.of(samples)
-    closed_loop = ObjectLoop(loop, grid, motion, reference)
     wrench_B = joined(*motion.wrench(loop.body.phi[:, None]))[:, 0]
     first = payload.first
     distribution: Array = np.linalg.pinv(first.contacts.grasp_map).astype(float)
-    rows = conditions_along(scenario, grid.t, motion, lambda: closed_loop.sensitivity)
+    rows = conditions_along(scenario, t, motion, sensitivity)
     return Evaluation(
         samples,
         wrench_B,
         wrench_B @ distribution.T,
         np.concatenate([part.slack() for part in rows], axis=1),
         tuple(owner for part in rows for owner in part.owner),
-        closed_loop,
+        sensitivity,
         distribution,
         payload.uncertain,
     )

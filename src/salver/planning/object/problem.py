@@ -21,7 +21,7 @@ import numpy as np
 from salver.geometry import Array, log
 from salver.linear_filter import QuadratureGrid
 from salver.planning.object.conditions import Rows, conditions_along
-from salver.planning.object.cost import CostWeights, cost_residual, refinement, tray_loop
+from salver.planning.object.cost import CostWeights, cost_instants, cost_residual, tray_loop
 from salver.scenario import Scenario
 from salver.sensitivity.tray import BodyMotion, TrayLoop
 from salver.trajectory import (
@@ -75,8 +75,7 @@ class Problem:
     @cached_property
     def grid(self) -> QuadratureGrid:
         """The nodes, with as many instants between them as the integral of the cost needs."""
-        every = refinement(self.loop, self.duration / (self.nodes - 1))
-        return self.loop.grid(np.linspace(0, self.duration, (self.nodes - 1) * every + 1))
+        return self.loop.grid(cost_instants(self.loop, self.duration, self.nodes - 1))
 
     @property
     def is_affine(self) -> bool:

@@ -17,7 +17,8 @@ from salver.planning.trajopt.constraints.obstacles import APART as APART_FROM_TO
 from salver.planning.trajopt.constraints.obstacles import CLEARANCE
 from salver.planning.trajopt.ends import AtPosture, End
 from salver.planning.trajopt.problem import TransportProblem
-from salver.planning.trajopt.spline import RestSpline, SplineMotion, min_jerk_blend
+from salver.planning.trajopt.spline import RestSpline, SplineMotion
+from salver.trajectory import smooth_step
 
 APART = 0.3  # rad between pairs of ends that count as different
 ALONG = 31  # postures at which a path is checked
@@ -81,7 +82,7 @@ class Start:
 
     def path(self, s: Array) -> Array:
         """Postures (len(s), n) at s in [0, 1]."""
-        u = min_jerk_blend(s)
+        u = smooth_step(s)
         return interpolated(self._length, self.postures, u)
 
     def least(self, problem: TransportProblem) -> float:

@@ -14,7 +14,8 @@ from salver.geometry import Array, Indices
 from salver.models.arm.arm import ArmModel
 from salver.planning.trajopt.ends import AtPosture, End
 from salver.planning.trajopt.problem import TransportProblem
-from salver.planning.trajopt.spline import DERIVATIVES, RestSpline, min_jerk_blend
+from salver.planning.trajopt.spline import DERIVATIVES, RestSpline
+from salver.trajectory import smooth_step
 
 ORDERS = np.arange(float(DERIVATIVES))[:, None, None]  # of the rows of z
 SAME = 1e-9  # share of a duration: points closer than this count as equal
@@ -187,7 +188,7 @@ def with_ends(coefficients: Array, start: Array, goal: Array) -> Array:
 @lru_cache(maxsize=16)
 def _ramp(count: int) -> Array:
     """A smooth step (count, 1) from 0 to 1."""
-    return min_jerk_blend(np.linspace(0, 1, count))[:, None]
+    return smooth_step(np.linspace(0, 1, count))[:, None]
 
 
 def launch_basis(s: Array) -> Array:

@@ -107,8 +107,3 @@ class SplineMotion:
     spline: RestSpline
     coefficients: Array
     duration: float
-
-
-def min_jerk_blend(s: Array) -> Array:
-    """10 s^3 - 15 s^4 + 6 s^5: from 0 to 1, at rest at both ends (Flash and Hogan 1985)."""
-    return s**3 * (10 + s * (6 * s - 15))

@@ -28,7 +28,7 @@ from salver.planning.trajopt.evaluation import MotionEvaluation
 from salver.planning.trajopt.problem import TransportProblem
 from salver.sensitivity.arm.terms import MotionTerms
 from salver.sensitivity.arm.tracking import Deviation
-from salver.trajectory import JointMotion, extremes, hulls
+from salver.trajectory import JointMotion, Quintics, extremes
 
 
 @dataclass(frozen=True)
@@ -165,7 +165,7 @@ class Judged:
 
     @cached_property
     def _hulls(self) -> list[Array]:
-        return hulls(self.t, self.along.z[:3])
+        return Quintics.through(self.t, self.along.z[:3]).hulls
 
     def joints(self, order: int) -> Iterator[Block]:
         """Rows |d^k q / dt^k| <= limit at all times: Bernstein coefficients bound it between two instants; for
