@@ -33,7 +33,7 @@ from salver.files import provenance
 from salver.geometry import Array, quat_wxyz_from_matrix
 from salver.live import Live, LiveCourse, Worker
 from salver.live.committed.motion import SAME
-from salver.live.live import LiveOptions
+from salver.live.options import LiveOptions
 from salver.live.script import Prompter, script
 from salver.live.standing import live_scenario
 from salver.models.arm.arm import ArmModel, load_arm, with_load

@@ -1,7 +1,8 @@
 """A motion that may be changed while it runs, and never drops what it carries: `Live`; and a worker that plans."""
 
 from salver.live.course import LiveCourse
-from salver.live.live import Live, LiveOptions
+from salver.live.live import Live
+from salver.live.options import LiveOptions
 from salver.live.replanning.obstacles import Moving
 from salver.live.state import State
 from salver.live.worker import Worker

@@ -31,7 +31,7 @@ import numpy as np
 from salver.errors import SalverError, Status
 from salver.geometry import matrix_from_quat_wxyz
 from salver.live.live import Live
-from salver.live.replanning.wishes import OPERATOR, PRIORITY, is_flag, numbers
+from salver.live.replanning.wishes import OPERATOR, PRIORITY, Refused, is_flag, numbers
 
 # What may stand beside each request, with "t" and "source".
 KEYS = {
@@ -122,8 +122,8 @@ class Said:
 
 def _rotation(quat: Any) -> Any:
     found = numbers(quat, (4,), "a quaternion")
-    if isinstance(found, Status) or not np.linalg.norm(found) > 0:
-        return np.full((3, 3), np.nan)  # refused as a rotation that is none
+    if not np.linalg.norm(found) > 0:
+        raise Refused("a quaternion is zero")
     return matrix_from_quat_wxyz(found / np.linalg.norm(found))
 
 
@@ -318,14 +318,15 @@ class Prompter:
     def _say(self, said: Said, t: float, noted: bool) -> None:
         try:
             status = said.to(self.live)
+        except Refused as reason:
+            status = Status("refused", f"The request is refused: {reason}.", False)
         except Exception as error:  # what nobody foresaw in a request is no reason to stop
             status = Status("refused", f"It could not be requested ({type(error).__name__}).", False)
         if noted:
             self.accepted, self.refused = self.accepted + status.ok, self.refused + (not status.ok)
         if noted or not status.ok:
             self._refusal = self.live.refused
-            words = status.sentence if status.ok else self.live.refused or status.sentence
-            self._note({"t": t, "line": said.line, "said": said.words, "answer": words})
+            self._note({"t": t, "line": said.line, "said": said.words, "answer": status.sentence})
 
     @property
     def over(self) -> bool:

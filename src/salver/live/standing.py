@@ -8,11 +8,11 @@ from itertools import islice
 import numpy as np
 import numpy.typing as npt
 
-from salver.errors import ScenarioError, Status, UnreachableError
+from salver.errors import ScenarioError, UnreachableError
 from salver.geometry import Array
 from salver.live.committed.commit import verified
 from salver.live.committed.motion import Committed, resting
-from salver.live.replanning.wishes import numbers
+from salver.live.replanning.wishes import Refused, numbers
 from salver.planning.fastest import AtPosture, TransportProblem
 from salver.planning.seeds.starts import standing_at
 from salver.planning.trajopt.constraints.obstacles import KeepOut
@@ -43,9 +43,10 @@ def standing(
     name = problem.scenario.name
     begin = problem.start.q if q is None and isinstance(problem.start, AtPosture) else q
     if begin is not None:
-        posture = numbers(begin, (problem.n,), "q")
-        if isinstance(posture, Status):
-            raise ScenarioError(f"{name}: {posture.sentence}.")
+        try:
+            posture = numbers(begin, (problem.n,), "q")
+        except Refused as reason:
+            raise ScenarioError(f"{name}: {reason}.") from None
         here = _from(problem, posture)
         found = verified(here, resting(posture), begins, None)
         if found.committed is None:

@@ -98,7 +98,7 @@ class Ball:
     def _measure(self, p: Array, q: Array) -> None:
         """Note how near it is."""
         here = predicted(Moving("ball", "sphere", p, radius=self.radius), 0.0)
-        distances = self._movable.distances(q[None], here, p[None])[0]  # type: ignore[arg-type]
+        distances = self._movable.distances(q[None], here, p[None])[0]
         self.passed = min(self.passed, float(distances.min()))
         if distances.min() <= 0.0:
             self._hit = self._hit or self._movable.names[int(np.argmin(distances))]

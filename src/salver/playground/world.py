@@ -19,7 +19,7 @@ from salver.driver.live import commanded
 from salver.errors import SalverError, Status
 from salver.geometry import Array, quat_wxyz_from_matrix
 from salver.live import Live, LiveCourse
-from salver.live.replanning.wishes import numbers
+from salver.live.replanning.wishes import Refused, numbers
 from salver.models.arm.arm import load_arm
 from salver.planning.plan_files import make_way
 from salver.playground.ball import Ball, Throw
@@ -167,17 +167,19 @@ class World:
         return Status("refused", f"Nobody knows what {str(key)[:40]} means.", False)
 
     def _goto(self, value: Any) -> Status:
-        p = numbers(value, (3,), "the goal")
-        if isinstance(p, Status):
-            return p
+        try:
+            p = numbers(value, (3,), "the goal")
+        except Refused as reason:
+            return reason.status
         status = self.live.goto(p) if self.protected else Status("accepted", "", True)
         self._goal = p if status.ok else None
         return status
 
     def _twist(self, value: Any) -> Status:
-        twist = numbers(value, (4,), "the twist")
-        if isinstance(twist, Status):
-            return twist
+        try:
+            twist = numbers(value, (4,), "the twist")
+        except Refused as reason:
+            return reason.status
         v, omega = twist[:3], np.array([0.0, 0.0, twist[3]])
         self._goal = None
         self._hand = (self.t, v, omega)

@@ -6,6 +6,7 @@ and then at rest for as long as the prediction lasts, no part of the arm that ca
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
@@ -16,9 +17,9 @@ import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
 
-from salver.errors import Status
 from salver.geometry import Array, Indices, interpolated
 from salver.live.replanning import wishes
+from salver.live.replanning.wishes import Refused
 from salver.models.arm.arm_geometry import ArmGeometry
 from salver.planning.fastest import Block, Constraint, MotionEvaluation, padded
 from salver.planning.trajopt.constraints.constraints import PER_METRE, strayed
@@ -73,17 +74,18 @@ class Moving:
     seen: float | None = None
 
 
-def predicted(
-    seen: Moving, now: float, clock: float | None = None, options: ObstacleOptions = STANDARD
-) -> Predicted | Status:
-    """Predictions at live time `now`, s, when the loop's clock is at `clock`, or why there is none."""
+def predicted(seen: Moving, now: float, clock: float | None = None, options: ObstacleOptions = STANDARD) -> Predicted:
+    """Predictions at live time `now`, s, when the loop's clock is at `clock`. Raises Refused where there is none."""
 
-    def refused(what: str) -> Status:
-        return Status("refused", f"{what} of the obstacle {seen.name}", False)
+    def refused(what: str) -> Refused:
+        return Refused(f"{what} of the obstacle {seen.name}")
 
-    def numbers(value: Any, shape: tuple[int, ...], most: float) -> Array | None:
-        array = wishes.numbers(value, shape, "")
-        return None if isinstance(array, Status) or np.abs(array).max(initial=0.0) > most else array
+    def numbers(value: Any, shape: tuple[int, ...], most: float, must: str) -> Array:
+        with contextlib.suppress(Refused):
+            array = wishes.numbers(value, shape, "")
+            if np.abs(array).max(initial=0.0) <= most:
+                return array
+        raise refused(must)
 
     found: dict[str, Array] = {}
     for names, shape, most in (
@@ -96,51 +98,49 @@ def predicted(
         (("lasts",), (), options.lasts),
     ):
         for name in names:
-            array = numbers(getattr(seen, name), shape, most)
-            if array is None:
-                of = f"{shape} finite numbers" if shape else "a finite number"
-                return refused(f"{name} must be {of}, at most {most:g}: the {name}")
-            if (not shape or name == "size") and np.any(array < 0):
-                return refused(f"{name} must not be negative: the {name}")
-            found[name] = array
+            of = f"{shape} finite numbers" if shape else "a finite number"
+            found[name] = numbers(
+                getattr(seen, name), shape, most, f"{name} must be {of}, at most {most:g}: the {name}"
+            )
+            if (not shape or name == "size") and np.any(found[name] < 0):
+                raise refused(f"{name} must not be negative: the {name}")
     radius, size = float(found["radius"]), tuple(map(float, found["size"]))
     if seen.type == "box" and min(size) > 0:
         solid: tuple[Any, ...] = ("box", *size)
     elif seen.type in ("sphere", "capsule") and radius > 0:
         solid = (seen.type, radius, *([float(found["length"])] if seen.type == "capsule" else []))
     else:
-        return refused("type must be sphere or capsule with a radius, or box with a size, above 0: the type")
+        raise refused("type must be sphere or capsule with a radius, or box with a size, above 0: the type")
     R = found["rotation"]
     if np.abs(R @ R.T - np.eye(3)).max() > 1e-6 or np.linalg.det(R) < 0:
-        return refused("rotation must be orthonormal and right-handed: the rotation")
+        raise refused("rotation must be orthonormal and right-handed: the rotation")
     powers = np.stack([found["position"], found["velocity"], 0.5 * found["acceleration"]])
+    late = 0.0  # s, since when it was seen
+    if seen.seen is not None:
+        when = numbers(seen.seen, (), np.inf, "seen must be a time on the clock of the loop, s: the time")
+        ahead = float(when) - (now if clock is None else clock)
+        if ahead > options.ahead:
+            raise refused(f"seen must not be later than the loop's clock (it is by {ahead:.3g} s): the time")
+        late = max(-ahead, 0.0)
     samples = None
     given: Any = seen.samples
     if given is not None:
         several = isinstance(given, tuple) and len(given) == 2 and isinstance(given[0], Sequence | np.ndarray)
         if not several or not getattr(given[0], "ndim", 1):
-            return refused("samples must be times and positions: the samples")
+            raise refused("samples must be times and positions: the samples")
+        must = "samples must be increasing times and as many positions, finite numbers: the samples"
         count = len(given[0])
-        t, p = numbers(given[0], (count,), 1e3), numbers(given[1], (count, 3), 1e3)
-        if t is None or p is None or not count or np.any(np.diff(t) <= 0):
-            return refused("samples must be increasing times and as many positions, finite numbers: the samples")
+        t, p = numbers(given[0], (count,), 1e3, must), numbers(given[1], (count, 3), 1e3, must)
+        if not count or np.any(np.diff(t) <= 0):
+            raise refused(must)
         fastest = float((np.linalg.norm(np.diff(p, axis=0), axis=1) / np.diff(t)).max(initial=0.0))
         if fastest > options.speed:
-            return refused(
+            raise refused(
                 f"samples must not move at more than {options.speed:g} m/s (they do at {fastest:.3g}): the samples"
             )
-        samples = (now + t, p)
-    if seen.seen is not None:
-        when = numbers(seen.seen, (), np.inf)
-        if when is None:
-            return refused("seen must be a time on the clock of the loop, s: the time")
-        ahead = float(when) - (now if clock is None else clock)
-        if ahead > options.ahead:
-            return refused(f"seen must not be later than the loop's clock (it is by {ahead:.3g} s): the time")
-        now += min(ahead, 0.0)
-        if samples is not None:
-            samples = (samples[0] + min(ahead, 0.0), samples[1])
+        samples = (now - late + t, p)
     sure, grows, lasts = (float(found[name]) for name in ("uncertainty", "growth", "lasts"))
+    now -= late
     return Predicted(seen.name, solid, R, now, powers, samples, sure, grows, now + lasts)
 
 

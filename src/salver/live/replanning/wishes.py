@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from numbers import Real
 from typing import Any, Literal
 
@@ -55,7 +56,7 @@ class Follow:
     wanted: Wanted
     until: float
     then: Wanted
-    ends: Goal | Status | None = None
+    ends: Goal | str | None = None
     source: Source = OPERATOR
     id: int = 0
 
@@ -117,8 +118,12 @@ STANDARD_REQUESTS = RequestOptions()
 ORTHONORMAL = 1e-6  # by which a rotation may fail to be one: rounding
 
 
-def refused(sentence: str) -> Status:
-    return Status("refused", sentence, False)
+class Refused(Exception):
+    """A request that cannot be carried out; its text says why."""
+
+    @property
+    def status(self) -> Status:
+        return Status("refused", str(self), False)
 
 
 def shown(value: object) -> str:
@@ -150,75 +155,68 @@ def _plain(value: Any, depth: int) -> bool:
     return getattr(np.asarray(value), "dtype", np.dtype(object)).kind in "iuf"
 
 
-def numbers(value: Any, shape: tuple[int, ...], what: str) -> Array | Status:
-    """An array of finite numbers of a shape, or why it is none."""
+def numbers(value: Any, shape: tuple[int, ...], what: str) -> Array:
+    """An array of finite numbers of a shape; raises Refused where it is none."""
     try:
         array = np.array(value, dtype=float) if _plain(value, len(shape)) else None
     except Exception:  # whatever is in what was given
         array = None
     if array is None:
-        return refused(f"{what} is no array of numbers; it must be {shape} finite numbers")
+        raise Refused(f"{what} is no array of numbers; it must be {shape} finite numbers")
     if array.shape != shape:
-        return refused(f"{what} has shape {array.shape}; it must be {shape}")
+        raise Refused(f"{what} has shape {array.shape}; it must be {shape}")
     if not np.all(np.isfinite(array)):
-        return refused(f"{what} has values that are not finite")
+        raise Refused(f"{what} has values that are not finite")
     return array
 
 
-def factor_of(value: Any) -> float | Status:
+def factor_of(value: Any) -> float:
     """A factor of full speed."""
-    factor, least = numbers([value], (1,), "the factor"), STANDARD.least
-    if isinstance(factor, Status) or not least <= factor[0] <= 1.0:
-        return refused(f"factor is {shown(value)}; it must be a number from {least:g} to 1, and hold() stops")
-    return float(factor[0])
+    least = STANDARD.least
+    try:
+        factor = float(numbers(value, (), "the factor"))
+    except Refused:
+        factor = np.nan
+    if not least <= factor <= 1.0:
+        raise Refused(f"factor is {shown(value)}; it must be a number from {least:g} to 1, and hold() stops")
+    return factor
 
 
-def posture_goal(problem: TransportProblem, q: npt.ArrayLike) -> Goal | Status:
+def posture_goal(problem: TransportProblem, q: npt.ArrayLike) -> Goal:
     """A posture (n,), rad, at rest."""
     posture = numbers(q, (problem.n,), "the posture")
-    if isinstance(posture, Status):
-        return posture
     limits, names = problem.limits, problem.arm.joint_names
     for value, low, high, name in zip(posture, limits.q_min, limits.q_max, names, strict=True):
         if not low <= value <= high:
-            return refused(f"{name} would be at {value:.4g}; it must be within [{low:.4g}, {high:.4g}]")
+            raise Refused(f"{name} would be at {value:.4g}; it must be within [{low:.4g}, {high:.4g}]")
     return Goal(AtPosture(posture), "a posture")
 
 
 def _poses(
     value: Any, each: tuple[int, ...], problem: TransportProblem, options: RequestOptions
-) -> tuple[Array, Array, bool] | Status:
+) -> tuple[Array, Array, bool]:
     """p_SB (*each, 3), R_SB (*each, 3, 3) of the first object, with the tray level unless rotations are given; and
     whether they are."""
     turned = isinstance(value, tuple) and len(value) == 2 and not np.isscalar(value[0])
     p = numbers(value[0] if turned else value, (*each, 3), "positions" if each else "the position")
-    R_EB = problem.items[0].R_EB
-    R = (
-        numbers(value[1], (*each, 3, 3), "rotations" if each else "the rotation")
-        if turned
-        else np.tile(R_EB, (*each, 1, 1))
-    )
-    if isinstance(p, Status) or isinstance(R, Status):
-        return p if isinstance(p, Status) else R  # type: ignore[return-value]
-    one = "a" if each else "the"
-    far = float(np.abs(p).max())
+    R = np.tile(problem.items[0].R_EB, (*each, 1, 1))
+    if turned:
+        R = numbers(value[1], (*each, 3, 3), "rotations" if each else "the rotation")
+    one, far = "a" if each else "the", float(np.abs(p).max())
     if far > options.distance:
-        return refused(f"{one} position is {far:.3g} m away in S; it must be at most {options.distance:g} m, in S")
+        raise Refused(f"{one} position is {far:.3g} m away in S; it must be at most {options.distance:g} m, in S")
     if np.abs(R @ np.swapaxes(R, -1, -2) - np.eye(3)).max() > ORTHONORMAL or (np.linalg.det(R) < 0).any():
-        return refused(f"{one} rotation is none: its rows must be orthonormal and right-handed")
+        raise Refused(f"{one} rotation is none: its rows must be orthonormal and right-handed")
     return p, R, turned
 
 
-def pose_goal(problem: TransportProblem, pose: Pose, options: RequestOptions = STANDARD_REQUESTS) -> Goal | Status:
+def pose_goal(problem: TransportProblem, pose: Pose, options: RequestOptions = STANDARD_REQUESTS) -> Goal:
     """The first object's frame B at p_SB (3,), m, upright with any heading; or at (p_SB, R_SB) with R_SB (3, 3)."""
-    found = _poses(pose, (), problem, options)
-    if isinstance(found, Status):
-        return found
-    p, rotation, turned = found
+    p, rotation, turned = _poses(pose, (), problem, options)
     first = problem.items[0]
     leans, most = float(lean(rotation @ first.R_EB.T)), max(problem.max_tilt, LEVEL_TOLERANCE)
     if leans > most:
-        return refused(
+        raise Refused(
             f"the goal leans the tray by {np.rad2deg(leans):.3g} deg; it may lean by {np.rad2deg(most):.3g} deg"
         )
     target = PoseTarget(p, rotation, first.p_EB, first.R_EB, yaw_free=not turned)
@@ -228,16 +226,14 @@ def pose_goal(problem: TransportProblem, pose: Pose, options: RequestOptions = S
 def twist_wish(
     heard: Sequence[tuple[float, Array]], v: npt.ArrayLike, omega: npt.ArrayLike, now: float, factor: float = 1.0,
     options: RequestOptions = STANDARD_REQUESTS,
-) -> Follow | Status:  # fmt: skip
+) -> Follow:  # fmt: skip
     """v_S (3,), m/s, and omega_S (3,), rad/s, of the tray in S, times a factor. heard: live times and what was followed
     before."""
     twist = []
     for value, most, what, unit in ((v, options.speed, "v", "m/s"), (omega, options.turn, "omega", "rad/s")):
         found = numbers(value, (3,), what)
-        if isinstance(found, Status):
-            return found
         if np.linalg.norm(found) > most:
-            return refused(f"{what} is {np.linalg.norm(found):.3g}; it must be at most {most:g} {unit}, in S")
+            raise Refused(f"{what} is {np.linalg.norm(found):.3g}; it must be at most {most:g} {unit}, in S")
         twist.append(found)
     latest = factor * np.concatenate(twist)
     before = [(t - now, old) for t, old in heard if now - options.silence <= t < now]
@@ -254,39 +250,36 @@ def twist_wish(
 def chunk_wish(
     problem: TransportProblem, times: npt.ArrayLike, poses: Any, joints: npt.ArrayLike | None, now: float,
     factor: float = 1.0, options: RequestOptions = STANDARD_REQUESTS,
-) -> Follow | Status:  # fmt: skip
+) -> Follow:  # fmt: skip
     """Poses or postures at times (C,) from now on, s; at a factor of that speed."""
     if (poses is None) == (joints is None):
-        return refused("a chunk is of poses or of joints, one of them")
+        raise Refused("a chunk is of poses or of joints, one of them")
     try:
         count = len(times)  # type: ignore[arg-type]
     except TypeError:
         count = 0
     t = numbers(times, (count,), "times")
-    if isinstance(t, Status):
-        return t
     if not count or t[0] < 0 or np.any(np.diff(t) <= 0):
-        return refused("times must be one or more, at least 0, and each later than the one before")
+        raise Refused("times must be one or more, at least 0, and each later than the one before")
     t = now + t / factor
     if joints is not None:
         q = numbers(joints, (count, problem.n), "joints")
-        if isinstance(q, Status):
-            return q
-        outside = (q < problem.limits.q_min) | (q > problem.limits.q_max)
-        if outside.any():
-            row, j = (int(x) for x in np.argwhere(outside)[0])
-            return refused(
+        outside = np.argwhere((q < problem.limits.q_min) | (q > problem.limits.q_max))
+        for row, j in outside[:1]:
+            raise Refused(
                 f"{problem.arm.joint_names[j]} would be at {q[row, j]:.4g} in posture {row}, beyond its limits"
             )
-        wanted, ends = ChunkWanted(t, None, None, q), posture_goal(problem, q[-1])
+        wanted, goal = ChunkWanted(t, None, None, q), partial(posture_goal, problem, q[-1])
     else:
-        found = _poses(poses, (count,), problem, options)
-        if isinstance(found, Status):
-            return found
-        p, R, _ = found
+        p, R, _ = _poses(poses, (count,), problem, options)
         first = problem.items[0]
         R_SE = R @ first.R_EB.T
-        wanted, ends = ChunkWanted(t, p - R_SE @ first.p_EB, R_SE, None), pose_goal(problem, (p[-1], R[-1]), options)
+        wanted = ChunkWanted(t, p - R_SE @ first.p_EB, R_SE, None)
+        goal = partial(pose_goal, problem, (p[-1], R[-1]), options)
+    try:
+        ends: Goal | str = goal()
+    except Refused as reason:
+        ends = str(reason)
     return Follow(wanted, float(t[-1]), wanted, ends)
 
 

@@ -1,0 +1,36 @@
+"""Options of a live motion."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from salver.live.replanning.lookout import LookoutOptions
+from salver.live.replanning.obstacles import ObstacleOptions
+from salver.live.replanning.wishes import RequestOptions
+
+
+@dataclass(frozen=True)
+class LiveOptions:
+    """What a live motion takes for an error, and for how long it tries.
+
+    Attributes:
+        longest_gap: s between two commands; a longer one is taken for a jump of the clock.
+        strayed: rad or m by which a joint may be elsewhere than it was commanded to be, as measured.
+        calming: s after a twist or a chunk has ended in which the motion is still steered, to rest; then it runs out.
+            After hostile twists the tray goes on for 6 cm and 0.84 s (means); at 0, for 11 cm and 0.59 s.
+        queued: goals at most.
+        attempts: at a goal while the arm moves; once more from rest.
+        record: s of the commanded motion that are kept, up to now, for `save`.
+        requests, obstacles: what is accepted of these.
+        lookout: at which instants the commanded motion is compared with moving obstacles.
+    """
+
+    longest_gap: float = 0.05
+    strayed: float = 0.05
+    calming: float = 0.3
+    queued: int = 100
+    attempts: int = 4
+    record: float = 120.0
+    requests: RequestOptions = field(default_factory=RequestOptions)
+    obstacles: ObstacleOptions = field(default_factory=ObstacleOptions)
+    lookout: LookoutOptions = field(default_factory=LookoutOptions)
