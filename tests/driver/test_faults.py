@@ -162,14 +162,6 @@ def test_ctrl_c_brakes_however_often_it_is_pressed(rig: Rig, signals: tuple[int,
         assert t[-1] < 1.3
 
 
-@pytest.mark.slow
-def test_an_interruption_anywhere_in_the_loop_or_while_the_log_is_written(rig: Rig) -> None:
-    for site in ("read", "write", "row", "controller"):
-        outcome = one(rig, Fault(site, 500, 1, site, error=KeyboardInterrupt))
-        assert outcome.result.summary["stopped"].startswith("Interrupted at t = 0.45")
-    assert one(rig, Fault("save", 0, 1, "save", error=KeyboardInterrupt)).result.achieved
-
-
 def test_signals_are_as_before_afterwards() -> None:
     before = signal.getsignal(signal.SIGINT)
     with noted_signals() as signals:

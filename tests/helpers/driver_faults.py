@@ -33,7 +33,7 @@ EXCEPTIONS: tuple[Callable[[], BaseException], ...] = (
     lambda: MemoryError(),
     lambda: ZeroDivisionError("division by zero"),
     lambda: SystemExit(1),
-    lambda: KeyboardInterrupt(),
+    lambda: StopIteration(),
 )
 SITES = (
     "read", "write", "look", "start", "stop", "controller", "planned", "stopping", "brake", "braking", "row", "save",

@@ -73,8 +73,6 @@ class Arm(SimulatedRobot):
     def _fail(self, site: str) -> None:
         try:
             self.bench.fail(site)
-        except KeyboardInterrupt:
-            raise
         except BaseException:
             self.failed = True
             raise

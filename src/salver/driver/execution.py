@@ -33,7 +33,6 @@ if TYPE_CHECKING:
 
 STOP_ROOM = 60.0  # s that the log has for a stop
 ATTEMPTS = 3  # to leave control
-MOST_INTERRUPTIONS = 100  # that count as one request to stop
 
 
 @dataclass(frozen=True)
@@ -138,7 +137,7 @@ class Drive:
         self.stops = [self.stop_from, controlled_stops(self.arm, self.bodies, self.stop_options)]
         self.stop: Stop | None = None
         self.gate: Gate | None = None
-        self.stopped, self.since, self.interruptions, self.unsure = "", 0.0, 0, False
+        self.stopped, self.since, self.unsure = "", 0.0, False
         self.stopping = 0  # periods of the stop
         self.seen = True  # all along the stop
         self.factor = 1.0  # of full speed
@@ -194,42 +193,32 @@ class Drive:
 
     def one_period(self, gate: Gate) -> bool:
         """Whether this was the last period."""
+        answer = self.robot.read()
+        woken = time.perf_counter()
+        sensed = self.senses.take(answer, self.expected)
+        slowed = self.scaled(sensed.elapsed)
+        self.t += sensed.elapsed * (self.factor if self.stop is None else 1.0)
+        self.late.append(self.reference()[:2])
+        self.expected = ArmState(*self.late[-1 if self.by_torque else 0])
+        sensed.take_for(self.expected)
+        wish = "" if self.stop is not None else self.signals.wish(self.t)
+        demanded = self.demand(sensed.state, wish or self.complaint(sensed) or slowed)
+        if self.stop is not None:
+            self.seen &= self.senses.sees and (self.by_torque or self.near(self.stop, sensed.state))
+        # After a write with an unknown result the same command is sent again, so that no rate limit is exceeded.
+        self.sent = gate(self.sent if self.unsure else demanded)
+        self.stopping += self.stop is not None
+        last = self.over(sensed)
+        self.unsure = True
+        self.robot.write(self.sent, sensed, last=last)
+        self.unsure = False
         try:
-            answer = self.robot.read()
-            woken = time.perf_counter()
-            sensed = self.senses.take(answer, self.expected)
-            slowed = self.scaled(sensed.elapsed)
-            self.t += sensed.elapsed * (self.factor if self.stop is None else 1.0)
-            self.late.append(self.reference()[:2])
-            self.expected = ArmState(*self.late[-1 if self.by_torque else 0])
-            sensed.take_for(self.expected)
-            wish = "" if self.stop is not None else self.signals.wish(self.t)
-            demanded = self.demand(sensed.state, wish or self.complaint(sensed) or slowed)
-            if self.stop is not None:
-                self.seen &= self.senses.sees and (self.by_torque or self.near(self.stop, sensed.state))
-            # After a write with an unknown result the same command is sent again, so that no rate limit is exceeded.
-            self.sent = gate(self.sent if self.unsure else demanded)
-            self.stopping += self.stop is not None
-            last = self.over(sensed)
-            self.unsure = True
-            self.robot.write(self.sent, sensed, last=last)
-            self.unsure = False
-            try:
-                self.book.add(self.t, sensed, self.sent, self.q_wanted, woken)
-            except BaseException as error:  # the command has left; a row less is no reason to leave the arm alone
-                self.signals.note(
-                    "Interrupted" if isinstance(error, KeyboardInterrupt) else f"The log failed ({named(error)})"
-                )
-            if not self.book.left and not last:
-                raise SalverError("The run took longer than any run may.")
-            return last
-        except KeyboardInterrupt:  # where no handler could be set
-            self.interruptions += 1
-            if self.interruptions > MOST_INTERRUPTIONS:
-                raise
-            self.signals.note("Interrupted")
-            self.t += self.period
-            return False
+            self.book.add(self.t, sensed, self.sent, self.q_wanted, woken)
+        except BaseException as error:  # the command has left; a row less is no reason to leave the arm alone
+            self.signals.note(f"The log failed ({named(error)})")
+        if not self.book.left and not last:
+            raise SalverError("The run took longer than any run may.")
+        return last
 
     def scaled(self, elapsed: float) -> str:
         """Let the speed factor follow the robot's, as fast as the load allows; returns why to stop if it does not."""
@@ -281,8 +270,6 @@ class Drive:
                 if np.shape(step) != self.sent.shape or not np.all(np.isfinite(step)):
                     raise ArithmeticError("a command that is no number for each joint")
                 return step
-            except KeyboardInterrupt:
-                raise
             except BaseException as error:
                 if not self.stops:
                     raise
@@ -315,8 +302,6 @@ class Drive:
             try:
                 self.stop = self.stops.pop(0)(state, self.t)
                 return
-            except KeyboardInterrupt:
-                raise
             except BaseException as error:
                 self.stopped += f" A stop could not begin ({named(error)})."
         raise SalverError("No stop could begin.")

@@ -121,11 +121,9 @@ class LiveDrive(Drive):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        room = int(self.options.longest / self.period) + 1
-        self.told_at, self.told = np.empty(room), np.empty((3, room, self.arm.n))
         self.begun, self.offset = 0.0, np.nan  # live time of the first period after 0, s; and of the live clock
         self.as_planned = True
-        self.count, self.periods, self.rested, self.patience = 0, 0, 0.0, self.options.patience
+        self.periods, self.rested, self.patience = 0, 0.0, self.options.patience
 
     def one_period(self, gate: Gate) -> bool:
         if self.stop is None:
@@ -134,12 +132,7 @@ class LiveDrive(Drive):
         if self.planned_here is not None and self.periods % self.options.every == 0:
             self.planned_here()
         last = super().one_period(gate)
-        if self.count < len(self.told_at) and self.t >= 0:
-            now = self.wanted.at(*self.wanted.instant(self.t)) if self.stop is None else self.stop.reference(self.s)
-            self.told_at[self.count] = self.t
-            for kept, value in zip(self.told[:, self.count], now, strict=True):
-                kept[:] = value
-            self.count += 1
+        if self.t >= 0:
             self.noted()
         if self.stop is None and self.t > self.options.longest - self.rest_after - 5.0:
             self.signals.note(f"It was told what to do for {self.t:.0f} s, which is the most that one run may take")
@@ -153,13 +146,13 @@ class LiveDrive(Drive):
         beside = self.stop is not None and not (isinstance(self.stop, LiveStop) and self.stop.exact)
         self.as_planned &= not beside and abs(live.now - self.t - self.offset) < SAME
 
-    @property
-    def commanded(self) -> JointMotion:
-        """The motion from the first period after 0 to the last: as committed, or as commanded where it deviates."""
+    def commanded(self, log_: ExecutionLog) -> JointMotion:
+        """The motion from the first period after 0 to the last: as committed, or as in the log where it deviates."""
         if not self.as_planned:
-            at = self.told_at[: self.count]
-            later = np.append(True, np.diff(at) > SAME)
-            return JointMotion(at[later] - at[0], *self.told[:, : self.count][:, later])
+            some = (log_.t >= 0) & np.append(True, np.diff(log_.t) > SAME)
+            t, q = log_.t[some], log_.q_wanted[some]
+            dq = np.gradient(q, t, axis=0)
+            return JointMotion(t - t[0], q, dq, np.gradient(dq, t, axis=0))
         found = self.live.commanded(self.begun)
         assert found is not None
         return found
@@ -308,7 +301,7 @@ def _kept(
     """Keep the commanded motion as a plan and the executed one as its log."""
     plan, robot, unjudged = known.plan, known.robot, ""
     try:
-        plan = commanded(plan.scenario, drive.commanded)
+        plan = commanded(plan.scenario, drive.commanded(log_))
     except Exception as error:  # a run that ended as none should: the log comes first
         unjudged = f"What was commanded is no motion from rest to rest ({named(error)}); the plan is where it began."
     summary = {

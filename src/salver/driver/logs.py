@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 FOLDER = "execution"
 RECORD_RATE = 200.0  # samples per second kept in the log
 ROOM = 100e6  # bytes that must be free before an arm moves
-ATTEMPTS = 3  # to write a log while somebody presses Ctrl-C
 
 
 def check_place(directory: Path) -> Check:
@@ -88,14 +87,10 @@ def keep(directory: Path, stem: str, arrays: dict[str, np.ndarray], summary: dic
     When that cannot be, it is written to a directory for temporary files, and the summary says why. Raises
     SalverError only when that fails too.
     """
-    for _ in range(ATTEMPTS):
-        try:
-            return save_record(directory, FOLDER, stem, arrays, summary)
-        except KeyboardInterrupt:
-            reason = "it was interrupted"
-        except BaseException as error:  # the log must be written whatever happens
-            reason = named(error)
-            break
+    try:
+        return save_record(directory, FOLDER, stem, arrays, summary)
+    except BaseException as error:  # the log must be written whatever happens
+        reason = named(error)
     place = Path(tempfile.mkdtemp(prefix="salver-log-")) / stem
     summary["log_elsewhere"] = f"The log could not be written to {directory / FOLDER} ({reason})."
     try:

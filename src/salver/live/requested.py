@@ -50,7 +50,6 @@ from salver.live.running import Running
 from salver.live.stopped import Hold, Stopped
 from salver.planning.fastest import TransportProblem
 
-
 Request = TypeVar("Request", bound=Callable[..., Status])
 
 
