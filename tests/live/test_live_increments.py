@@ -301,7 +301,7 @@ def test_what_is_learnt_is_forgotten_while_increments_pass():
     def block(name):
         return Block(name, np.zeros((3, 1)), lambda node, row: np.zeros((len(node), 28)), np.arange(3))
 
-    control = StepControl(damping=40.0)
+    control = StepControl(STANDARD, 40.0)
     control.refused("acceleration of panda_joint1", 0.2)
     assert control.margin(block("acceleration")) == pytest.approx(0.2)
     assert control.margin(block("acceler")) == control.margin(block("jerk")) == 0.0

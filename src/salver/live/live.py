@@ -24,7 +24,6 @@ import numpy.typing as npt
 from salver.errors import ScenarioError, Status
 from salver.live.committed.commit import verified
 from salver.live.committed.motion import Committed, resting
-from salver.live.committed.profile import STANDARD as SPEED
 from salver.live.committed.seal import sealed
 from salver.live.history import CommandHistory
 from salver.live.options import LiveOptions
@@ -90,12 +89,12 @@ class Live(Requested):
 
     def _believe(self, problem: TransportProblem) -> None:
         """Plan, verify and look out for the load of a problem from now on."""
-        self._problem, self._planner = problem, Planner(problem)
+        self._problem, self._planner = problem, Planner(problem, self.options.planner)
         self._lookout = Lookout(problem, self.options.lookout)
         # The same for the loop's thread: planners have work space that two threads must not share.
         out = problem.keep_out
         self._beside = replace(problem, keep_out=None if out is None else replace(out, parts=out.parts.apart()))
-        self._lead = Lead(self._given_lead, bool(self._inside))
+        self._lead = Lead(self._given_lead, bool(self._inside), self.options.lead)
 
     @property
     def _inside(self) -> str:
@@ -334,7 +333,9 @@ class Live(Requested):
         if not free:
             return None
         if isinstance(running.wish, Goal) and self._now < running.committed.ends:
-            another = running.committed.run.to != self._factor and self._now >= self._tried + SPEED.again
+            another = (
+                running.committed.run.to != self._factor and self._now >= self._tried + self.options.planner.speed.again
+            )
             return Retime(self._factor) if another else None
         if self._now >= self.committed.ends:
             with contextlib.suppress(IndexError):  # none is queued, or not any more

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from salver.live.ready import ReadyOptions
+from salver.live.replanning.lead import LeadOptions
 from salver.live.replanning.lookout import LookoutOptions
 from salver.live.replanning.obstacles import ObstacleOptions
+from salver.live.replanning.planner import PlannerOptions
 from salver.live.replanning.wishes import RequestOptions
 
 
@@ -23,6 +26,8 @@ class LiveOptions:
         record: s of the commanded motion that are kept, up to now, for `save`.
         requests, obstacles: what is accepted of these.
         lookout: at which instants the commanded motion is compared with moving obstacles.
+        lead: how long before a hand-over planning begins. ready: which stops are kept ready.
+        planner: how motions are proposed.
     """
 
     longest_gap: float = 0.05
@@ -34,3 +39,6 @@ class LiveOptions:
     requests: RequestOptions = field(default_factory=RequestOptions)
     obstacles: ObstacleOptions = field(default_factory=ObstacleOptions)
     lookout: LookoutOptions = field(default_factory=LookoutOptions)
+    lead: LeadOptions = field(default_factory=LeadOptions)
+    ready: ReadyOptions = field(default_factory=ReadyOptions)
+    planner: PlannerOptions = field(default_factory=PlannerOptions)

@@ -25,8 +25,8 @@ class ReadyOptions:
 class Ready:
     """Stops from instants of one committed motion, `after`; those of another are forgotten."""
 
-    def __init__(self, options: ReadyOptions | None = None) -> None:
-        self.options = options or ReadyOptions()
+    def __init__(self, options: ReadyOptions) -> None:
+        self.options = options
         self._stops: tuple[Running, ...] = ()
         self._after: Committed | None = None
         self._until = 0.0  # live time of the last instant that was looked at

@@ -85,7 +85,7 @@ class Requested(Commanded):
         self._queue: deque[Goal] = deque()
         self._heard: deque[tuple[float, Array]] = deque(maxlen=200)
         # Written by whoever plans.
-        self._ready = Ready()
+        self._ready = Ready(self.options.ready)
         self._offered: Running | None = None
         self._done: Wish | None = None
 
@@ -240,7 +240,7 @@ class Requested(Commanded):
         and chunks from the next one on. Stops and evasions are as fast as the load allows.
         """
         self._check(source)
-        found = factor_of(factor)
+        found = factor_of(factor, self.options.planner.speed.least)
         if PRIORITY[source] >= PRIORITY[OPERATOR]:
             self._most = found
         elif found > self._most:

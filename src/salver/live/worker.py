@@ -16,7 +16,7 @@ from typing import Self
 from salver.errors import SalverError
 from salver.live.committed import seal
 from salver.live.live import Live
-from salver.live.replanning.planner import Answer, Job, Planner
+from salver.live.replanning.planner import Answer, Job, Planner, PlannerOptions
 from salver.live.standing import live_scenario
 from salver.planning.fastest import transport_problem
 from salver.scenario import Scenario
@@ -112,8 +112,8 @@ class _Process:
         self._running: subprocess.Popen[bytes] | None = None
 
     @staticmethod
-    def _of(live: Live) -> tuple[Scenario, bool, bytes]:
-        return live.problem.scenario, live.robust, seal.key()
+    def _of(live: Live) -> tuple[Scenario, bool, PlannerOptions, bytes]:
+        return live.problem.scenario, live.robust, live.options.planner, seal.key()
 
     @property
     def behind(self) -> bool:
@@ -174,10 +174,10 @@ def serve(descriptor: int) -> None:
     """The planner's process: answers jobs until the process that asks has ended."""
     with Connection(descriptor) as pipe:
         try:
-            scenario, robust, key = pipe.recv()
+            scenario, robust, options, key = pipe.recv()
             seal.use(key)
             assert isinstance(scenario, Scenario)
-            planner = Planner(transport_problem(live_scenario(scenario), robust=robust))
+            planner = Planner(transport_problem(live_scenario(scenario), robust=robust), options)
             pipe.send("ready")
             while True:
                 job = pipe.recv()

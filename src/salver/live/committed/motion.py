@@ -22,24 +22,11 @@ SHORTEST = 1e-3  # s that the motion of an arm at rest is written to last
 SAME = 1e-9  # s; instants nearer than this are one
 
 
-@dataclass(frozen=True)
-class RestOptions:
-    """How the state of an arm that rests for long is known.
-
-    Attributes:
-        settled: s after which what the load makes the arm sag by changes no more.
-        calmed: s after which swings are so small that the arm hardly gives way to them.
-        at_once: s of that for which swings and arm are found together; longer, their iteration converges slowly.
-        step: s between instants of an arm at rest.
-    """
-
-    settled: float = 1.0
-    calmed: float = 5.0
-    at_once: float = 0.5
-    step: float = 1e-2
-
-
-REST = RestOptions()
+# Of an arm that rests for long:
+SETTLED = 1.0  # s after which what the load makes it sag by changes no more
+CALMED = 5.0  # s after which swings are so small that it hardly gives way to them
+AT_ONCE = 0.5  # s of that for which swings and arm are found together; longer, their iteration converges slowly
+STEP = 1e-2  # s between instants
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +95,7 @@ class Committed:
             k = int(np.clip(np.searchsorted(self.nodes, t) - 1, 0, len(self.nodes) - 2))
             u = (t - self.nodes[k]) / (self.nodes[k + 1] - self.nodes[k])
             return np.asarray((1 - u) * self.deviation[k] + u * self.deviation[k + 1])
-        held = min(t - self.nodes[-1], REST.settled)
+        held = min(t - self.nodes[-1], SETTLED)
         along = standing_still(_astray(problem, self.deviation[-1]), self.motion.q[-1], held)
         assert along.response is not None
         return along.response.state_at(along.shares * held, held)
@@ -124,10 +111,10 @@ class Committed:
             return replace(self.loads, now=min(own, ends))
         rest = replace(problem, cases=problem.every_case, past=replace(self.loads, now=ends))
         rest = _astray(rest, None if self.deviation is None else self.deviation[-1])
-        swung = max(left - REST.calmed, 0.0)  # freely, after the arm that gives way to them has braked them
-        left = min(left, REST.calmed)
+        swung = max(left - CALMED, 0.0)  # freely, after the arm that gives way to them has braked them
+        left = min(left, CALMED)
         while True:
-            step = min(left, REST.at_once)
+            step = min(left, AT_ONCE)
             held, left = standing_still(rest, self.motion.q[-1], step), left - step
             if left <= 0.0:
                 return held.rested(swung) if swung else replace(held.left, now=step)
@@ -140,7 +127,7 @@ class Committed:
 def standing_still(problem: TransportProblem, q: Array, seconds: float) -> MotionEvaluation:
     """The arm at rest in a posture (n,) for so long, s, from the deviation and the modal states with which the problem
     begins."""
-    z = np.zeros((4, max(5, int(np.ceil(seconds / REST.step)) + 1), problem.n))
+    z = np.zeros((4, max(5, int(np.ceil(seconds / STEP)) + 1), problem.n))
     z[0] = q
     return problem.at(np.linspace(0.0, 1.0, z.shape[1]), z, seconds)
 

@@ -28,7 +28,6 @@ class SpeedOptions:
         longer: ratio of each tried duration to the one before.
         glance: s between the instants of a first, quick verdict; only motions that pass it get the full verdict.
         again: s between a failed try and the next.
-        close: s; an instant nearer than this to one of the path's knots is left out.
     """
 
     least: float = 0.05
@@ -38,10 +37,6 @@ class SpeedOptions:
     longer: float = 1.3
     glance: float = 0.02
     again: float = 0.1
-    close: float = 1e-3
-
-
-STANDARD = SpeedOptions()
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,7 +104,7 @@ class SpeedProfile:
         within = self._when(knots[knots < reached - SAME])
         if len(within):
             apart = np.abs(t[1:-1, None] - within).min(axis=1)
-            t = np.union1d(np.concatenate([t[:1], t[1:-1][apart > STANDARD.close], t[-1:]]), within)
+            t = np.union1d(np.concatenate([t[:1], t[1:-1][apart > 0.1 * step], t[-1:]]), within)
         if self.to:
             t = np.append(t, changing + (knots[knots > reached + SAME] - reached) / self.to)
         u, factor, rate = self.along(t)

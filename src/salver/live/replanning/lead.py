@@ -33,8 +33,8 @@ class Lead:
     """s from the beginning of planning to the hand-over, by kind: given, or learnt from how long
     planning each takes. inner: where something moves inside a load."""
 
-    def __init__(self, given: float | None, inner: bool, options: LeadOptions | None = None) -> None:
-        self._given, self._options = given, options or LeadOptions()
+    def __init__(self, given: float | None, inner: bool, options: LeadOptions) -> None:
+        self._given, self._options = given, options
         self._most = self._options.most_with_dynamics if inner else self._options.most
         self._spent: dict[str, deque[float]] = {
             kind: deque(maxlen=self._options.of) for kind in ("tick", "speed", "motion")

@@ -6,7 +6,7 @@ What it gives was verified (`salver.planning.verdict.verify`); whoever asked dec
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -14,12 +14,12 @@ from salver.errors import Status
 from salver.geometry import Array
 from salver.live.committed.commit import verified
 from salver.live.committed.motion import Committed, resting
-from salver.live.committed.profile import STANDARD, SpeedOptions
+from salver.live.committed.profile import SpeedOptions
 from salver.live.replanning.lookout import Near
-from salver.live.replanning.objective import TwistWanted
+from salver.live.replanning.objective import TwistWanted, Weights
 from salver.live.replanning.obstacles import Movable, MovingClearance, Predicted, nearest
-from salver.live.replanning.replan import Replanner, Sought
-from salver.live.replanning.steer import Steering, StepControl
+from salver.live.replanning.replan import Replanner, ReplanOptions, Sought
+from salver.live.replanning.steer import Steering, SteeringOptions, StepControl
 from salver.live.replanning.wishes import Evade, Follow, Goal, Halt, Retime, Wish, why_not
 from salver.planning.fastest import Anywhere, AtPosture, TransportProblem
 from salver.planning.verdict.judged import STANDARD as EXACT
@@ -45,6 +45,17 @@ class EvasionOptions:
     passes: float = 0.3
     asides: tuple[float, ...] = (0.05, 0.1, 0.15, 0.2, 0.3, 0.4)
     another: float = 0.5
+
+
+@dataclass(frozen=True)
+class PlannerOptions:
+    """How motions are proposed: to goals and to rest, towards twists and chunks, out of the way, at another speed."""
+
+    replan: ReplanOptions = field(default_factory=ReplanOptions)
+    steering: SteeringOptions = field(default_factory=SteeringOptions)
+    weights: Weights = field(default_factory=Weights)
+    evasion: EvasionOptions = field(default_factory=EvasionOptions)
+    speed: SpeedOptions = field(default_factory=SpeedOptions)
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,16 +96,11 @@ class Answer:
 class Planner:
     """Answers jobs about one problem."""
 
-    def __init__(
-        self,
-        problem: TransportProblem,
-        evasion: EvasionOptions | None = None,
-        speed: SpeedOptions = STANDARD,
-    ) -> None:
-        self.problem, self.evasion = problem, evasion or EvasionOptions()
-        self.speed = speed
-        self._replanner = Replanner.of(problem)
-        self._steering = Steering.of(problem, Sought.of(problem))
+    def __init__(self, problem: TransportProblem, options: PlannerOptions | None = None) -> None:
+        self.problem, self.options = problem, options or PlannerOptions()
+        self.evasion, self.speed = self.options.evasion, self.options.speed
+        self._replanner = Replanner.of(problem, self.options.replan)
+        self._steering = Steering.of(problem, Sought.of(problem), self.options.steering, self.options.weights)
         self._evasive = self._steering
         self._aside: Aside | None = None
         self._movable = None if problem.keep_out is None else Movable(problem.keep_out.parts)
@@ -106,7 +112,7 @@ class Planner:
         problem = self._among(job)
         if isinstance(wish, Retime):
             return Answer(*self._retimed(job, wish.factor, problem, self.speed.latest))
-        replanner = self._replanner if problem is self.problem else Replanner.of(problem)
+        replanner = self._replanner if problem is self.problem else Replanner.of(problem, self.options.replan)
         if isinstance(wish, Follow):
             wanted = wish.wanted if job.now <= wish.until else wish.then
             steering = self._steering
@@ -184,7 +190,7 @@ class Planner:
             or abs(self._aside.t - near.t) > self.evasion.another
         ):
             self._aside = Aside(near.obstacle, near.t, self._shortest_aside(job, near))
-            self._evasive = replace(self._steering, control=StepControl())
+            self._evasive = replace(self._steering, control=StepControl.of(self.options.steering))
         twist = np.append(self.evasion.speed * self._aside.way, np.zeros(3))
         wanted = TwistWanted(twist, np.zeros(6), job.begins, window=self.evasion.window)
         found, status = self._evasive.tick(wanted, job.base, job.begins)

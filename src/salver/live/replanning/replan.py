@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import ClassVar, Self
 
@@ -83,9 +83,6 @@ class ReplanOptions:
     soon: float = 0.1
 
 
-STANDARD_REPLANNING = ReplanOptions()
-
-
 @dataclass(frozen=True, eq=False)
 class Firm(Constraint):
     """A constraint under which motions are sought: what the verdict keeps of its rows is kept from the beginning on,
@@ -127,7 +124,7 @@ class Sought(TransportProblem):
 
     @classmethod
     def of(cls, problem: TransportProblem) -> Self:
-        return cls(**{field.name: getattr(problem, field.name) for field in fields(problem)} | {"at_rest": False})
+        return cls(**{x.name: getattr(problem, x.name) for x in fields(problem)} | {"at_rest": False})
 
 
 class Firmer(Sought):
@@ -142,12 +139,12 @@ class Replanner:
 
     problem: TransportProblem
     sought: TransportProblem
-    options: ReplanOptions = STANDARD_REPLANNING
+    options: ReplanOptions = field(default_factory=ReplanOptions)
     factor: float = 1.0  # of full speed, at which what is found is run, and judged
 
     @classmethod
-    def of(cls, problem: TransportProblem) -> Replanner:
-        return cls(problem, Firmer.of(problem))
+    def of(cls, problem: TransportProblem, options: ReplanOptions) -> Replanner:
+        return cls(problem, Firmer.of(problem), options)
 
     def to(
         self, end: End, before: Committed, begins: float, time_limit: float, *, around: bool = True
@@ -232,9 +229,7 @@ class Replanner:
         return verified(self.problem, motion, begins, before, thoroughly=True, profile=profile)
 
 
-def going_on(
-    at: TransportProblem, before: Committed, begins: float, options: ReplanOptions = STANDARD_REPLANNING
-) -> SplineMotion:
+def going_on(at: TransportProblem, before: Committed, begins: float, options: ReplanOptions) -> SplineMotion:
     """A first guess of a stop: what is committed."""
     start = at.start
     assert isinstance(start, AtPosture)
@@ -244,7 +239,7 @@ def going_on(
     return SplineMotion(SPLINE, SPLINE.fit(s, q - launched(start, s, left)), left)
 
 
-def straight(at: TransportProblem, options: ReplanOptions = STANDARD_REPLANNING) -> SplineMotion | None:
+def straight(at: TransportProblem, options: ReplanOptions) -> SplineMotion | None:
     """A first guess of the way to a goal: straight on to the nearest of its postures; None when there is none."""
     start = at.start
     assert isinstance(start, AtPosture)

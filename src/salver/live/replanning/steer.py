@@ -104,9 +104,13 @@ class StepControl:
     """The damping of increments, and by how much constraints are tightened, by name: what one tick learns for the
     next."""
 
-    options: SteeringOptions = STANDARD
-    damping: float = STANDARD.least_damping
+    options: SteeringOptions
+    damping: float
     tightened: dict[str, float] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, options: SteeringOptions) -> StepControl:
+        return cls(options, options.least_damping)
 
     def damped(self, factor: float) -> None:
         options = self.options
@@ -149,18 +153,17 @@ class Steering:
         cls,
         problem: TransportProblem,
         sought: Sought,
-        options: SteeringOptions = STANDARD,
-        weights: Weights | None = None,
+        options: SteeringOptions,
+        weights: Weights,
     ) -> Steering:
         spline = IncrementSpline(5, len(options.breaks) - 1, ticks=options.breaks)
         grid, horizon = Grid.of(spline, spline.nodes(options.nodes_per_span)), options.horizon
-        weights, each = weights or Weights(), np.eye(problem.n)
+        each = np.eye(problem.n)
         q, _, ddq, dddq = grid.basis / horizon ** np.arange(4.0)[:, None, None]
         norm = horizon * ((q.T * grid.weights) @ q + options.acceleration * (ddq.T * grid.weights) @ ddq)
         jerk = weights.jerk * horizon * dddq.T * grid.weights
-        control = StepControl(options, options.least_damping)
         norm, hessian = np.kron(norm, each), np.kron(jerk @ dddq, each)
-        return cls(problem, sought, spline, grid, norm, jerk, hessian, control, options, weights)
+        return cls(problem, sought, spline, grid, norm, jerk, hessian, StepControl.of(options), options, weights)
 
     def tick(self, wanted: Wanted, base: Committed, begins: float) -> tuple[Committed | None, Status]:
         """Change the committed motion towards what is wanted, from live time `begins` on."""

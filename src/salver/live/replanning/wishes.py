@@ -13,7 +13,6 @@ import numpy.typing as npt
 
 from salver.errors import Status
 from salver.geometry import Array, lean
-from salver.live.committed.profile import STANDARD
 from salver.live.replanning.objective import ChunkWanted, TwistWanted, Wanted
 from salver.planning.fastest import AtPose, AtPosture, End, TransportProblem
 from salver.planning.postures import PoseTarget
@@ -170,9 +169,8 @@ def numbers(value: Any, shape: tuple[int, ...], what: str) -> Array:
     return array
 
 
-def factor_of(value: Any) -> float:
+def factor_of(value: Any, least: float) -> float:
     """A factor of full speed."""
-    least = STANDARD.least
     try:
         factor = float(numbers(value, (), "the factor"))
     except Refused:
