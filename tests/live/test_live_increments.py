@@ -24,7 +24,7 @@ HORIZON = STANDARD.horizon
 def test_an_increment_is_added_to_what_is_committed_from_the_hand_over_on(cube, seconds):
     """One that has ended before, one that ends before the increment does and one that goes on: at the end it rests."""
     problem, rng = Live(cube).problem, np.random.default_rng(6)
-    steering, size = Steering.of(problem, problem), (4, problem.n)
+    steering, size = Steering.of(problem, problem, STANDARD, Weights()), (4, problem.n)
     q, dq, ddq = rng.normal(size=(3, *size))
     dq[-1] = ddq[-1] = 0.0
     base = SimpleNamespace(begins=3.0, motion=JointMotion(seconds * np.array([0.0, 0.3, 0.4, 1.0]), q, dq, ddq))
