@@ -200,7 +200,7 @@ class Rig:
 
         yield patch.object(execute, "check_plan", lambda *args: list(self.checks))
         yield patch.object(FrankaRobot, "check", lambda *args: list(self.franka))
-        yield patch.object(SimulatedRobot, "connect", lambda address, plan, arm, realtime: robot(plan, arm, STOP_ROOM))
+        yield patch.object(SimulatedRobot, "connect", lambda address, plan, arm, *given: robot(plan, arm, STOP_ROOM))
         yield patch.object(execute.Drive, "run", armed_run)
         yield patch.object(ArmController, "step", faulty("controller", step))
         yield patch.object(stops.PlannedStop, "__init__", faulty("planned", plan))

@@ -9,7 +9,7 @@ import pytest
 from live_runs import LEAD, check, drive, place
 from salver.errors import ScenarioError
 from salver.live import Live
-from salver.live.replanning.replan import straight
+from salver.live.replanning.replan import ReplanOptions, straight
 from salver.models.arm.arm_limits import POSITION
 from salver.planning.fastest import transport_problem
 from salver.planning.postures import PoseTarget
@@ -143,5 +143,5 @@ def test_the_first_guess_of_a_way_ends_in_the_posture_that_is_nearest(cube):
     problem = Live(cube).problem
     begun = replace(problem, start=AtPosture(problem.start.q))
     p, R = problem.arm.tray_pose(problem.start.q)
-    guess = straight(replace(begun, goal=AtPose(PoseTarget(p, R))))
+    guess = straight(replace(begun, goal=AtPose(PoseTarget(p, R))), ReplanOptions())
     assert np.abs(guess.coefficients - problem.start.q).max() < 1e-3

@@ -14,7 +14,8 @@ from salver.control.arm import ArmController, ArmState, controller_for
 from salver.driver import mocap, seen
 from salver.driver.execution import Drive, ExecutionLog, Watchdog, named
 from salver.driver.logs import FOLDER, arrays_of, check_place, keep, summary_of
-from salver.driver.preflight import Check, check_approach, check_plan, check_posture, demand
+from salver.driver.preflight import STANDARD as PREFLIGHT
+from salver.driver.preflight import Check, PreflightOptions, check_approach, check_plan, check_posture, demand
 from salver.driver.robots.robots import Robot, robot_class
 from salver.driver.robots.simulated import SimulatedRobot
 from salver.driver.signals import Signals, noted_signals
@@ -66,6 +67,8 @@ def run_plan(
     full_speed_only: bool = False,
     confirm: Callable[[list[Check]], bool] = lambda checks: True,
     signals: Signals | None = None,
+    preflight: PreflightOptions = PREFLIGHT,
+    options: Any = None,
 ) -> Execution:
     """A plan on an arm.
 
@@ -74,19 +77,20 @@ def run_plan(
     signals: through which the caller may ask for a stop (`Signals.note`), from another thread.
     move_to_start: go to the start posture first, at a tenth of the speed limits, with nothing on the tray.
     full_speed_only: run also a plan that does not keep its load at every speed.
+    preflight: tolerances of the checks. options: of the robot, its `UROptions` or `FrankaOptions`.
     Raises SalverError when a check fails or the arm refuses, UnreachableError when the plan has no joint motion,
     MissingDependencyError without the robot's library.
     """
     kind = robot_class(robot)
     plan, arm, carried = _prepared(directory, stem)
-    checks = check_plan(plan, arm, carried, full_speed_only)
+    checks = check_plan(plan, arm, carried, full_speed_only, preflight)
     demand(checks)
     checks.append(check_place(Path(directory)))
     checks += kind.check(plan, arm)
     demand(checks)  # before the arm is even connected
-    driven: Robot = kind.connect(address, plan, arm, realtime)
+    driven: Robot = kind.connect(address, plan, arm, realtime, options)
     watchdog = watchdog or Watchdog()
-    posture = check_posture(_motion(plan), arm, driven.look())
+    posture = check_posture(_motion(plan), arm, driven.look(), preflight)
     if move_to_start:
         demand([check for check in posture if check.name == "state"])
         start = _motion(plan).q[0]
@@ -95,7 +99,7 @@ def run_plan(
         if not confirm([*checks, *posture]):
             raise SalverError("Not moved: it was not confirmed.")
         driven.move(lambda q: approach(q, start, arm))
-        posture = check_posture(_motion(plan), arm, driven.look())
+        posture = check_posture(_motion(plan), arm, driven.look(), preflight)
     checks += posture
     demand(checks)
     if not confirm(checks):
@@ -134,6 +138,7 @@ def merge_mocap(
     tray_name: str | None = None,
     offset: float | None = None,
     world: tuple[Array, Array] | None = None,
+    options: mocap.CaptureOptions = mocap.STANDARD,
 ) -> Execution:
     """Add what motion capture saw of object and tray to the log of a run. The first object's own name by default.
 
@@ -156,6 +161,7 @@ def merge_mocap(
         offset=offset,
         p_SV=world[0] if world else None,
         R_SV=world[1] if world else None,
+        options=options,
     )
     during = merged["t"] >= 0
     summary |= {key: _peak(merged[array][during]) for key, array in _PEAKS.items()}
@@ -163,7 +169,7 @@ def merge_mocap(
     summary["outcome"] = "stopped" if summary["stopped"] else "done"
     summary["load"] = "Whether the load held is told only with the tray in the recording (--mocap-tray)."
     if tray_name is not None:
-        told = seen.judge(merged, tracks, plan.reference, carried, name, tray_name)
+        told = seen.judge(merged, tracks, plan.reference, carried, name, tray_name, options)
         summary["load"] = told.sentence
         summary["outcome"] = summary["outcome"] if summary["stopped"] else told.code
     return _kept(directory, stem, merged, summary, [])
@@ -207,7 +213,7 @@ def _run(
 ) -> ExecutionLog:
     joint = _motion(plan)
     controller = controller_for(plan.scenario, joint, plan.reference, arm=arm, space=plan.space)
-    stop_from = stops_of(plan, controller, arm, carried)
+    stop_from = stops_of(plan, controller, arm, carried, watchdog.stop)
     _warm_up(controller, stop_from, joint)
     end = plan.duration + plan.scenario.physics.settle_after
     speed_rate = plan.scenario.motion.speed_rate if plan.speeds.every else None
@@ -230,11 +236,12 @@ def _warm_up(controller: ArmController, stop_from: StopFrom, joint: JointMotion)
     controller.reset()
 
 
-def approach(q_from: Array, q_to: Array, arm: ArmModel, share: float = APPROACH_SHARE) -> JointMotion:
-    """A quintic from rest to rest that keeps every joint below a share of its velocity and acceleration limits."""
+def approach(q_from: Array, q_to: Array, arm: ArmModel) -> JointMotion:
+    """A quintic from rest to rest that keeps every joint below `APPROACH_SHARE` of its velocity and acceleration
+    limits."""
     away = np.abs(q_to - q_from)
-    by_speed = 1.875 * away / (share * arm.limits.velocity)  # steepest slope of the quintic step
-    by_force = np.sqrt(5.7735 * away / (share * arm.limits.acceleration))  # and its largest curvature
+    by_speed = 1.875 * away / (APPROACH_SHARE * arm.limits.velocity)  # steepest slope of the quintic step
+    by_force = np.sqrt(5.7735 * away / (APPROACH_SHARE * arm.limits.acceleration))  # and its largest curvature
     duration = max(0.5, float(by_speed.max()), float(np.where(np.isfinite(by_force), by_force, 0.0).max()))
     x = np.linspace(0.0, 1.0, 101)[:, None]
     change, rate, bend = ((q_to - q_from) * smooth_step(x, k) / duration**k for k in range(3))

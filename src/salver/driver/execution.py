@@ -17,9 +17,9 @@ import numpy as np
 
 from salver.control.arm import ArmController, ArmState, Course, JointTable
 from salver.driver.gate import Gate
-from salver.driver.sensing import Sensed, Senses
+from salver.driver.sensing import Plausible, Sensed, Senses
 from salver.driver.signals import Signals, noted_signals
-from salver.driver.stops import STANDARD, PathStop, Stop, StopFrom, StopOptions, controlled_stops
+from salver.driver.stops import PathStop, Stop, StopFrom, StopOptions, controlled_stops
 from salver.errors import SalverError
 from salver.geometry import Array
 from salver.models.arm.arm import ArmModel, with_load
@@ -41,7 +41,8 @@ class Watchdog:
     manufacturer's limit.
 
     late_periods: missed control periods in a row. at_rest: rad/s; control ends only below this velocity, or
-    longest_wait seconds after the expected end of the stop.
+    longest_wait seconds after the expected end of the stop. plausible: which readings are. stop: how the arm is brought
+    to rest.
     """
 
     joint_error: float = 0.05
@@ -49,6 +50,8 @@ class Watchdog:
     late_periods: int = 20
     at_rest: float = 0.02
     longest_wait: float = 1.0
+    plausible: Plausible = field(default_factory=Plausible)
+    stop: StopOptions = field(default_factory=StopOptions)
 
     def complaint(self, arm: ArmModel, state: ArmState, q_wanted: Array, missed: int, t: float) -> str:
         """The reason to stop, in one sentence; "" without one."""
@@ -123,7 +126,6 @@ class Drive:
     stop_from: StopFrom
     signals: Signals = field(default_factory=Signals)
     speed_rate: float | None = None
-    stop_options: StopOptions = STANDARD
 
     def __post_init__(self) -> None:
         self.loaded, self.period = with_load(self.arm, self.bodies), self.robot.period
@@ -134,7 +136,7 @@ class Drive:
         joint = self.joint
         self.wanted: Course = JointTable(joint, self.controller.period) if isinstance(joint, JointMotion) else joint
         # Tried in this order, each when the one before it fails.
-        self.stops = [self.stop_from, controlled_stops(self.arm, self.bodies, self.stop_options)]
+        self.stops = [self.stop_from, controlled_stops(self.arm, self.bodies, self.watchdog.stop)]
         self.stop: Stop | None = None
         self.gate: Gate | None = None
         self.stopped, self.since, self.unsure = "", 0.0, False
@@ -175,7 +177,7 @@ class Drive:
 
     def begin(self) -> Gate:
         state = self.robot.look()
-        self.senses = Senses(self.arm, self.period, state)
+        self.senses = Senses(self.arm, self.period, state, self.watchdog.plausible)
         q, limits = np.array(state.q, dtype=float), self.arm.limits
         if self.by_torque:
             first, least, most, rate = self.loaded.gravity(q), -limits.torque, limits.torque, limits.torque_rate
@@ -246,7 +248,7 @@ class Drive:
 
     def near(self, stop: Stop, state: ArmState) -> bool:
         """Whether an arm with its own control follows this stop closely enough to keep the load for certain."""
-        return bool((np.abs(state.q - self.late[0][0]) <= stop.allowed + self.stop_options.sensed).all())
+        return bool((np.abs(state.q - self.late[0][0]) <= stop.allowed + self.watchdog.stop.sensed).all())
 
     def complaint(self, sensed: Sensed) -> str:
         """Why to stop, or to change the stop; "" to go on."""
@@ -295,8 +297,8 @@ class Drive:
             del self.stops[0]
             factor = self.factor
             if rate := self.speed_rate:
-                path = self.wanted
-                self.stops.insert(0, lambda state, t: PathStop(self.loaded, self.gains, state, path, t, factor, rate))
+                loaded, gains, path, how = self.loaded, self.gains, self.wanted, self.watchdog.stop
+                self.stops.insert(0, lambda state, t: PathStop(loaded, gains, state, path, t, factor, rate, how))
         self.since, self.stopping = self.t, 0
         while self.stops:
             try:
@@ -314,7 +316,7 @@ class Drive:
             # Counted in periods: a robot's clock that runs ahead must not end a stop while the arm still moves.
             due, waited = self.s >= self.stop.duration, self.stopping * self.period - self.stop.duration
             if not self.senses.sees:  # no holding without measurements
-                return min(self.s, self.stopping * self.period) >= self.stop.duration - self.stop_options.hold
+                return min(self.s, self.stopping * self.period) >= self.stop.duration - self.watchdog.stop.hold
         return due and (waited >= self.watchdog.longest_wait or self.at_rest(sensed))
 
     def at_rest(self, sensed: Sensed) -> bool:

@@ -27,7 +27,7 @@ from salver.driver.robots.robots import Robot
 from salver.driver.robots.simulated import SimulatedRobot
 from salver.driver.sensing import Sensed
 from salver.driver.signals import Signals, noted_signals
-from salver.driver.stops import Along, Stop
+from salver.driver.stops import Along, Stop, StopOptions
 from salver.errors import SalverError, Status
 from salver.files import provenance
 from salver.geometry import Array, quat_wxyz_from_matrix
@@ -85,10 +85,10 @@ class LiveStop(Along):
     """The rest of the committed motion, or the earliest stop from it that is ready or can be planned."""
 
     def __init__(self, live: Live, course: LiveCourse, controller: ArmController, loaded: ArmModel, state: ArmState,
-                 begun: float) -> None:  # fmt: skip
+                 begun: float, options: StopOptions) -> None:  # fmt: skip
         """begun: s of the loop's time, now."""
         self._live, self._course, self._controller, self._begun = live, course, controller, begun
-        super().__init__(loaded, (controller.gains.kp[0], controller.gains.kd[0]), state)
+        super().__init__(loaded, (controller.gains.kp[0], controller.gains.kd[0]), state, options)
 
     @property
     def allowed(self) -> Array:
@@ -220,11 +220,12 @@ def run_live(
 
     def stop_from(state: ArmState, t: float) -> Stop:
         live.stop("the loop that drives the arm stopped it", source="monitor")
-        return LiveStop(live, course, controller, loaded, state, t)
+        return LiveStop(live, course, controller, loaded, state, t, watchdog.stop)
 
     for _ in range(50):  # first calls load code; they must not happen in the loop
         controller.step(ArmState(joint.q[0], joint.dq[0]), known.start)
-        LiveStop(live, course, controller, loaded, ArmState(joint.q[0], joint.dq[0]), known.start).reference(0.0)
+        state = ArmState(joint.q[0], joint.dq[0])
+        LiveStop(live, course, controller, loaded, state, known.start, watchdog.stop).reference(0.0)
     controller.reset()
     if listen:
         prompter.listening(wishes, source)

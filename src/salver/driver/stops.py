@@ -131,9 +131,13 @@ class ControlledStop:
         return _torque(self._loaded, state, self.reference(s), self._options.gains)
 
 
-def stops_of(plan: Plan, controller: ArmController, arm: ArmModel, bodies: Sequence[Body]) -> StopFrom:
+def stops_of(
+    plan: Plan, controller: ArmController, arm: ArmModel, bodies: Sequence[Body], options: StopOptions = STANDARD
+) -> StopFrom:
     """The stops of a plan (`salver.planning.stops`), or controlled stops if it has none."""
-    return controlled_stops(arm, bodies) if plan.stops is None else PlannedStops(plan, controller, arm, bodies)
+    if plan.stops is None:
+        return controlled_stops(arm, bodies, options)
+    return PlannedStops(plan, controller, arm, bodies, options)
 
 
 class PlannedStops:
@@ -142,9 +146,17 @@ class PlannedStops:
     controller: that follows the plan.
     """
 
-    def __init__(self, plan: Plan, controller: ArmController, arm: ArmModel, bodies: Sequence[Body]) -> None:
+    def __init__(
+        self,
+        plan: Plan,
+        controller: ArmController,
+        arm: ArmModel,
+        bodies: Sequence[Body],
+        options: StopOptions = STANDARD,
+    ) -> None:
         assert plan.joint is not None
         assert plan.stops is not None
+        self.options = options
         self.library, self.controller, self.loaded = plan.stops, controller, with_load(arm, bodies)
         self.gains = (plan.scenario.control.kp[0], plan.scenario.control.kd[0])
         self.plan = JointTable(plan.joint, controller.period)
@@ -162,9 +174,7 @@ class Along(ABC):
     to it, which would be a jolt: the way to rest begins where it is, and its speed beyond the reference's fades.
     """
 
-    def __init__(
-        self, loaded: ArmModel, gains: tuple[float, float], state: ArmState, options: StopOptions = STANDARD
-    ) -> None:
+    def __init__(self, loaded: ArmModel, gains: tuple[float, float], state: ArmState, options: StopOptions) -> None:
         """loaded: the arm with what it carries. gains: 1/s^2, 1/s of the loop in the joints."""
         self._loaded, self._gains, self._options = loaded, gains, options
         q, dq, _ = self.course(0.0)
@@ -230,7 +240,7 @@ class PlannedStop(Along):
         """begun: s of the plan's time, now. k: which stop; None: to the plan's end, or where it begins before it.
         rests: s of the plan's time."""
         self._stops, self._begun, self._leaves, self._k, self._rests = stops, begun, leaves, k, rests
-        super().__init__(stops.loaded, stops.gains, state)
+        super().__init__(stops.loaded, stops.gains, state, stops.options)
 
     @property
     def allowed(self) -> Array:
@@ -259,11 +269,11 @@ class PathStop(Along):
 
     def __init__(
         self, loaded: ArmModel, gains: tuple[float, float], state: ArmState, path: Course, t: float, factor: float,
-        rate: float,
+        rate: float, options: StopOptions,
     ) -> None:  # fmt: skip
         """From time t of the path, s. rate: 1/s of the factor, at which the load stays."""
         self._path, self._t, self._factor, self._rate = path, t, factor, rate
-        super().__init__(loaded, gains, state)
+        super().__init__(loaded, gains, state, options)
 
     @property
     def allowed(self) -> Array:

@@ -64,9 +64,11 @@ class FrankaRobot:
     period, lag, speed = PERIOD, 0.0, 1.0
 
     @classmethod
-    def connect(cls, address: str, plan: Plan, arm: ArmModel, realtime: bool) -> FrankaRobot:
+    def connect(
+        cls, address: str, plan: Plan, arm: ArmModel, realtime: bool, options: FrankaOptions | None = None
+    ) -> FrankaRobot:
         tray = plan.scenario.tray
-        return cls(address, arm, tray.mass, np.array(tray.inertia), realtime)
+        return cls(address, arm, tray.mass, np.array(tray.inertia), realtime, options or FrankaOptions())
 
     @staticmethod
     def check(plan: Plan, arm: ArmModel) -> list[Check]:

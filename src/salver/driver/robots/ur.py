@@ -195,8 +195,10 @@ class URRobot:
     period = PERIOD
 
     @classmethod
-    def connect(cls, address: str, plan: Plan, arm: ArmModel, realtime: bool) -> URRobot:
-        robot = cls(address, *payload(plan, arm))
+    def connect(
+        cls, address: str, plan: Plan, arm: ArmModel, realtime: bool, options: UROptions | None = None
+    ) -> URRobot:
+        robot = cls(address, *payload(plan, arm), options or UROptions())
         robot.recognise(arm)
         return robot
 

@@ -229,9 +229,9 @@ def _shape(kind: str, *size: float) -> Any:
 class Movable:
     """The parts of an arm that can move out of the way: all but its base. Not for use by several threads at once."""
 
-    def __init__(self, parts: ArmGeometry, far: float = 0.15) -> None:
-        """far: m from which on distances are those of bounding spheres, no larger than the true ones."""
-        self.far = far
+    far = 0.15  # m from which on distances are those of bounding spheres, no larger than the true ones
+
+    def __init__(self, parts: ArmGeometry) -> None:
         arm, model = parts.arm, parts.arm.pin_model
         self.arm, self._parts = arm, parts
         mine = len(parts.names) - parts.obstacles
