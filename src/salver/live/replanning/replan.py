@@ -146,11 +146,9 @@ class Replanner:
     def of(cls, problem: TransportProblem, options: ReplanOptions) -> Replanner:
         return cls(problem, Firmer.of(problem), options)
 
-    def to(
-        self, end: End, before: Committed, begins: float, time_limit: float, *, around: bool = True
-    ) -> tuple[Committed | None, Status]:
-        """The shortest motion found from the committed one at live time `begins` to an end. around: whether, from rest,
-        there is time to look for ways around what is in the way."""
+    def to(self, end: End, before: Committed, begins: float, time_limit: float) -> tuple[Committed | None, Status]:
+        """The shortest motion found from the committed one at live time `begins` to an end; from rest, also around what
+        is in the way."""
         began, slow = time.perf_counter(), self.factor
         q, dq, ddq = before.state(begins)
         start = AtPosture(q, dq / slow, ddq / slow**2)  # as a motion at full speed has to begin, to go on from it
@@ -164,7 +162,7 @@ class Replanner:
             return None, Status("unreachable", "no posture of the arm within its limits reaches it", False)
         found, finding = self._shortest(at, guess, before, begins, Watch(time_limit))
         left = time_limit - (time.perf_counter() - began)
-        if around and finding.committed is None and not start.moving and left > 0:
+        if finding.committed is None and not start.moving and left > 0:
             searched = fastest(at, FastestOptions(time_limit=left))
             if searched.status.ok:
                 motion = SplineMotion(searched.spline, searched.coefficients, searched.duration)
