@@ -57,42 +57,45 @@ class Commanded(ABC):
         """
         reader = self._reader
         try:
-            last = self._last
-            if last is None:
-                if t - t == 0.0:
-                    self._last = t
-            else:
-                step = t - last
-                if 0.0 <= step <= self.options.longest_gap:
-                    self._last = t
-                    now = self._now + step
-                    offer = self._halt or self._offer
-                    if offer is not None:
-                        in_time = offer.after is self._running.committed and self._now <= offer.committed.begins
-                        wanted = in_time and self._wanted(offer)
-                        seen = isinstance(offer.wish, Halt) or offer.outlook.sighting is self._sighting
-                        if wanted and seen and offer.keeps_clear:
-                            reader.take(offer.pieces)
-                            self._running = offer
-                            self._history.take(now, offer.path, offer.since)
-                            self._requests.becomes(id_of(offer.wish), "followed")
-                        elif not in_time:
-                            self._requests.becomes(id_of(offer.wish), "late")
-                        if offer is self._halt:
-                            self._halt = None
-                        elif seen or not wanted:  # else it is being looked at
-                            self._offer = None
-                    reader.read(now)
-                    self._now = now
-                elif t - t == 0.0:
-                    self._last = t
-                    self._clock = "The clock jumped; the motion went on from where it was."
-                    self._lose_sight()
-                else:
-                    self._clock = "A time was no number; the arm kept what it was told last."
+            self._advance(t, reader)
         except Exception as error:  # what was commanded last stays commanded
             self._clock = f"A command failed ({type(error).__name__}); the arm kept what it was told last."
         return reader.q, reader.dq, reader.ddq, reader.tau
+
+    def _advance(self, t: float, reader: Reader) -> None:
+        """Read what is commanded at time t, s, of the loop's clock."""
+        if t - t != 0.0:
+            self._clock = "A time was no number; the arm kept what it was told last."
+            return
+        last, self._last = self._last, t
+        if last is None:
+            return
+        if not 0.0 <= t - last <= self.options.longest_gap:
+            self._clock = "The clock jumped; the motion went on from where it was."
+            self._lose_sight()
+            return
+        now = self._now + (t - last)
+        if offer := self._halt or self._offer:
+            self._take_over(offer, now, reader)
+        reader.read(now)
+        self._now = now
+
+    def _take_over(self, offer: Running, now: float, reader: Reader) -> None:
+        """Command what is offered from live time `now`, s, on, if it comes in time, is still wanted and keeps clear."""
+        in_time = offer.after is self._running.committed and self._now <= offer.committed.begins
+        wanted = in_time and self._wanted(offer)
+        seen = isinstance(offer.wish, Halt) or offer.outlook.sighting is self._sighting
+        if wanted and seen and offer.keeps_clear:
+            reader.take(offer.pieces)
+            self._running = offer
+            self._history.take(now, offer.path, offer.since)
+            self._requests.becomes(id_of(offer.wish), "followed")
+        elif not in_time:
+            self._requests.becomes(id_of(offer.wish), "late")
+        if offer is self._halt:
+            self._halt = None
+        elif seen or not wanted:  # else it is being looked at
+            self._offer = None
 
     def save(self, path: str | Path, *, since: float = 0.0, rate: float = 1000.0) -> list[Path]:
         """Write what was commanded, up to now, as a motion file, which `salver audit` and `salver report` open.

@@ -32,7 +32,6 @@ from salver.live.replanning.lead import Lead
 from salver.live.replanning.lookout import Lookout
 from salver.live.replanning.obstacles import Moving, predicted
 from salver.live.replanning.planner import Answer, Job, Planner
-from salver.live.replanning.steer import TICK
 from salver.live.replanning.wishes import ACCEPTED, Evade, Follow, Goal, Halt, Refused, Retime, Wish, id_of, numbers
 from salver.live.requested import Requested, answers
 from salver.live.running import Running
@@ -423,7 +422,8 @@ class Live(Requested):
         """Live time of the next hand-over: the next tick, or where the base's deviation is known exactly."""
         begins = max(self._now + self._lead.of(kind) if earliest is None else earliest, base.begins)
         if kind == "tick":
-            return TICK * float(np.ceil(begins / TICK - 1e-9))
+            tick = self.options.planner.steering.tick
+            return tick * float(np.ceil(begins / tick - 1e-9))
         k = int(np.searchsorted(base.nodes, begins))
         return float(base.nodes[k]) if k < len(base.nodes) else begins
 

@@ -143,7 +143,7 @@ class Replanner:
     factor: float = 1.0  # of full speed, at which what is found is run, and judged
 
     @classmethod
-    def of(cls, problem: TransportProblem, options: ReplanOptions) -> Replanner:
+    def of(cls, problem: TransportProblem, options: ReplanOptions = ReplanOptions()) -> Replanner:
         return cls(problem, Firmer.of(problem), options)
 
     def to(self, end: End, before: Committed, begins: float, time_limit: float) -> tuple[Committed | None, Status]:
