@@ -192,6 +192,15 @@ def test_four_digits_of_quaternions_are_a_resolution(tmp_path):
     assert sensor_of(s.t, s.p, s.quat_wxyz).orientation.step == pytest.approx(1e-4, rel=1e-4)
 
 
+def test_steps_of_a_resolution_hide_as_much_of_the_acceleration_all_along():
+    t = np.arange(400) / 100
+    found = one(t, np.round(0.3 * np.sin(np.pi * t), 3))
+    inside = (found.motion.t > 1.5) & (found.motion.t < 2.5)
+    assert np.ptp(found.bandwidth) == 0
+    assert found.acceleration_error[inside] == pytest.approx(0.5, abs=0.05)
+    assert np.ptp(found.acceleration_error[inside]) < 1e-9
+
+
 def test_uneven_times_are_no_noise(tmp_path):
     rng = np.random.default_rng(3)
     t = np.arange(1501) / 1000 + 2e-4 * rng.uniform(-1, 1, 1501)

@@ -346,7 +346,13 @@ def test_plain_table_of_motion_capture(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "content", ["", "hello\nworld\n", "t,p_x\n0,1\n", "t,p_x,p_y,p_z,q_w,q_x,q_y,q_z\n0,a,b,c,d,e,f,g\n"]
+    "content",
+    [
+        "",
+        "hello\nworld\n",
+        "t,p_x\n0,1\n",
+        *(f"t,p_x,p_y,p_z,q_w,q_x,q_y,q_z\n0,{x}\n" for x in ("a,b,c,d,e,f,g", "1,2,3,1,0,0,0")),
+    ],
 )
 def test_other_files_are_not_motion_capture(tmp_path: Path, content: str) -> None:
     (tmp_path / "x.csv").write_text(content)

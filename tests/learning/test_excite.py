@@ -47,6 +47,15 @@ def test_slope_of_what_is_told_agrees_with_differences() -> None:
     assert (value(1e-4) - value(-1e-4)) / 2e-4 == pytest.approx(slope, rel=1e-4)
 
 
+def test_ranges_half_as_wide_are_four_times_the_information() -> None:
+    known = []
+    for share in (50, 25):
+        ranges = {"mass": f"{share}%", "com": [0.0] * 3, "friction": "10%"}
+        problem = transport_problem(load("panda-tall-bottle").with_changes(objects__0__uncertainty=ranges))
+        known.append(Information.of(problem).known[0, 0])
+    assert known[1] == pytest.approx(4 * known[0])
+
+
 @pytest.mark.slow
 def test_it_is_safe_tells_more_than_the_transport_and_as_much_as_promised(plan: Plan) -> None:
     assert plan.ok
