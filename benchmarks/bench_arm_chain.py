@@ -78,8 +78,8 @@ class Case:
         chain = self.chain
         return {
             "joint angle (rad)": chain.joints.q,
-            "tray position (m)": chain.tray[:, :3],
-            "tray rotation (rad)": chain.tray[:, 3:6],
+            "tray position (m)": chain.tray.state[:, :3],
+            "tray rotation (rad)": chain.tray.state[:, 3:6],
             "torque (N m)": chain.torque,
             "contact wrench as Lambda (N)": self.grasp_inverse @ chain.wrench,
         }
@@ -91,10 +91,10 @@ class Case:
         wrench = chain.model.load.wrench
         plan = (
             self.plan.joint.sample(chain.t)[0],
-            chain.nominal.p_SE,
+            chain.terms.p_SE,
             zero,
-            chain.nominal.torque,
-            chain.nominal.w @ wrench.T @ self.grasp_inverse.T,
+            chain.terms.torque,
+            chain.terms.w @ wrench.T @ self.grasp_inverse.T,
         )
         off = chain.held
         late = (
@@ -109,7 +109,7 @@ class Case:
 
     def measured(self, record: SimulationRecord) -> dict[str, Array]:
         n = len(self.t)
-        R_SE = np.swapaxes(self.chain.nominal.R_SE, 1, 2)
+        R_SE = np.swapaxes(self.chain.terms.R_SE, 1, 2)
         values = (
             record.q[:n],
             record.p_SE[:n],
@@ -292,7 +292,7 @@ def figure(cube: Case, bottle: Case, found: list[dict[str, Array]], slack: list[
     axis.legend(frameon=False, fontsize=8)
 
     axis = axes[0, 1]
-    z = cube.chain.tray[:, 2, 0]
+    z = cube.chain.tray.state[:, 2, 0]
     axis.plot(plan.t, 1e3 * step * plan.state_sensitivity[:, 2, 0], color=paper_colour)
     axis.plot(t, 1e3 * step * z, color=chain_colour)
     axis.plot(t[dots], 500 * (a["tray position (m)"] - b["tray position (m)"])[dots, 2], "o", ms=3.5, color=run_colour)

@@ -142,12 +142,12 @@ def test_without_the_arms_own_inertia_it_is_the_papers_loop():
     paper = TrayLoop(case.body.inertial, gains, phi_jacobian(case.body.inertial, case.body.name, own)).along(
         case.reference, T
     )
-    p, turn, R = case.body.p_EB, case.body.R_EB, chain.nominal.R_SE
+    p, turn, R = case.body.p_EB, case.body.R_EB, chain.terms.R_SE
     acting = [j for j, name in enumerate(names) if name in INERTIAL]
     half = chain.uncertain.half_range[acting]
     # The tray's deviation seen at B: the object's place on it is nominal.
-    theta = np.moveaxis(chain.tray[:, 3:6, acting], 1, 2)
-    dp = np.moveaxis(chain.tray[:, :3, acting], 1, 2) + np.einsum("tij,tkj->tki", R, np.cross(theta, p))
+    theta = np.moveaxis(chain.tray.state[:, 3:6, acting], 1, 2)
+    dp = np.moveaxis(chain.tray.state[:, :3, acting], 1, 2) + np.einsum("tij,tkj->tki", R, np.cross(theta, p))
     found = [dp, theta @ turn, np.moveaxis(chain.wrench[:, :, acting], 1, 2)]
     expected = [paper.state[:, :3, acting], paper.state[:, 3:6, acting], paper.wrench[:, :, acting]]
     for ours, theirs in zip(found, expected, strict=True):
@@ -173,7 +173,7 @@ def test_instants_of_a_long_motion_are_no_further_apart_than_of_a_short_one(case
 
 
 def test_worst_contact_without_tracking_is_that_of_the_rows(case):
-    w = arm_chain(case.model, case.joint, space="joint").nominal.w
+    w = arm_chain(case.model, case.joint, space="joint").terms.w
     for rows in contact_rows(case.scenario.payload):
         terms = case.model.load.terms
         still = Drift(terms, np.zeros((*w.shape, len(terms))), np.zeros_like(w))
@@ -197,10 +197,14 @@ def test_least_slack_bounds_perturbed_runs(panda):
         return -w @ need.T @ facets.T / (9.81 * moved.inertial.mass)
 
     for k in (60, int(np.argmin(bound)), 330):
-        w, nominal = chain.nominal.w[[k]], slack(chain.nominal.w[[k]], {})[0]
+        w, nominal = chain.terms.w[[k]], slack(chain.terms.w[[k]], {})[0]
         effect = np.array(
             [
-                (slack(w + h * chain.w[[k], :, j], {name: h}) - slack(w - h * chain.w[[k], :, j], {name: -h}))[0] / 2
+                (
+                    slack(w + h * chain.tray.w[[k], :, j], {name: h})
+                    - slack(w - h * chain.tray.w[[k], :, j], {name: -h})
+                )[0]
+                / 2
                 for j, (name, h) in enumerate(zip(uncertain.names, uncertain.half_range, strict=True))
             ]
         )
@@ -222,7 +226,7 @@ def test_the_loop_on_uneven_nodes_is_the_chains(panda):
     q, *rates = (*panda.joint.sample(nodes), panda.joint.jerk(nodes))
     terms = motion_terms(panda.model.loaded.pin_model, panda.model.loaded.tray_id, q, *rates[:2])
     found = panda.model.loop.along(nodes, terms, np.stack(rates))
-    expected = interp1d(T, chain.w[:, 4], axis=0)(nodes)
+    expected = interp1d(T, chain.tray.w[:, 4], axis=0)(nodes)
     scale = chain.model.load.half_range
     assert relative(found.tray.w[:, 4] * scale, expected * scale) < 1e-3
 
@@ -284,7 +288,7 @@ def test_no_uncertainty_no_tubes():
     plain = CUBE.with_changes(objects__0__uncertainty={}, uncertainty__tilt_deg=[0.0, 0.0])
     case = Case("panda")
     chain = arm_chain(chain_model(plain), case.joint)
-    assert not chain.radius(chain.tray).any()
+    assert not chain.radius(chain.tray.state).any()
     planned = chain.least_slack(tracking=False)
     assert chain.least_slack(held=False) == pytest.approx(planned, abs=1e-12)
     assert chain.least_slack() == pytest.approx(planned, abs=3e-3)
@@ -326,7 +330,7 @@ def test_where_the_jerk_jumps_the_least_slack_is_that_of_a_fine_grid(panda):
     t = np.unique(np.concatenate([t[np.abs(t[:, None] - motion.t).min(axis=1) > 1e-5], motion.t, motion.t[1:] - 1e-6]))
     q, *rates = (*motion.sample(t), motion.jerk(t))
     terms = motion_terms(model.loaded.pin_model, model.loaded.tray_id, q, *rates[:2])
-    fine = replace(found, t=t, deviation=model.loop.along(t, terms, np.stack(rates), order=1))
+    fine = replace(found, t=t, **vars(model.loop.along(t, terms, np.stack(rates), order=1)))
     least = fine.least_slack()
     assert (np.diff(found.t) > 0).all()
     jumps = motion.t[1:-1][np.arange(1, 24) % 4 != 2]

@@ -80,13 +80,13 @@ def test_tray_and_what_it_feels(panda, space):
     h = 0.1 * float(chain.uncertain.half_range[j])
     up, down = (panda.rollout(space, {"mass": s * h}) for s in (1.0, -1.0))
     a, b = (motion_terms(arm.pin_model, arm.tray_id, run["q"], run["dq"], run["ddq"]) for run in (up, down))
-    R0 = chain.nominal.R_SE
+    R0 = chain.terms.R_SE
     turn = [log(np.swapaxes(R0, 1, 2) @ x.R_SE) for x in (a, b)]
     v_S = [np.einsum("tij,tj->ti", x.R_SE, x.twist[:, :3]) for x in (a, b)]
     expected = [a.p_SE - b.p_SE, turn[0] - turn[1], v_S[0] - v_S[1], a.twist[:, 3:] - b.twist[:, 3:]]
     for k, value in enumerate(expected):
-        assert relative(chain.tray[:, 3 * k : 3 * k + 3, j] * h, value / 2) < 1e-4
-    assert relative(chain.w[:, :, j] * h, (a.w - b.w) / 2) < 2e-4
+        assert relative(chain.tray.state[:, 3 * k : 3 * k + 3, j] * h, value / 2) < 1e-4
+    assert relative(chain.tray.w[:, :, j] * h, (a.w - b.w) / 2) < 2e-4
 
 
 @pytest.mark.slow
@@ -158,7 +158,7 @@ def test_engine_agrees():
         return np.concatenate([forces.sum(axis=1), np.cross(points, forces).sum(axis=1)], axis=1)
 
     turn = np.swapaxes(matrix_from_quat_wxyz(down.quat_SE_wxyz), 1, 2) @ matrix_from_quat_wxyz(up.quat_SE_wxyz)
-    assert relative(at(chain.tray[:, :3]), difference(lambda r: r.p_SE)) < 0.005
-    assert relative(at(chain.tray[:, 3:6]), 0.5 * log(turn)[moving]) < 0.006
+    assert relative(at(chain.tray.state[:, :3]), difference(lambda r: r.p_SE)) < 0.005
+    assert relative(at(chain.tray.state[:, 3:6]), 0.5 * log(turn)[moving]) < 0.006
     assert relative(at(chain.torque), difference(lambda r: r.tau)) < 0.02
     assert relative(at(chain.wrench[:, :3]), difference(wrench)[:, :3]) < 0.002

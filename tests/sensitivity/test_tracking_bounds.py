@@ -64,8 +64,8 @@ def deviations(chain: ArmChain, change: dict[str, float]) -> Array:
 
 def felt_with(chain: ArmChain, at: slice = slice(None)) -> sampled_sets.Felt:
     """What the tray feels when parameters deviate, to first order in what the arm makes of it."""
-    linear = chain.w[at, :, : chain.uncertain.size]
-    return lambda change: chain.nominal.w[at] + linear @ deviations(chain, change)
+    linear = chain.tray.w[at, :, : chain.uncertain.size]
+    return lambda change: chain.terms.w[at] + linear @ deviations(chain, change)
 
 
 @pytest.mark.parametrize(("name", "kind"), EVERY)
@@ -73,8 +73,8 @@ def test_least_slack_of_a_small_set_is_attained(name: str, kind: str) -> None:
     """By a true load, on a tray that strays as the arm does: no parameter's two effects are added with a wrong sign."""
     chain, at = chain_of(name, kind), slice(None, None, 5)
     rows = odd_loads.TrueRows(small(name, kind))
-    nominal = -rows.worst({}, chain.nominal.w[at])
-    planned = -sampled_sets.sampled(rows, chain.nominal.w[at], 2)
+    nominal = -rows.worst({}, chain.terms.w[at])
+    planned = -sampled_sets.sampled(rows, chain.terms.w[at], 2)
     # A controller that is better than assumed may follow exactly: the bound is of both.
     strayed = np.minimum(planned, -sampled_sets.sampled(rows, felt_with(chain, at), 2))
     for reached, tracking in ((planned, False), (strayed, True)):
@@ -105,7 +105,7 @@ def test_fastest_plans_and_the_chain_agree_on_the_contact(name: str, kind: str, 
     made = small(name, kind)
     chain, seen = chain_of(name, kind, delay=delay), evaluated(name, kind, delay)
     worst = np.max([f.values.max(axis=1) for f in seen if f.name.startswith("contact")], axis=0)[::FINER]
-    nominal = odd_loads.TrueRows(made).worst({}, chain.nominal.w)
+    nominal = odd_loads.TrueRows(made).worst({}, chain.terms.w)
     assert_allclose((worst - nominal) / (-chain.least_slack() - nominal), 1.0, atol=5e-3)
 
 
@@ -167,7 +167,7 @@ def test_products_are_what_two_wrong_parameters_do_together(name: str) -> None:
     at, n_p = slice(None, None, 10), chain.uncertain.size
     half = dict(zip(chain.uncertain.names, chain.uncertain.half_range, strict=True))
     model, q = odd_loads.with_bodies(chain.model.arm, odd_loads.nominal_bodies(made)), JOINT.sample(T)[0][at]
-    mass_matrix, w = odd_loads.mass_matrices(model, q), chain.nominal.w[at]
+    mass_matrix, w = odd_loads.mass_matrices(model, q), chain.terms.w[at]
     jacobian = np.array([chain.model.arm.body_jacobian(posture) for posture in q])
 
     def needed(change: dict[str, float], w: Array) -> Array:
@@ -181,7 +181,7 @@ def test_products_are_what_two_wrong_parameters_do_together(name: str) -> None:
     assert {("mass", "com_x"), ("com_z", "com_z")} <= {tuple(x.rpartition(".")[2] for x in pair) for pair in products}
     for k, (a, b) in enumerate(products):
         ha, hb = half[a], half[b]
-        strayed = {p: chain.w[at, :, chain.uncertain.names.index(p)] for p in (a, b)}
+        strayed = {p: chain.tray.w[at, :, chain.uncertain.names.index(p)] for p in (a, b)}
         if a == b:
             wrench = (needed({a: ha}, w) + needed({a: -ha}, w) - 2 * needed({}, w)) / (2 * ha**2) + first(a, strayed[a])
         else:
@@ -197,7 +197,7 @@ def test_products_are_what_two_wrong_parameters_do_together(name: str) -> None:
 def test_terms_of_the_load_add_up_to_the_true_load(name: str) -> None:
     """Load, first object's wrench: at corners of the set, products of two parameters included."""
     made, chain = LOADS[name]("box"), chain_of(name, "box", 0)
-    known, w = chain.model.load, chain.nominal.w[::16]
+    known, w = chain.model.load, chain.terms.w[::16]
     nominal = sum(odd_loads.needed_at_E(body, w) for body in odd_loads.nominal_bodies(made))
     left, first = [], []
     for change in sampled_sets.samples(chain.uncertain, 12):
@@ -217,7 +217,7 @@ def test_tubes_of_the_chain_hold_every_load_and_touch_one(name: str, kind: str) 
     chain = chain_of(name, kind, 0)
     n_p = chain.uncertain.size
     joints = np.concatenate([chain.joints.q, chain.joints.dq], axis=1)
-    for quantity in (chain.torque, chain.tray, joints, chain.wrench):
+    for quantity in (chain.torque, chain.tray.state, joints, chain.wrench):
         part = quantity[::20]
         linear = part[..., :n_p]
         farthest = sampled_sets.steepest(linear, chain.uncertain)
@@ -240,7 +240,7 @@ def test_fastest_plans_leave_room_for_the_torque_of_any_load(name: str, kind: st
         odd_loads.with_bodies(chain.model.arm, odd_loads.nominal_bodies(made)), *JOINT.sample(T)
     )
     room = (block.values[::FINER] + 1) * np.tile(limit, 2) - np.hstack([nominal, -nominal])
-    expected = np.tile(chain.deviation.torque_radius(), 2)
+    expected = np.tile(chain.torque_radius(), 2)
     assert_allclose(room, expected, atol=5e-3 * expected.max())
 
 
@@ -310,7 +310,7 @@ def test_fastest_plans_keep_clear_by_the_safety_distance_and_by_what_the_arm_str
         beyond = np.abs(local) - 0.5 * np.array([*size, thickness])
         assert beyond.max() > 0
         free.append(np.linalg.norm(np.maximum(beyond, 0.0)) - radius)
-    tray = chain.radius(chain.tray[:, :6])
+    tray = chain.radius(chain.tray.state[:, :6])
     # What stands up to 0.2 m from the tray's centre moves with its turn.
     stray = np.linalg.norm(tray[:, :3], axis=1) + 0.2 * np.linalg.norm(tray[:, 3:6], axis=1)
     assert stray.max() > 2e-4

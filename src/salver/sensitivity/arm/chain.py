@@ -29,11 +29,9 @@ from salver.models.uncertain.parameters import UncertainSet
 from salver.sensitivity import tubes
 from salver.sensitivity.arm.load import LoadChange
 from salver.sensitivity.arm.task import task_law
-from salver.sensitivity.arm.terms import MotionTerms, motion_terms
+from salver.sensitivity.arm.terms import motion_terms
 from salver.sensitivity.arm.tracking import (
     Deviation,
-    HeldCommands,
-    JointDeviation,
     JointLoop,
     deviation,
     joint_loop,
@@ -111,50 +109,24 @@ def chain_model(scenario: Scenario, arm: ArmModel | None = None) -> ChainModel:
     )
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class ArmChain(Outlined):
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class ArmChain(Outlined, Deviation):
     """Sensitivity of the chain along a motion at T instants, per unit of each of n_c terms (last axis).
+
+    These are the deviation of the arm and the contact wrench of the first object.
 
     The first n_p terms are the uncertain parameters, so that `[..., :n_p]` are the derivatives; the others are products
     of two parameters (`salver.sensitivity.arm.load`), for second-order effects of the load and of the deviation that it
     causes; `radius` adds them.
 
-    t: (T,) s. space: "object" or "joint", where the loop is closed. deviation: of the arm. wrench: (T, 6, n_c) contact
-    wrench of the first object at its B, N and N m. Parts of the deviation: nominal: poses, w, torque along the motion.
-    joints: of q, dq, ddq. tray: (T, 12, n_c) of the assumed frame E, rows dp in S, dtheta in E, dv in S, domega in E.
-    torque: (T, n, n_c) commanded, N m. w: (T, 12, n_c) of the tray's motion regressor by its motion alone. held: the
-    effect of the zero-order hold on the nominal motion.
+    t: (T,) s. space: "object" or "joint", where the loop is closed. wrench: (T, 6, n_c) at B of the first object, N and
+    N m.
     """
 
     t: Array
     space: Space
     model: ChainModel
-    deviation: Deviation
     wrench: Array
-
-    @property
-    def nominal(self) -> MotionTerms:
-        return self.deviation.terms
-
-    @property
-    def joints(self) -> JointDeviation:
-        return self.deviation.joints
-
-    @property
-    def tray(self) -> Array:
-        return self.deviation.tray.state
-
-    @property
-    def w(self) -> Array:
-        return self.deviation.tray.w
-
-    @property
-    def torque(self) -> Array:
-        return self.deviation.torque
-
-    @property
-    def held(self) -> HeldCommands:
-        return self.deviation.held
 
     @property
     def uncertain(self) -> UncertainSet:
@@ -172,20 +144,20 @@ class ArmChain(Outlined):
         tracking: include the arm's tracking error; otherwise the tray moves as planned, as a plan with
         contact.condition = "exact" assumes. held: include the zero-order hold.
         """
-        w, drift = self.deviation.felt(held) if tracking else (self.nominal.w, None)
+        w, drift = self.felt(held) if tracking else (self.terms.w, None)
         return -np.max([part.worst(w, drift).max(axis=1) for part in self.model.worst_rows], axis=0)
 
     def summary(self) -> dict[str, Any]:
         """Figures for a report: largest tube radii, least contact slack with and without tracking; without the slack
         for liquids and pendulums, which the chain does not model."""
-        tray, torque = self.radius(self.tray), self.radius(self.torque)
+        tray, torque = self.radius(self.tray.state), self.radius(self.torque)
         limits = self.model.arm.limits.torque
         found = {
             "space": self.space,
             "tray_position_radius": float(np.linalg.norm(tray[:, :3], axis=1).max()),
             "tray_rotation_radius": float(np.linalg.norm(tray[:, 3:6], axis=1).max()),
             "torque_radius": torque.max(axis=0).tolist(),
-            "torque_share": float(((np.abs(self.nominal.torque + self.held.torque) + torque) / limits).max()),
+            "torque_share": float(((np.abs(self.terms.torque + self.held.torque) + torque) / limits).max()),
         }
         if self.model.scenario.payload.dynamic:
             return found
@@ -225,7 +197,7 @@ def arm_chain(model: ChainModel, joint: JointMotion, *, space: Space = "object",
     load = model.load
     wrench = np.einsum("pij,tj->tip", load.wrench_p, terms.w)  # at once, on an unchanged motion: Y dphi
     wrench[:, :, load.uncertain.size :] += load.products(load.wrench_p, found.tray.w)
-    return ArmChain(t, space, model, found, wrench + load.wrench @ found.tray.w)
+    return ArmChain(**vars(found), t=t, space=space, model=model, wrench=wrench + load.wrench @ found.tray.w)
 
 
 def _jumps(joint: JointMotion, delay: float) -> Array:
