@@ -130,7 +130,7 @@ class InterfaceMargins:
     def friction_needed_worst(self) -> float:
         """Least friction coefficient of this interface at which the whole motion does not slide in the worst case.
 
-        It is at least the nominal one, and infinite if no friction suffices; to 1e-4.
+        It is at least the nominal one, and infinite if no friction suffices.
         """
         from scipy.optimize import brentq
 
@@ -152,7 +152,8 @@ class InterfaceMargins:
             return least
         if beyond(1.0 / HIGHEST) > 0:
             return float("inf")
-        return 1.0 / float(brentq(beyond, 1.0 / HIGHEST, 1.0 / least, xtol=1e-6, rtol=1e-6))
+        found = float(brentq(beyond, 1.0 / HIGHEST, 1.0 / least, xtol=1e-6, rtol=1e-6))
+        return (1 + 1e-5) / found  # on the side on which it holds
 
     @property
     def least_friction(self) -> float:
