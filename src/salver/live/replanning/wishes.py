@@ -103,7 +103,7 @@ class RequestOptions:
         speed, turn, distance: m/s, rad/s and m; beyond that a number is taken to be in another unit, and refused.
         silence: s after a twist at which it counts no more. Doubled, an arm whose hand fell silent brakes 0.1 s later.
         slope_window: s of twists of late whose slope over time is believed to go on; where there are none so near, the
-            last one counts. At 0.04, a gentle hand is followed with 1.2 times the error.
+            last one of `slope_reach` s counts. At 0.04, a gentle hand is followed with 1.2 times the error.
     """
 
     speed: float = 5.0
@@ -111,6 +111,7 @@ class RequestOptions:
     distance: float = 100.0
     silence: float = 0.1
     slope_window: float = 0.025
+    slope_reach: float = 0.06
 
 
 STANDARD_REQUESTS = RequestOptions()
@@ -234,7 +235,7 @@ def twist_wish(
             raise Refused(f"{what} is {np.linalg.norm(found):.3g}; it must be at most {most:g} {unit}, in S")
         twist.append(found)
     latest = factor * np.concatenate(twist)
-    before = [(t - now, old) for t, old in heard if now - options.silence <= t < now]
+    before = [(t - now, old) for t, old in heard if now - options.slope_reach <= t < now]
     recent = [x for x in before if -x[0] <= options.slope_window + 1e-9] or before[-1:]
     slope = np.zeros(6)
     if recent:  # the least squares' one
