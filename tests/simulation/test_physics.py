@@ -333,6 +333,7 @@ def test_record_saves_and_loads(nominal, tmp_path):
     np.testing.assert_array_equal(again.contact_forces_B, nominal.contact_forces_B)
     assert again.outcome == nominal.outcome
     assert again.object_names == ("cube",)
+    np.testing.assert_allclose(np.diff(again.t), 1 / 200, atol=1e-9)
     (tmp_path / "simulation" / "baseline.json").write_text("{}")
     with pytest.raises(FileFormatError, match=r"baseline\.json"):
         load_record(tmp_path, "baseline")
