@@ -66,7 +66,6 @@ def test_the_plan_and_its_record_say_at_which_speeds_it_holds(run: Path, plan: P
     assert said["intervals"] == [[pytest.approx(plan.speeds.intervals[0][0]), 1.0]]
     assert said["code"] == "tips"
     assert 0 < said["posture_time"] < plan.duration
-    assert said["rate"] is None
 
 
 @pytest.mark.slow
