@@ -32,10 +32,8 @@ def serial(context: Context, batches: Sequence[Batch]) -> Iterator[Records]:
 
 def processes(context: Context, batches: Sequence[Batch], jobs: int) -> Iterator[Records]:
     """Run batches in `jobs` processes. Raises SalverError when one of them dies (killed, out of memory)."""
-    with (
-        _single_threaded(),
-        ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn"), _initialise, (context,)) as pool,
-    ):
+    with _single_threaded():
+        pool = ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn"), _initialise, (context,))
         try:
             for future in as_completed([pool.submit(_execute, batch) for batch in batches]):
                 yield future.result()
@@ -44,9 +42,8 @@ def processes(context: Context, batches: Sequence[Batch], jobs: int) -> Iterator
                 "A process that made runs died (killed, or out of memory); finished runs are kept: repeat the command "
                 "to continue, with fewer --jobs if memory is short."
             ) from None
-        except BaseException:
+        finally:  # without waiting: a worker that is killed when idle may hold a lock that the others wait for
             pool.shutdown(wait=False, cancel_futures=True)
-            raise
 
 
 @contextmanager
