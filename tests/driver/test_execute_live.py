@@ -312,12 +312,12 @@ def heard_in(prompter, heard, periods):
 
 
 def test_a_stop_waits_for_no_line_before_it():
-    """Five thousand twists come before it, and what comes after it is judged after it."""
+    """Twelve hundred twists come before it, and what comes after it is judged after it."""
     heard = Heard()
-    told = [*lines(*[{"twist": [0.1, 0.0, 0.0]}] * 5000, {"stop": True}, {"goto": [0.5, 0.0, 0.5]})]
+    told = [*lines(*[{"twist": [0.1, 0.0, 0.0]}] * 1200, {"stop": True}, {"goto": [0.5, 0.0, 0.5]})]
     prompter = Prompter(heard).listening(io.StringIO("\n".join(told)), "standard input")
     assert heard_in(prompter, heard, 1) == ["stop"]
-    assert prompter.dropped == 5000
+    assert prompter.dropped == 1200
     assert heard_in(prompter, heard, 1) == ["stop", "goto"]
     assert prompter.over
 
@@ -358,9 +358,9 @@ def test_nothing_that_comes_makes_it_deaf():
 
 def test_lines_that_come_are_not_kept_without_end():
     heard = Heard()
-    prompter = Prompter(heard).listening(lines(*[{"twist": [0.1, 0.0, 0.0]}] * 30_000), "standard input")
+    prompter = Prompter(heard).listening(lines(*[{"twist": [0.1, 0.0, 0.0]}] * 3_000), "standard input")
     heard_in(prompter, heard, 0)
-    assert (len(prompter._waiting), prompter.dropped) == (1000, 29_000)
+    assert (len(prompter._waiting), prompter.dropped) == (1000, 2_000)
 
 
 @pytest.mark.slow
