@@ -102,6 +102,9 @@ def test_changes_make_a_checked_copy():
     assert longer.motion.start.rpy_deg == (5, 0, 0)
     assert (item.motion.duration, item.objects[0].mass) == (2.5, 0.256)
     assert longer.digest != item.digest
+    for nowhere in ({"objects__3__mass": 1.0}, {"objects__mass": 1.0}, {"name__first": "a"}, {"seed__x__y": None}):
+        with pytest.raises(ScenarioError, match=r"__\w+ is no place in"):
+            item.with_changes(**nowhere)
     with pytest.raises(ScenarioError, match=r"the changed scenario: motion\.duration = -1"):
         item.with_changes(motion__duration=-1)
 

@@ -297,12 +297,17 @@ class Scenario(Shown, Model):
         for path, value in changes.items():
             *parents, last = path.split("__")
             target: Any = data
-            for key in parents:
-                target = target[int(key)] if key.isdigit() else target.setdefault(key, {})
-            if value is None:
-                target.pop(last, None)
-            else:
-                target[last] = deepcopy(value)  # a later change may be inside it
+            try:
+                for key in parents:
+                    target = target[int(key)] if key.isdigit() else target.setdefault(key, {})
+                if value is None:
+                    target.pop(last, None)
+                else:
+                    target[last] = deepcopy(value)  # a later change may be inside it
+            except (AttributeError, IndexError, TypeError):
+                raise ScenarioError(
+                    f"{path} is no place in {self.name}; write it as in motion__duration or objects__0__mass."
+                ) from None
         return parse(data, "the changed scenario")
 
 
