@@ -10,7 +10,7 @@ import pytest
 from salver.planning.seeds.starts import ends, straight
 from salver.planning.trajopt.constraints.constraints import PER_METRE, Clearance, strayed
 from salver.planning.trajopt.constraints.load_limits import AtRest
-from salver.planning.trajopt.curves import FreeCurve, Grid
+from salver.planning.trajopt.curves import FreeCurve
 from salver.planning.trajopt.exchange import programme_of
 from salver.planning.trajopt.objectives import Point
 from salver.planning.trajopt.problem import transport_problem
@@ -86,17 +86,6 @@ def test_how_far_an_arm_may_stray_while_it_settles_counts_at_the_end(problem):
     more = rows.values - plain.values - (rows.values[:1] - plain.values[:1])
     np.testing.assert_allclose(more[:-1], 0.0, atol=1e-9)
     np.testing.assert_allclose(more[-1], PER_METRE * (judged.off[-1] - last), atol=1e-9)
-
-
-def test_a_rest_taken_to_give_way_as_after_a_motion_near_by_errs_by_less_than_it_changes(problem):
-    start, grid = begun(problem), np.linspace(0.0, 1.0, 61)
-    other = start.coefficients + 0.02 * np.random.default_rng(1).normal(size=start.coefficients.shape)
-    other[:3], other[-3:] = start.coefficients[:3], start.coefficients[-3:]
-    one, two = (problem.at(grid, Grid.of(start.spline, grid).motion(c, 0.7), 0.7) for c in (start.coefficients, other))
-    taken = two.giving_way_as(one)
-    for name in one.loads:
-        before, exact, found = (motion.rest.loads[name][-1].modes.r for motion in (one, two, taken))
-        np.testing.assert_array_less(np.abs(found - exact).max(), 0.5 * np.abs(exact - before).max())
 
 
 def test_derivatives_in_the_rest_agree_with_differences(problem):

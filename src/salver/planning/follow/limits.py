@@ -49,7 +49,7 @@ def peaks(arm: ArmModel, motion: JointMotion, bodies: Sequence[Body] = ()) -> li
     Position is measured from the middle of the range. The motion is checked between its samples too: at twice as many
     instants, and at 200 at least.
     """
-    motion, limits = motion.resampled(motion.duration / 200), arm.planning_limits
+    motion, limits = motion.resampled(float(np.ptp(motion.t)) / 200), arm.planning_limits
     t = np.sort(np.concatenate([motion.t, 0.5 * (motion.t[1:] + motion.t[:-1])]))
     torque = torques(arm, motion, bodies)
     times = {"position": t, "torque": motion.t}
