@@ -302,14 +302,6 @@ def sorted_records(content):
     return sorted(map(json.loads, content.splitlines()), key=lambda r: (r["stem"], r["run"]))
 
 
-def test_the_command_says_what_was_damaged(run):
-    journal = run / "campaign" / "journal.jsonl"
-    journal.write_bytes(b"damaged\n" + journal.read_bytes())
-    done = command("campaign", run, "-n", 4, "--engine", "closed-loop", "-j", 1)
-    assert done.exit_code == 0
-    assert "line 1 is damaged" in done.stderr
-
-
 @pytest.mark.parametrize(
     "content",
     ["[]", "{}", '{"definition": []}', '{"definition": {"n": "many"}}', "1e999", "[" * 100_000, "9" * 5000],
