@@ -19,20 +19,18 @@ import json
 import tempfile
 import time
 from collections import Counter
-from dataclasses import dataclass, replace
-from itertools import accumulate
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.polynomial.chebyshev import chebder, chebval
 
 from salver.auditing import audit
 from salver.auditing.motion import AuditedMotion
 from salver.auditing.verdict import Audit
-from salver.geometry import exp, invert, quat_wxyz_from_matrix
+from salver.geometry import invert, quat_wxyz_from_matrix
 from salver.scenario import Scenario, load
 from salver.simulation.physics import simulate_tray
-from salver.trajectory import PolynomialReference, SampledReference, boundary_solution, position_boundary
+from salver.trajectory import PolynomialReference, boundary_solution, position_boundary
 
 NEAR = 0.02  # of the duration
 SLIPPED = 2e-5  # m: more than the engine's creep
@@ -76,7 +74,7 @@ def objects(rng: np.random.Generator) -> Scenario:
     )
 
 
-def random_motion(rng: np.random.Generator, scenario: Scenario, duration: float) -> SampledReference:
+def random_motion(rng: np.random.Generator, scenario: Scenario, duration: float) -> PolynomialReference:
     """Rest to rest over up to 0.6 m, degree 8, turning there and back by a few degrees about a random axis."""
     start, goal = rng.uniform(-0.3, 0.3, (2, 3)) + np.array([0.5, 0, 0.5])
     solution = boundary_solution(8, position_boundary(1.0, start, goal))
@@ -84,17 +82,12 @@ def random_motion(rng: np.random.Generator, scenario: Scenario, duration: float)
     # (1 - s^2)^2 times a random quadratic vanishes at both ends with its derivative: at rest, no angular acceleration.
     shape = np.polynomial.chebyshev.poly2cheb(np.array([1, 0, -2, 0, 1]))
     rates = [np.polynomial.chebyshev.chebmul(shape, rng.normal(0, 0.4, 3)) for _ in range(3)]
-    position = solution.particular + solution.null_space @ free
-    t = np.linspace(0, duration, 2001)
-    rate, s = np.stack(rates, axis=1) / duration, 2 * t / duration - 1
-    omega, alpha = chebval(s, rate).T, chebval(s, chebder(rate)).T * 2 / duration
-    between = chebval(0.5 * (s[1:] + s[:-1]), rate).T
-    rotations = np.stack(list(accumulate(exp(between * t[1]), np.matmul, initial=np.eye(3))))
-    straight = PolynomialReference(duration, np.eye(3), position).sample(t)
-    return SampledReference(replace(straight, R_SB=rotations, omega_B=omega, alpha_B=alpha))
+    return PolynomialReference(
+        duration, np.eye(3), solution.particular + solution.null_space @ free, np.stack(rates, axis=1) / duration
+    )
 
 
-def judged(scenario: Scenario, reference: SampledReference, folder: Path) -> Audit:
+def judged(scenario: Scenario, reference: PolynomialReference, folder: Path) -> Audit:
     """By way of a file."""
     t = np.arange(round(reference.duration * 1000) + 1) / 1000
     first = scenario.payload.first
@@ -105,18 +98,19 @@ def judged(scenario: Scenario, reference: SampledReference, folder: Path) -> Aud
     return audit(path, scenario)
 
 
-def exact_pace(scenario: Scenario, reference: SampledReference) -> float | None:
+def exact_pace(scenario: Scenario, reference: PolynomialReference) -> float | None:
     """Factor of the duration at which the motion itself, without file or smoothing, just holds."""
     first = scenario.payload.first
     s = reference.sample(np.linspace(0, reference.duration, 2001)).of_frame(*invert(first.p_EB, first.R_EB))
     return Audit(scenario, "exact", AuditedMotion(s)).pace.factor
 
 
-def slower(reference: SampledReference, factor: float) -> SampledReference:
+def slower(reference: PolynomialReference, factor: float) -> PolynomialReference:
     """The same path in `factor` times the duration."""
-    m = reference.samples
-    rates = {"v_S": m.v_S / factor, "a_S": m.a_S / factor**2, "omega_B": m.omega_B / factor}
-    return SampledReference(replace(m, t=m.t * factor, alpha_B=m.alpha_B / factor**2, **rates))
+    assert reference.angular_velocity is not None
+    return PolynomialReference(
+        reference.duration * factor, reference.R_start, reference.position, reference.angular_velocity / factor
+    )
 
 
 def main() -> None:

@@ -21,7 +21,7 @@ from salver.geometry import exp
 from salver.models.uncertain.parameters import inertial_vector, phi_of
 from salver.scenario import load
 from salver.simulation.closed_loop import rollout
-from salver.trajectory import MotionSamples, Reference, SampledReference, min_jerk_line
+from salver.trajectory import PolynomialReference, Reference, min_jerk_line
 
 PAPER = load("panda-cube")
 CUBE = PAPER.payload.first
@@ -31,9 +31,8 @@ GAINS = Gains(PAPER.control.kp, PAPER.control.kd)
 def references(duration: float) -> dict[str, Reference]:
     start, goal, rng = PAPER.motion.start, PAPER.motion.goal, np.random.default_rng(0)
     line = min_jerk_line(duration, np.array(start.position), np.array(goal.position), start.rotation, goal.rotation)
-    p, v, a, theta, omega, alpha = rng.normal(size=(6, 2, 3)) * np.array([0.2, 0.5, 2.0, 0.6, 1.5, 5.0])[:, None, None]
-    ends = MotionSamples(np.array([0.0, duration]), p, v, a, exp(theta), omega, alpha)
-    return {"paper's line": line, "tumbling": SampledReference(ends)}
+    position, turning = 0.2 * rng.normal(size=(7, 3)), 1.5 * rng.normal(size=(5, 3))
+    return {"paper's line": line, "tumbling": PolynomialReference(duration, exp([0.4, -0.3, 1.0]), position, turning)}
 
 
 def parameters(n: int) -> np.ndarray:

@@ -38,6 +38,17 @@ def test_constant_forcing_settles_at_its_static_error():
     assert np.abs(rate[-1]).max() < 1e-9 * np.abs(rate).max()
 
 
+def test_running_integrals_are_exact_for_quadratics_and_accurate_for_waves():
+    grid = QuadratureGrid(np.linspace(0, 1.5, 31), 2)
+    for f, integral, tolerance in (
+        (lambda t: 3 * t**2, lambda t: t**3, 1e-14),
+        (lambda t: np.cos(3 * t), lambda t: np.sin(3 * t) / 3, 2e-8),
+    ):
+        at_grid, at_times = grid.cumulative(f(grid.times))
+        assert at_grid == pytest.approx(integral(grid.t), abs=tolerance)
+        assert at_times == pytest.approx(integral(grid.times), abs=tolerance)
+
+
 def test_nothing_in_nothing_out():
     grid = QuadratureGrid.for_gains(np.linspace(0, 1, 11), [(500.0, 25.0)])
     e, rate = LinearFilter.on_grid(grid, 500.0, 25.0).respond(np.zeros((len(grid.times), 3, 0)))

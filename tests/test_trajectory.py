@@ -5,19 +5,19 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.interpolate import BPoly
 
+from salver import trajectory
 from salver.geometry import exp, hat, log
 from salver.planning.passing import passed
 from salver.trajectory import (
     JointMotion,
     PolynomialReference,
-    Quintics,
     SampledReference,
     boundary_map,
     boundary_solution,
     min_jerk_line,
+    min_norm_reference,
     position_boundary,
 )
-from tumbling import Tumbling
 
 START, GOAL = np.array([0.5, -0.3, 0.4]), np.array([0.4, 0.1, 0.5])
 YAW, TILT = exp(np.array([0, 0, np.pi / 2])), exp(np.array([np.deg2rad(20), 0, 0]))
@@ -25,15 +25,14 @@ YAW, TILT = exp(np.array([0, 0, np.pi / 2])), exp(np.array([np.deg2rad(20), 0, 0
 
 @pytest.fixture
 def tumbling():
-    start, goal, turn, tumble, sway, at = np.random.default_rng(3).normal(size=(6, 3))
-    return Tumbling(1.7, start, goal, turn, tumble, sway, exp(at))
+    rng = np.random.default_rng(3)
+    return PolynomialReference(1.7, exp(rng.normal(size=3)), rng.normal(size=(10, 3)), 0.7 * rng.normal(size=(6, 3)))
 
 
 @pytest.mark.parametrize("degree", [5, 6, 9, 20, 30])
 @pytest.mark.parametrize("goal_rotation", [np.eye(3), YAW, TILT, YAW @ TILT])
 def test_rest_to_rest_boundary_conditions_hold_to_1e_9(degree, goal_rotation):
-    position = boundary_solution(degree, position_boundary(1.3, START, GOAL)).particular
-    reference = PolynomialReference(1.3, TILT, position, log(TILT.T @ goal_rotation))
+    reference = min_norm_reference(1.3, degree, START, GOAL, TILT, goal_rotation)
     ends = reference.sample([0.0, 1.3])
     assert ends.p_SB == pytest.approx(np.stack([START, GOAL]), abs=1e-12)
     for still in (ends.v_S, ends.a_S, ends.omega_B, ends.alpha_B):
@@ -76,7 +75,18 @@ def test_orientation_agrees_with_an_independent_integrator(tumbling):
         rtol=1e-12,
         atol=1e-13,
     )
-    assert tumbling.sample(1.7).R_SB[0] == pytest.approx(answer.y[:, -1].reshape(3, 3), abs=1e-9)
+    assert tumbling.R_end == pytest.approx(answer.y[:, -1].reshape(3, 3), abs=1e-9)
+
+
+def test_magnus_steps_converge_with_sixth_order(tumbling, monkeypatch):
+    monkeypatch.setattr(trajectory, "ROTATION_STEPS", 512)
+    exact = PolynomialReference(1.7, tumbling.R_start, tumbling.position, tumbling.angular_velocity).R_end
+    errors = []
+    for steps in (16, 32):
+        monkeypatch.setattr(trajectory, "ROTATION_STEPS", steps)
+        end = PolynomialReference(1.7, tumbling.R_start, tumbling.position, tumbling.angular_velocity).R_end
+        errors.append(np.abs(end - exact).max())
+    assert np.log2(errors[0] / errors[1]) > 5.5
 
 
 @pytest.mark.parametrize("offset", [np.zeros(3), np.array([0.1, -0.2, 0.3])])
@@ -94,7 +104,7 @@ def test_rates_are_derivatives_of_poses(tumbling, offset):
 
 def test_sampled_reference_reproduces_the_motion_it_was_sampled_from(tumbling):
     errors = []
-    for n in (60, 120):
+    for n in (100, 200):
         again = SampledReference(tumbling.sample(np.linspace(0, 1.7, n)))
         t = np.linspace(0, 1.7, 777)
         made, true = again.sample(t), tumbling.sample(t)
@@ -137,7 +147,7 @@ def test_piecewise_quintics_are_those_of_scipy_with_derivatives_and_at_breaks_to
     breaks = np.sort(rng.uniform(-1, 2, 9))
     coefficients = rng.normal(size=(6, 8, 3))
     t = np.concatenate([breaks, rng.uniform(breaks[0], breaks[-1], 60)])
-    ours, theirs = Quintics(breaks, coefficients), BPoly(coefficients, breaks)
+    ours, theirs = trajectory.Quintics(breaks, coefficients), BPoly(coefficients, breaks)
     for order in range(4):
         expected = (theirs.derivative(order) if order else theirs)(t)
         assert ours.at(t, order) == pytest.approx(expected, rel=1e-12, abs=1e-12 * np.abs(expected).max())

@@ -342,6 +342,28 @@ class QuadratureGrid:
         """Quadrature weights (3 substeps,) of an interval, s."""
         return np.tile(_GAUSS_WEIGHTS, self.substeps) * (self.t[1] - self.t[0]) / self.substeps
 
+    def cumulative(self, values: Array) -> tuple[Array, Array]:
+        """Running integrals of values (Q, ...) from t[0]: at the grid (T, ...) and at `times` (Q, ...).
+
+        In a substep, values are taken as the quadratic through its three Gauss points.
+        """
+        h = (self.t[1] - self.t[0]) / self.substeps
+        blocks = values.reshape(-1, 3, *values.shape[1:])
+        steps = h * np.einsum("g,bg...->b...", _GAUSS_WEIGHTS, blocks)
+        ends = np.concatenate([np.zeros((1, *values.shape[1:])), np.cumsum(steps, axis=0)])
+        inside = ends[:-1, None] + h * np.einsum("ig,bg...->bi...", _PARTIAL, blocks)
+        return ends[:: self.substeps], inside.reshape(values.shape)
+
+
+def _partial_weights() -> Array:
+    """(3, 3): integrals from 0 to Gauss point i of the Lagrange polynomial of Gauss point g on [0, 1]."""
+    vandermonde = np.vander(_GAUSS_POINTS, increasing=True)
+    integrals = np.stack([_GAUSS_POINTS ** (k + 1) / (k + 1) for k in range(3)], axis=1)
+    return np.asarray(np.linalg.solve(vandermonde.T, integrals.T).T, dtype=float)
+
+
+_PARTIAL = _partial_weights()
+
 
 @lru_cache(maxsize=16)
 def _on_nodes(t: bytes, kp: float, kd: float, order: int, shares: bytes) -> LinearFilter:

@@ -1,13 +1,14 @@
 """Reference trajectories of the object in SE(3): paper, eqs (14), (15), (26) and footnote 1.
 
-The position is a polynomial for each axis, in the Chebyshev basis of normalised time s = 2 t / T - 1, whose boundary
-map is well conditioned at any degree (the monomial basis loses a digit with each degree).
+The position is a polynomial for each axis, the body angular velocity another, integrated on SO(3). Both are in the
+Chebyshev basis of normalised time s = 2 t / T - 1, whose boundary map is well conditioned at any degree (the monomial
+basis loses a digit with each degree).
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields
 from functools import cached_property, lru_cache
 from math import comb
 from typing import Protocol
@@ -17,7 +18,7 @@ import numpy.typing as npt
 from numpy.polynomial import chebyshev
 
 from salver.display import Outlined
-from salver.geometry import Array, Indices, Mask, exp, hat, log, quat_wxyz_from_matrix, right_jacobian_inverse
+from salver.geometry import Array, Indices, Mask, cross, exp, hat, log, quat_wxyz_from_matrix, right_jacobian_inverse
 
 
 @dataclass(frozen=True)
@@ -99,10 +100,14 @@ def _differentiation(degree: int, derivative: int) -> Array:
     return matrix
 
 
-def boundary_map(degree: int) -> Array:
-    """M (6, degree + 1) of eq (26) for one axis: takes coefficients to the value and its first two derivatives by
-    normalised time, at s = -1, then at s = 1."""
-    return np.stack(chebyshev_bases([-1.0, 1.0], degree, range(3)), axis=1).reshape(6, degree + 1)
+def boundary_map(degree: int, orders: tuple[int, ...] = (0, 1, 2)) -> Array:
+    """M (2 len(orders), degree + 1) of eq (26) for one axis: takes coefficients to derivatives at s = -1, then s = 1.
+
+    orders: the derivatives, with respect to normalised time.
+    """
+    ends = np.array([-1.0, 1.0])
+    rows = [chebyshev_basis(ends, degree, k) for k in orders]
+    return np.concatenate([np.stack([row[0] for row in rows]), np.stack([row[1] for row in rows])])
 
 
 @dataclass(frozen=True)
@@ -113,9 +118,9 @@ class BoundarySolution:
     null_space: Array
 
 
-def boundary_solution(degree: int, values: npt.ArrayLike) -> BoundarySolution:
-    """Solve eq (26) for one or more axes: values (6, n_axes) with respect to normalised time."""
-    matrix, scale, inverse, null_space = _boundary_inverse(degree)
+def boundary_solution(degree: int, values: npt.ArrayLike, orders: tuple[int, ...] = (0, 1, 2)) -> BoundarySolution:
+    """Solve eq (26) for one or more axes: values (2 len(orders), n_axes) with respect to normalised time."""
+    matrix, scale, inverse, null_space = _boundary_inverse(degree, orders)
     values = np.asarray(values, dtype=float)
     particular = inverse @ (scale * values)
     particular += inverse @ (scale * (values - matrix @ particular))
@@ -123,9 +128,9 @@ def boundary_solution(degree: int, values: npt.ArrayLike) -> BoundarySolution:
 
 
 @lru_cache(maxsize=64)
-def _boundary_inverse(degree: int) -> tuple[Array, Array, Array, Array]:
+def _boundary_inverse(degree: int, orders: tuple[int, ...]) -> tuple[Array, Array, Array, Array]:
     """M of eq (26), the scale of its rows, the pseudoinverse of the scaled M, and its null space."""
-    matrix = boundary_map(degree)
+    matrix = boundary_map(degree, orders)
     # Rows of derivatives are up to degree^4 larger than those of values; scaled, all are met equally accurately.
     scale = 1 / np.linalg.norm(matrix, axis=1)[:, None]
     left, sizes, v = np.linalg.svd(scale * matrix)
@@ -133,18 +138,49 @@ def _boundary_inverse(degree: int) -> tuple[Array, Array, Array, Array]:
     return matrix, scale, v[:rank].T @ (left.T / sizes[:, None]), v[rank:].T
 
 
+# Gauss-Legendre points and the sixth-order Magnus step (Blanes, Casas, Oteo, Ros, 2009, section 5).
+_GAUSS = 0.5 + np.array([-np.sqrt(15) / 10, 0.0, np.sqrt(15) / 10])
+
+
+def magnus_increment(omega_at_gauss: Array, h: npt.ArrayLike) -> Array:
+    """Rotation vectors (..., 3) of steps of R' = R hat(omega) with length h, error O(h^7).
+
+    omega_at_gauss: (..., 3 points, 3) at the three Gauss points of each step.
+    """
+    h = np.asarray(h, dtype=float)[..., None]
+    w1, w2, w3 = (omega_at_gauss[..., i, :] for i in range(3))
+    a1, a2, a3 = h * w2, np.sqrt(15) / 3 * h * (w3 - w1), 10 / 3 * h * (w3 - 2 * w2 + w1)
+    # For R' = R Omega the commutator has the opposite sign of Y' = Omega Y: [a, b] -> -(a x b).
+    c1 = -cross(a1, a2)
+    c2 = cross(a1, 2 * a3 + c1) / 60
+    return a1 + a3 / 12 - cross(-20 * a1 - a3 + c1, a2 + c2) / 240
+
+
+def accumulate(R_0: Array, increments: Array) -> Array:
+    """Rotations (T + 1, 3, 3) R_0, R_0 Exp(i_0), R_0 Exp(i_0) Exp(i_1), ... from increments (T, 3)."""
+    steps = exp(increments)
+    rotations = np.empty((len(increments) + 1, 3, 3))
+    rotations[0] = current = R_0
+    for k, step in enumerate(steps):
+        current = current @ step
+        rotations[k + 1] = current
+    return rotations
+
+
+ROTATION_STEPS = 128  # Magnus steps of a motion; error below 1e-13 rad for turns up to pi at degree 12
+
+
 @dataclass(frozen=True)
 class PolynomialReference:
-    """Position as a Chebyshev series in s = 2 t / T - 1; the orientation turns about one axis, with minimum jerk.
+    """Position and body angular velocity as Chebyshev series in s = 2 t / T - 1.
 
-    R_start: (3, 3) orientation at the start. position: (n + 1, 3) m. turn: (3,) rotation vector, in B, of the whole
-    turn, rad.
+    position: (n + 1, 3) m. angular_velocity: (m + 1, 3) rad/s, or None for a fixed orientation.
     """
 
     duration: float
     R_start: Array
     position: Array
-    turn: Array = field(default_factory=lambda: np.zeros(3))
+    angular_velocity: Array | None = None
 
     def sample(self, t: npt.ArrayLike) -> MotionSamples:
         t = np.atleast_1d(np.asarray(t, dtype=float))
@@ -153,9 +189,35 @@ class PolynomialReference:
         rate, degree = 2 / self.duration, len(self.position) - 1
         bases = chebyshev_bases(s, degree, range(3))
         p, v, a = (rate**k * (basis @ self.position) for k, basis in enumerate(bases))
-        theta, omega, alpha = (np.outer(smooth_step(t / self.duration, k), self.turn) for k in range(3))
-        R_SB, omega, alpha = self.R_start @ exp(theta), omega / self.duration, alpha / self.duration**2
-        return MotionSamples(t, p, v * moving, a * moving, R_SB, omega, alpha)
+        if self.angular_velocity is None:
+            zero = np.zeros_like(p)
+            return MotionSamples(t, p, v * moving, a * moving, np.tile(self.R_start, (len(t), 1, 1)), zero, zero)
+        m = len(self.angular_velocity) - 1
+        bases = chebyshev_bases(s, m, range(2))
+        omega, alpha = (rate**k * (basis @ self.angular_velocity) for k, basis in enumerate(bases))
+        return MotionSamples(t, p, v * moving, a * moving, self._rotation(s), omega * moving, alpha * moving)
+
+    @cached_property
+    def _knots(self) -> tuple[Array, Array]:
+        """Rotations at ROTATION_STEPS + 1 equidistant s in [-1, 1]."""
+        assert self.angular_velocity is not None
+        s = np.linspace(-1, 1, ROTATION_STEPS + 1)
+        return s, accumulate(self.R_start, self._increments(s[:-1], s[1:]))
+
+    def _increments(self, s_from: Array, s_to: Array) -> Array:
+        assert self.angular_velocity is not None
+        points = s_from[:, None] + (s_to - s_from)[:, None] * _GAUSS
+        omega = chebyshev_basis(points.ravel(), len(self.angular_velocity) - 1) @ self.angular_velocity
+        return magnus_increment(omega.reshape(len(s_from), 3, 3), 0.5 * self.duration * (s_to - s_from))
+
+    def _rotation(self, s: Array) -> Array:
+        knots, rotations = self._knots
+        below = np.clip(np.searchsorted(knots, s, side="right") - 1, 0, ROTATION_STEPS - 1)
+        return rotations[below] @ exp(self._increments(knots[below], s))
+
+    @property
+    def R_end(self) -> Array:
+        return self.sample(self.duration).R_SB[0]
 
 
 def position_boundary(duration: float, p_start: npt.ArrayLike, p_goal: npt.ArrayLike) -> Array:
@@ -164,10 +226,30 @@ def position_boundary(duration: float, p_start: npt.ArrayLike, p_goal: npt.Array
     return np.stack([np.asarray(p_start, float), zero, zero, np.asarray(p_goal, float), zero, zero])
 
 
+def min_norm_reference(
+    duration: float, degree: int, p_start: Array, p_goal: Array, R_start: Array, R_goal: Array
+) -> PolynomialReference:
+    """The initial guess a = M^+ d of the paper, with an angular velocity that meets the goal orientation."""
+    position = boundary_solution(degree, position_boundary(duration, p_start, p_goal)).particular
+    return PolynomialReference(duration, R_start, position, geodesic_angular_velocity(duration, R_start, R_goal))
+
+
+def geodesic_angular_velocity(duration: float, R_start: Array, R_goal: Array) -> Array | None:
+    """Chebyshev coefficients (5, 3) of the min-jerk turn about one fixed axis; None if the orientations are equal.
+
+    The quartic 30 u^2 (1 - u)^2 of u = t / T is the derivative of the min-jerk quintic; about a fixed axis
+    the angular velocity integrates in closed form, so the goal orientation is met exactly.
+    """
+    turn = log(R_start.T @ R_goal)
+    if np.linalg.norm(turn) < 1e-12:
+        return None
+    profile = np.array([3 / 8, 0, -4 / 8, 0, 1 / 8]) * 1.875  # (1 - s^2)^2 * 30 / 16 in Chebyshev terms
+    return np.outer(profile, turn / duration)
+
+
 def min_jerk_line(duration: float, p_start: Array, p_goal: Array, R_start: Array, R_goal: Array) -> PolynomialReference:
     """The straight min-jerk line with a min-jerk turn about one axis: the paper's baseline."""
-    position = boundary_solution(5, position_boundary(duration, p_start, p_goal)).particular
-    return PolynomialReference(duration, R_start, position, log(R_start.T @ R_goal))
+    return min_norm_reference(duration, 5, p_start, p_goal, R_start, R_goal)
 
 
 def smooth_step(u: Array, order: int = 0) -> Array:

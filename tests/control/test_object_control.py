@@ -8,7 +8,6 @@ from salver.control.object import Gains, acceleration, command, distribute, erro
 from salver.geometry import GRAVITY_S, exp, log, right_jacobian_inverse
 from salver.models.rigid_body import RigidBody
 from salver.trajectory import MotionSamples, PolynomialReference
-from tumbling import tumbling
 
 GAINS = Gains(kp=(500.0, 300.0), kd=(25.0, 15.0))
 CUBE = scenario.load("panda-cube").payload.first
@@ -17,6 +16,10 @@ CUBE = scenario.load("panda-cube").payload.first
 @pytest.fixture
 def rng():
     return np.random.default_rng(7)
+
+
+def tumbling(rng) -> PolynomialReference:
+    return PolynomialReference(1.3, exp([0.4, -0.3, 1.0]), 0.2 * rng.normal(size=(7, 3)), 1.5 * rng.normal(size=(5, 3)))
 
 
 def random_body(rng) -> RigidBody:
@@ -63,7 +66,7 @@ def test_distribution_produces_the_wrench_with_least_norm(rng):
 
 
 def test_nominal_closed_loop_accelerates_as_commanded(rng):
-    reference, body = tumbling(1.3), random_body(rng)
+    reference, body = tumbling(rng), random_body(rng)
     m, p, R, v, omega = state_at_offset(reference, 0.4, rng)
     wrench = wrench_command(GAINS, body.phi, m, p, R, v, omega)
     a_S, alpha_B = acceleration(body.phi, R, omega, wrench)
@@ -74,7 +77,7 @@ def test_nominal_closed_loop_accelerates_as_commanded(rng):
 
 def test_error_dynamics_far_from_the_reference_are_those_claimed(rng):
     """Central differences of the errors along the true motion of the nominal plant, at large errors."""
-    reference, body, t = tumbling(1.3), random_body(rng), 0.6
+    reference, body, t = tumbling(rng), random_body(rng), 0.6
     m, p, R, v, omega = state_at_offset(reference, t, rng)
     error = errors(m, p, R, v, omega)
     a_S, alpha_B = acceleration(body.phi, R, omega, wrench_command(GAINS, body.phi, m, p, R, v, omega))
@@ -99,7 +102,7 @@ def test_error_dynamics_far_from_the_reference_are_those_claimed(rng):
 
 def test_small_errors_are_minus_the_deviation_of_the_state(rng):
     """dx = -e to first order: the tangent of docs/conventions.md."""
-    reference, size = tumbling(1.3), 1e-6
+    reference, size = tumbling(rng), 1e-6
     m = reference.sample(0.5)
     dp, dtheta, dv, domega = size * rng.normal(size=(4, 3))
     error = errors(m, m.p_SB + dp, m.R_SB @ exp(dtheta), m.v_S + dv, m.omega_B + domega)
@@ -113,7 +116,7 @@ def test_small_errors_are_minus_the_deviation_of_the_state(rng):
 
 
 def test_turning_the_world_about_the_vertical_changes_no_contact_force(rng):
-    reference, turn = tumbling(1.3), exp([0.0, 0.0, 1.1])
+    reference, turn = tumbling(rng), exp([0.0, 0.0, 1.1])
     m, p, R, v, omega = state_at_offset(reference, 0.9, rng)
     turned = MotionSamples(m.t, m.p_SB @ turn.T, m.v_S @ turn.T, m.a_S @ turn.T, turn @ m.R_SB, m.omega_B, m.alpha_B)
     phi = CUBE.inertial.phi
@@ -123,7 +126,7 @@ def test_turning_the_world_about_the_vertical_changes_no_contact_force(rng):
 
 
 def test_one_instant_of_the_reference_serves_many_states(rng):
-    reference = tumbling(1.3)
+    reference = tumbling(rng)
     m = reference.sample(0.3)
     dtheta = 0.2 * rng.normal(size=(5, 3))
     p, R, v, omega = m.p_SB + dtheta, m.R_SB @ exp(dtheta), np.tile(m.v_S, (5, 1)), m.omega_B - dtheta

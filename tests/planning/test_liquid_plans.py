@@ -102,6 +102,8 @@ def test_tangents_of_a_level_plan_agree_with_differences(coffee):
 def test_what_does_not_know_liquids_says_so(coffee):
     from salver.planning.fastest import Anywhere, AtPosture
 
+    with pytest.raises(ScenarioError, match="plan with --fastest"):
+        sv.plan(coffee.with_changes(motion__duration=2.0), "robust")
     with pytest.raises(ScenarioError, match="does not support the liquid in cup"):
         sv.plan(coffee.with_changes(motion__duration=2.0, contact__condition="paper"), "baseline").verify()
     problem = transport_problem(coffee)

@@ -22,18 +22,18 @@ from salver.planning.fastest import FastestOptions, fastest, transport_problem
 from salver.planning.make import make_plan, plan_baseline, plan_object
 from salver.planning.object.evaluation import evaluate
 from salver.planning.object.problem import Problem
+from salver.planning.object.solvers import SequentialOptions, solve, solve_sequential
 from salver.planning.plan import Plan, load_plan
 from salver.planning.postures import PoseTarget, candidate_postures
 from salver.scenario import Scenario, load
-from salver.trajectory import PolynomialReference, Reference, SampledReference, boundary_solution, min_jerk_line
-from tumbling import Tumbling
+from salver.trajectory import PolynomialReference, boundary_solution, min_jerk_line
 
 PAPER = load("panda-cube").with_changes(arm=None, motion__goal_yaw="fixed")
 START, GOAL = np.array(PAPER.motion.start.position), np.array(PAPER.motion.goal.position)
 LEVEL = np.eye(3)
 
 
-def planned(reference: Reference, made: Scenario = PAPER) -> Plan:
+def planned(reference: PolynomialReference, made: Scenario = PAPER) -> Plan:
     return Plan(made, "robust", reference, Status("made", "Made by hand.", True))
 
 
@@ -53,11 +53,12 @@ def pushed(order: int, end: int, size: float) -> PolynomialReference:
     return PolynomialReference(TIME, LEVEL, boundary_solution(5, values).particular)
 
 
-def spun(order: int, end: int, size: float) -> SampledReference:
+def spun(order: int, end: int, size: float) -> PolynomialReference:
     """The line that turns, at one end, with an angular velocity (0) or acceleration (1) of `size` about z."""
-    samples = line((np.zeros(3), np.zeros(3)), np.zeros(3)).sample(np.linspace(0.0, TIME, 601))
-    (samples.omega_B, samples.alpha_B)[order][-end, 2] = size
-    return SampledReference(samples)
+    values = np.zeros((4, 3))
+    values[2 * end + order, 2] = size * (TIME / 2) ** order
+    straight = line((np.zeros(3), np.zeros(3)), np.zeros(3))
+    return PolynomialReference(TIME, LEVEL, straight.position, boundary_solution(7, values, (0, 1)).particular)
 
 
 MISSES = {
@@ -119,6 +120,33 @@ def cost_at(problem: Problem, z: Array) -> float:
     return float(residual @ residual)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("duration", [2.5, 1.3])
+def test_lower_bound_of_a_plan_is_the_least_cost_of_any_motion(duration: float) -> None:
+    """Where the constraints bend, only the cost alone bounds it: no motion at all costs less, and one costs that."""
+    problem = Problem(PAPER.with_changes(objects__0__uncertainty=COM, motion__duration=duration), 31)
+    found = solve(problem)
+    assert found.status.ok
+    assert found.lower_bound is not None
+    assert found.lower_bound <= found.cost * (1 + 1e-9)
+    assert found.cost == pytest.approx(cost_at(problem, found.z), rel=1e-9)
+    rng = np.random.default_rng(0)
+    around = [
+        cost_at(problem, found.z + scale * rng.normal(size=problem.size))
+        for scale in (1e-3, 1e-2, 1)
+        for _ in range(20)
+    ]
+    assert min(around) >= found.lower_bound * (1 - 1e-9)
+    # Attained: the cost is a sum of squares of affine functions, whose least value is the normal equations'.
+    r, J = (
+        problem.linearise(np.zeros(problem.size)).residual,
+        problem.linearise(np.zeros(problem.size)).residual_jacobian,
+    )
+    least = cost_at(problem, np.linalg.solve(J.T @ J, -J.T @ r))
+    assert found.lower_bound == pytest.approx(least, rel=1e-6)
+    assert cost_at(problem, np.zeros(problem.size)) > 1.01 * found.lower_bound
+
+
 @pytest.mark.parametrize(
     "changes",
     [
@@ -128,6 +156,8 @@ def cost_at(problem: Problem, z: Array) -> float:
         {"objects__0__uncertainty": COM, "contact__condition": "exact"},
         {"objects__0__uncertainty": {"inertia": "10%", "friction": "10%"}},
         {"objects__0__uncertainty": {"position": [0.002, 0.001]}, "uncertainty__tilt_deg": [1.0, 0.5]},
+        {"motion__orientation": "free"},
+        {"motion__orientation": "free", "contact__condition": "exact"},
         {"motion__goal": {"position": GOAL.tolist(), "rpy_deg": [0, 0, 40]}},
     ],
     ids=str,
@@ -145,6 +175,16 @@ def test_what_is_called_convex_is_affine(changes: dict) -> None:
             close.append(np.allclose(a.slack(z), b.slack(), atol=1e-9))
         affine &= all(close)
     assert problem.is_affine == affine
+
+
+def test_a_step_that_makes_it_worse_is_not_taken() -> None:
+    """A tilt that is bounded tightly: the more steps, the less is violated, from the first one on."""
+    changes = {"motion__orientation": "free", "motion__duration": 0.7, "motion__max_tilt_deg": 5.0}
+    problem = Problem(PAPER.with_changes(**changes), 15)
+    left = [solve_sequential(problem, None, SequentialOptions(steps)).violation for steps in (0, 1, 2, 4, 6)]
+    assert left[0] > 0.05
+    assert np.all(np.diff(left) <= 1e-9)
+    assert left[-1] < 0.8 * left[0]
 
 
 # Seeds and starts ------------------------------------------------------------------------------------------------
@@ -172,9 +212,11 @@ def test_a_fastest_motion_is_another_with_another_seed_and_the_same_with_the_sam
 # The paper's condition for several objects ------------------------------------------------------------------------
 
 
-def tumbling(made: Scenario) -> Tumbling:
-    start, (turn, tumble) = np.array(made.motion.start.position), 0.3 * np.random.default_rng(5).normal(size=(2, 3))
-    return Tumbling(1.0, start, start + np.array([0.2, 0.3, 0.05]), turn, tumble)
+def tumbling(made: Scenario) -> PolynomialReference:
+    rng = np.random.default_rng(5)
+    start = np.array(made.motion.start.position)
+    straight = min_jerk_line(1.0, start, start + np.array([0.2, 0.3, 0.05]), LEVEL, LEVEL)
+    return PolynomialReference(1.0, LEVEL, straight.position, 0.4 * rng.normal(size=(5, 3)))
 
 
 def pyramid_coefficients(made: Scenario, name: str) -> Array:

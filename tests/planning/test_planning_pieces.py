@@ -158,20 +158,21 @@ def test_a_plan_that_fails_between_its_nodes_is_made_at_all_instants_that_are_ch
     """What is solved for stays where it is, the straight line, too fast for the cube."""
     case, asked = CUBE.with_changes(motion__duration=0.5, motion__nodes=11), []
 
-    def solve(problem: Problem) -> Solution:
-        asked.append(problem.nodes)
+    def solve(problem: Problem, start: Array | None) -> Solution:
+        asked.append((problem.nodes, None if start is None else start[0]))
         found = Status("optimal", "Found.", True)
         return Solution(np.full(problem.size, 1e-9), 1.0, None, 0.0, 1, "none", found)
 
     monkeypatch.setattr(make, "solve", solve)
     plan = make.plan_object(case)
     assert plan.status.code == "unsafe"
-    assert asked == [11, FINER * (11 - 1) + 1]
+    assert asked == [(11, None), (FINER * (11 - 1) + 1, 1e-9)]  # the second begins where the first ended
 
 
-def test_a_plan_without_a_margin_is_safe_as_well() -> None:
+@pytest.mark.parametrize("orientation", ["fixed", "free"])
+def test_a_plan_without_a_margin_is_safe_as_well(orientation: str) -> None:
     """Where the condition binds, what a solver misses it by is kept from it."""
-    case = CUBE.with_changes(arm=None, contact__margin=0.0, contact__condition="exact")
+    case = CUBE.with_changes(arm=None, contact__margin=0.0, motion__orientation=orientation, contact__condition="exact")
     plan = make.plan_object(case.with_changes(motion__duration=0.8, objects__0__friction=0.3))
     assert plan.ok, plan.status
     assert plan.verification.slack < 1e-6
@@ -179,8 +180,12 @@ def test_a_plan_without_a_margin_is_safe_as_well() -> None:
 
 @pytest.mark.parametrize("degree", [9, 12])
 def test_unknowns_of_a_plan_are_what_its_polynomials_have_beyond_rest_at_both_ends(degree: int) -> None:
-    """Eq (26): positions of degree n have n + 1 coefficients and six conditions for each axis."""
-    assert Problem(CUBE.with_changes(motion__degree=degree), 11).size == 3 * (degree + 1 - 6)
+    """Eq (26): positions of degree n have n + 1 coefficients and six conditions for each axis; the body's angular
+    velocity is of degree n - 1, with n coefficients and four conditions."""
+    problem = Problem(CUBE.with_changes(motion__degree=degree, motion__orientation="free"), 11)
+    assert problem.size == 3 * (degree + 1 - 6) + 3 * (degree - 4)
+    reference = problem.reference(np.random.default_rng(0).normal(size=problem.size))
+    assert reference.angular_velocity.shape == (degree, 3)
 
 
 def test_the_middle_of_joints_is_between_their_ends(panda: ArmModel) -> None:

@@ -7,16 +7,15 @@ from scipy.linalg import expm
 
 from salver import scenario
 from salver.control.object import Gains
-from salver.geometry import hat
+from salver.geometry import exp, hat
 from salver.models.rigid_body import RigidBody
 from salver.models.uncertain.parameters import INERTIAL, inertial_vector, parameters_of, phi_jacobian, phi_of
 from salver.sensitivity import engine
 from salver.sensitivity.engine import ClosedLoop, closed_loop_rate, sensitivity, simulate, variational
 from salver.sensitivity.tray import TrayLoop
 from salver.simulation.closed_loop import rollout
-from salver.trajectory import SampledReference
+from salver.trajectory import PolynomialReference, SampledReference
 from tray_casadi import _exp, _right_jacobian_inverse, sampled, tray_loop, tray_sensitivity
-from tumbling import tumbling
 
 GAINS = Gains(kp=(500.0, 300.0), kd=(25.0, 15.0))
 CUBE = scenario.load("panda-cube").payload.first
@@ -29,6 +28,11 @@ TIMES = np.linspace(0, 0.5, 11)
 def own(names):
     """The cube's parameters of these names."""
     return [p for p in parameters_of("cube", True) if p.name in names]
+
+
+def tumbling() -> PolynomialReference:
+    rng = np.random.default_rng(3)
+    return PolynomialReference(1.0, exp([0.4, -0.3, 1.0]), 0.2 * rng.normal(size=(7, 3)), 1.5 * rng.normal(size=(5, 3)))
 
 
 def symbols(*names: str) -> list[ca.SX]:
@@ -198,7 +202,7 @@ def test_equations_serve_other_casadi_programmes():
 
 @pytest.fixture(scope="module")
 def tray():
-    return tray_sensitivity(CUBE.inertial, GRASP_MAP, GAINS, NAMES, tumbling(1.0), TIMES)
+    return tray_sensitivity(CUBE.inertial, GRASP_MAP, GAINS, NAMES, tumbling(), TIMES)
 
 
 def central_differences(share: float) -> tuple[np.ndarray, np.ndarray]:
@@ -208,7 +212,7 @@ def central_differences(share: float) -> tuple[np.ndarray, np.ndarray]:
     shifts[0, range(len(NAMES)), columns] = share * STEPS
     shifts[1] = -shifts[0]
     phi = phi_of((inertial_vector(CUBE.inertial) + shifts).reshape(-1, 10))
-    runs = rollout(tumbling(1.0), CUBE.inertial, GRASP_MAP, GAINS, phi, TIMES)
+    runs = rollout(tumbling(), CUBE.inertial, GRASP_MAP, GAINS, phi, TIMES)
 
     def difference(values: np.ndarray) -> np.ndarray:
         ahead, behind = values.reshape(2, len(NAMES), *values.shape[1:])
@@ -238,14 +242,14 @@ def test_error_of_central_differences_falls_with_the_square_of_the_step(tray):
 
 
 def test_tray_agrees_with_the_linear_filter_form(tray):
-    exact = TrayLoop(CUBE.inertial, GAINS, phi_jacobian(CUBE.inertial, "cube", own(NAMES))).along(tumbling(1.0), TIMES)
+    exact = TrayLoop(CUBE.inertial, GAINS, phi_jacobian(CUBE.inertial, "cube", own(NAMES))).along(tumbling(), TIMES)
     assert largest_relative(exact.state, tray.state_sensitivity) < 2e-8
     assert largest_relative(np.linalg.pinv(GRASP_MAP) @ exact.wrench, tray.input_sensitivity) < 2e-8
 
 
 def test_tray_state_is_nominally_zero_and_its_input_is_eq_19(tray):
     assert np.abs(tray.x).max() < 1e-10
-    nominal = rollout(tumbling(1.0), CUBE.inertial, GRASP_MAP, GAINS, CUBE.inertial.phi, TIMES)
+    nominal = rollout(tumbling(), CUBE.inertial, GRASP_MAP, GAINS, CUBE.inertial.phi, TIMES)
     np.testing.assert_allclose(tray.u, nominal.cone_coefficients[0], atol=1e-9)
 
 
@@ -272,8 +276,8 @@ def test_tray_loop_moves_as_the_rollouts_do_far_from_nominal():
     values = np.tile(inertial_vector(CUBE.inertial), (4, 1))
     values[:, columns] += rng.uniform(-1, 1, (4, 6)) * [0.05, *[3e-3] * 3, 6e-5, 3e-5]
     loop, nominal = tray_loop(CUBE.inertial, GRASP_MAP, GAINS, names), inertial_vector(CUBE.inertial)[columns]
-    motions = simulate(loop, values[:, columns], nominal, TIMES, np.zeros(12), reference=sampled(tumbling(1.0)))
-    runs = rollout(tumbling(1.0), CUBE.inertial, GRASP_MAP, GAINS, phi_of(values), TIMES)
+    motions = simulate(loop, values[:, columns], nominal, TIMES, np.zeros(12), reference=sampled(tumbling()))
+    runs = rollout(tumbling(), CUBE.inertial, GRASP_MAP, GAINS, phi_of(values), TIMES)
     assert np.abs(runs.deviation[..., 3:6]).max() > 0.5
     np.testing.assert_allclose(motions.x, runs.deviation, atol=1e-8 * np.abs(runs.deviation).max())
     np.testing.assert_allclose(motions.u, runs.cone_coefficients, atol=1e-8 * np.abs(runs.cone_coefficients).max())
@@ -282,12 +286,12 @@ def test_tray_loop_moves_as_the_rollouts_do_far_from_nominal():
 def test_body_with_a_displaced_nominal_centre_of_mass():
     """The filter form wants the centre of mass at the origin of B; the engine does not."""
     body = RigidBody(0.4, np.array([0.01, -0.005, 0.02]), CUBE.inertial.inertia_com * 2)
-    result = tray_sensitivity(body, GRASP_MAP, GAINS, ("mass", "com_z"), tumbling(1.0), TIMES)
+    result = tray_sensitivity(body, GRASP_MAP, GAINS, ("mass", "com_z"), tumbling(), TIMES)
     steps = np.array([4e-4, 2e-5])
     values = np.tile(inertial_vector(body), (4, 1))
     values[[0, 1], 0] += [steps[0], -steps[0]]
     values[[2, 3], 3] += [steps[1], -steps[1]]
-    runs = rollout(tumbling(1.0), body, GRASP_MAP, GAINS, phi_of(values), TIMES)
+    runs = rollout(tumbling(), body, GRASP_MAP, GAINS, phi_of(values), TIMES)
     Pi = np.moveaxis((runs.deviation[::2] - runs.deviation[1::2]) / (2 * steps[:, None, None]), 0, -1)
     assert largest_relative(Pi, result.state_sensitivity) < 1e-5
 
@@ -295,11 +299,9 @@ def test_body_with_a_displaced_nominal_centre_of_mass():
 @pytest.mark.slow
 def test_a_sampled_trajectory_is_followed_through_its_corners():
     """A reference of samples only: its jerk jumps at each, and steps end there, no shorter than a smooth one's."""
-    rough = SampledReference(tumbling(1.0).sample(np.linspace(0, 1, 11)))
+    rough = SampledReference(tumbling().sample(np.linspace(0, 1, 11)))
     names = ("mass", "com_x")
-    result, smooth = (
-        tray_sensitivity(CUBE.inertial, GRASP_MAP, GAINS, names, x, TIMES) for x in (rough, tumbling(1.0))
-    )
+    result, smooth = (tray_sensitivity(CUBE.inertial, GRASP_MAP, GAINS, names, x, TIMES) for x in (rough, tumbling()))
     assert result.status.ok
     assert result.status.details["step"] >= smooth.status.details["step"]
     loop = TrayLoop(CUBE.inertial, GAINS, phi_jacobian(CUBE.inertial, "cube", own(names)))

@@ -32,12 +32,17 @@ def plan_object(scenario: Scenario) -> Plan:
     check.
     """
     _need_duration(scenario)
-    began = time.perf_counter()
+    if scenario.payload.dynamic and scenario.motion.may_turn:
+        raise ScenarioError(
+            f"{scenario.name}: the robust plan of a given duration supports {scenario.payload.dynamic[0].inside} only "
+            'on a tray that keeps its orientation; plan with --fastest, or give motion.orientation = "fixed".'
+        )
+    began, z = time.perf_counter(), None
     for nodes in (scenario.motion.nodes, FINER * (scenario.motion.nodes - 1) + 1):
         problem = Problem(scenario, nodes)
-        solution = solve(problem)
-        record = _solver_record(solution, problem, time.perf_counter() - began)
-        plan = Plan(scenario, "robust", problem.reference(solution.z), solution.status, solver=record)
+        solution = solve(problem, z)
+        z, record = solution.z, _solver_record(solution, problem, time.perf_counter() - began)
+        plan = Plan(scenario, "robust", problem.reference(z), solution.status, solver=record)
         if not plan.status.ok or plan.verification.violation == 0:
             return plan
     return replace(plan, status=Status("unsafe", f"No safe plan was found: {plan.verification.sentence}", False))
@@ -199,7 +204,7 @@ def _solver_record(solution: Solution, problem: Problem, seconds: float) -> dict
         "cost": solution.cost,
         "lower_bound": solution.lower_bound,
         "relative_gap": solution.gap,
-        "programmes": solution.programmes,
+        "programmes": solution.iterations,
         "nodes": problem.nodes,
         "seconds": seconds,
     }

@@ -443,7 +443,8 @@ class Plan(Shown, Tabular, Plotted):
         if isinstance(self.reference, PolynomialReference):
             out["position_coefficients"] = self.reference.position
             out["R_start"] = self.reference.R_start
-            out["turn"] = self.reference.turn
+            if self.reference.angular_velocity is not None:
+                out["angular_velocity_coefficients"] = self.reference.angular_velocity
         elif isinstance(self.reference, SampledReference):
             # Its own samples, so that it is read back unchanged.
             out |= {f"reference_{name}": value for name, value in vars(self.reference.samples).items()}
@@ -524,7 +525,7 @@ def _reference(arrays: Mapping[str, Array]) -> Reference:
             float(arrays["t"][-1]),
             arrays["R_start"],
             arrays["position_coefficients"],
-            arrays["turn"],
+            arrays.get("angular_velocity_coefficients"),
         )
     if "reference_t" in arrays:
         return SampledReference(MotionSamples(**{f.name: arrays[f"reference_{f.name}"] for f in fields(MotionSamples)}))

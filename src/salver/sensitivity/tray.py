@@ -38,20 +38,28 @@ class BodyMotion:
     velocity: Dual
 
     @classmethod
-    def of(cls, samples: MotionSamples, v_tangent: Array | None = None, a_tangent: Array | None = None) -> BodyMotion:
-        """The motion from samples (T), with tangents (T, 3, n_z) of v_S and a_S."""
+    def of(
+        cls,
+        samples: MotionSamples,
+        v_tangent: Array | None = None,
+        a_tangent: Array | None = None,
+        theta_tangent: Array | None = None,
+        omega_tangent: Array | None = None,
+        alpha_tangent: Array | None = None,
+    ) -> BodyMotion:
+        """The motion from samples (T), with tangents (T, 3, n_z) of v_S, a_S, the rotation (in B), omega_B, alpha_B."""
 
-        def dual(value: Array, tangent: Array | None = None) -> Dual:
+        def dual(value: Array, tangent: Array | None) -> Dual:
             return Dual(value[:, None], None if tangent is None else tangent[:, None])
 
-        turns = bool(samples.omega_B.any() or samples.alpha_B.any())
+        turns = theta_tangent is not None or bool(samples.omega_B.any() or samples.alpha_B.any())
         kept = slice(None) if turns else slice(0, 1)
-        rotation = DualRotation(samples.R_SB[kept, None])
+        rotation = DualRotation(samples.R_SB[kept, None], None if theta_tangent is None else theta_tangent[:, None])
         return cls(
             rotation,
             rotation.to_body(dual(samples.a_S - GRAVITY_S, a_tangent)),
-            dual(samples.omega_B[kept]),
-            dual(samples.alpha_B[kept]),
+            dual(samples.omega_B[kept], omega_tangent),
+            dual(samples.alpha_B[kept], alpha_tangent),
             rotation.to_body(dual(samples.v_S, v_tangent)),
         )
 

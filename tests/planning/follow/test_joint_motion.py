@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.polynomial import Chebyshev
 
 from salver import scenario
 from salver.errors import ScenarioError
@@ -16,9 +17,8 @@ from salver.planning.follow.motion import follow, follow_scenario
 from salver.planning.follow.redundancy import Usage, first_choice, solve_path, tray_path
 from salver.planning.make import make_plan, plan_pair
 from salver.planning.postures import PoseTarget, candidate_postures, postures_along, start_posture
-from salver.trajectory import JointMotion, min_jerk_line
+from salver.trajectory import JointMotion, PolynomialReference, min_jerk_line
 from sampled_sets import object_jacobian
-from tumbling import Tumbling
 
 CUBE = scenario.load("panda-cube")
 START, GOAL = np.array(CUBE.motion.start.position), np.array(CUBE.motion.goal.position)
@@ -41,9 +41,14 @@ def line(duration=2.5, goal=GOAL, start=START):
 
 
 def tumbling(duration=2.0):
-    """A curved path with rotation about changing axes, at rest at both ends."""
-    sway, tumble = np.random.default_rng(0).normal(size=(2, 3)) * [[0.05], [0.15]]
-    return Tumbling(duration, START, GOAL, np.array([0.1, -0.2, 0.5]), tumble, sway, UPRIGHT)
+    """A curved path with rotation about changing axes: min-jerk plus random polynomials at rest at both ends."""
+    base = min_jerk_line(duration, START, GOAL, UPRIGHT, exp(np.array([0.1, -0.2, 0.5])))
+    rng = np.random.default_rng(0)
+    hump = Chebyshev([0.5, 0, -0.5])  # 1 - s^2
+    wiggle = np.stack([(hump**3 * Chebyshev(rng.normal(size=4) * 0.05)).coef for _ in range(3)], axis=1)
+    turn = np.stack([(hump**2 * Chebyshev(rng.normal(size=4) * 0.3)).coef for _ in range(3)], axis=1)
+    position = wiggle + np.pad(base.position, ((0, 4), (0, 0)))
+    return PolynomialReference(duration, UPRIGHT, position, turn + np.pad(base.angular_velocity, ((0, 3), (0, 0))))
 
 
 def start_posture_of(arm, path):

@@ -9,8 +9,8 @@ uncertain set (`salver.models.contact_rows`); slacks are shares of the normal fo
 tray needs Y(t) phi for every phi, so this worst case is not a first-order one. Load dynamics add to it, and have limits
 of their own.
 
-All slacks are concave in the tray's motion regressor, and so in the plan's variables (except for the effect of vertical
-acceleration on swinging loads): tangents bound them from above.
+All slacks are concave in the tray's motion regressor, so with fixed orientation in the plan's variables (except for
+the effect of vertical acceleration on swinging loads): tangents bound them from above.
 """
 
 from __future__ import annotations
@@ -291,18 +291,25 @@ class LoadLimitRows:
 def felt_at(motion: BodyMotion, first: Body, n_z: int, speed: Speed = FULL_SPEED) -> tuple[Array, Array]:
     """Motion regressor w (T, 12) of the tray (`salver.models.tray_motion`) at a speed factor, and its derivative
     (T, 12, n_z)."""
-    parts = [(0, motion.force if speed.factor else motion.weight, 1.0)]
-    parts += [(3, motion.alpha, 1.0)] if speed.factor else []
-    parts += [(0, motion.velocity, speed.rate), (3, motion.omega, speed.rate)] if speed.rate else []
-    instants = len(motion.force.value)
-    w, tangent = np.zeros((instants, N_MOTION)), np.zeros((instants, N_MOTION, n_z))
+    shape = motion.force.value[:, 0].shape
+    force, alpha, omega = (motion.force, motion.alpha, motion.omega) if speed.factor else (motion.weight, None, None)
+    parts = [(0, force, 1.0), (3, alpha, 1.0)]
+    if speed.rate:
+        parts += [(0, motion.velocity, speed.rate), (3, motion.omega, speed.rate)]
+    w, tangent = np.zeros((shape[0], N_MOTION)), np.zeros((shape[0], N_MOTION, n_z))
     for at, part, scale in parts:
+        if part is None:
+            continue
         w[:, at : at + 3] += scale * part.value[:, 0]
         if part.tangent is not None:
             tangent[:, at : at + 3] += scale * part.tangent[:, 0]
-    if speed.factor:
+    if omega is not None:
         one, other = (list(index) for index in zip(*PRODUCTS, strict=True))
-        w[:, 6:] = motion.omega.value[:, 0, one] * motion.omega.value[:, 0, other]
+        turned = np.broadcast_to(omega.value[:, 0], shape)
+        w[:, 6:] = turned[:, one] * turned[:, other]
+        if omega.tangent is not None:
+            turn = omega.tangent[:, 0]
+            tangent[:, 6:] = turned[:, one, None] * turn[:, other] + turned[:, other, None] * turn[:, one]
     to_E = frame_map(*invert(first.p_EB, first.R_EB))
     return w @ to_E.T, to_E @ tangent
 
@@ -312,20 +319,26 @@ def felt_at(motion: BodyMotion, first: Body, n_z: int, speed: Speed = FULL_SPEED
 
 @dataclass(frozen=True)
 class TiltRows:
-    """Slacks (T,) of the tilt limit, (cos tilt - cos limit) / sin limit: near the limit the angle that is left, rad.
-    The n_z variables do not change them."""
+    """Slacks (T,) of the tilt limit, (cos tilt - cos limit) / sin limit: near the limit the angle that is left, rad."""
 
+    owner: tuple[str, ...]
     left: Array
-    n_z: int
-    owner: tuple[str, ...] = (TILT,)
+    left_jacobian: Array
 
     @classmethod
     def along(cls, motion: BodyMotion, instants: int, limit: float, n_z: int) -> TiltRows:
-        left = (motion.rotation.matrix[:, 0, 2, 2] - np.cos(limit)) / np.sin(limit)
-        return cls(np.broadcast_to(left, instants), n_z)  # a motion that does not rotate has a single rotation
+        upright = motion.rotation.matrix[:, 0, 2, :]  # e_z of S, in B
+        left = (upright[:, 2] - np.cos(limit)) / np.sin(limit)
+        jacobian = np.zeros((len(left), n_z))
+        if motion.rotation.tangent is not None:
+            # d(e_z . R e_z) = e_z . R (dtheta x e_z) = dtheta . (e_z x R^T e_z)
+            lever = np.cross([0.0, 0.0, 1.0], upright) / np.sin(limit)
+            jacobian = np.einsum("ti,tiz->tz", lever, motion.rotation.tangent[:, 0])
+        # A motion that does not rotate has a single rotation.
+        return cls((TILT,), np.broadcast_to(left, instants), np.broadcast_to(jacobian, (instants, n_z)))
 
     def slack(self, step: Array | None = None) -> Array:
-        return self.left[:, None]
+        return (self.left if step is None else self.left + self.left_jacobian @ step)[:, None]
 
     def tangents(self, step: Array, instant: Indices, row: Indices) -> tuple[Array, Array]:
-        return self.left[instant], np.zeros((len(instant), self.n_z))
+        return self.left[instant], self.left_jacobian[instant]
