@@ -1,13 +1,15 @@
 """The journal of a campaign: one line for each finished run, written at once, so that an interruption loses none.
 
-When a journal is read, incomplete and damaged lines (each has a checksum) are dropped, and those runs are repeated. A
-lock, which the operating system releases when the process ends, admits only one process.
+When a journal is read, an incomplete last line and damaged lines (each has a checksum) are dropped, and those runs are
+repeated; damaged lines are told of. A lock, which the operating system releases when the process ends, admits only one
+process.
 """
 
 from __future__ import annotations
 
 import fcntl
 import json
+import logging
 import os
 import zlib
 from collections.abc import Mapping
@@ -72,14 +74,17 @@ class Journal:
         self.records[record["stem"], record["run"]] = record
 
     def _repair(self) -> None:
-        """Read all valid lines, and drop others from the file."""
+        """Read all valid lines, and drop others from the file, which a warning (on standard error) says."""
         if not self.path.is_file():
             return
         *lines, cut = self.path.read_bytes().split(b"\n")
-        found = [(line, _record(line)) for line in lines]
-        self.records = {(record["stem"], record["run"]): record for _, record in found if record is not None}
-        if cut or not all(record for _, record in found):
-            write_atomic(self.path, b"".join(line + b"\n" for line, record in found if record is not None))
+        found = [(line, record) for line in lines if (record := _record(line)) is not None]
+        self.records = {(record["stem"], record["run"]): record for _, record in found}
+        if damaged := len(lines) - len(found):
+            told = "%s: %d damaged line(s) are dropped; their runs are made again."
+            logging.getLogger(__name__).warning(told, self.path, damaged)
+        if damaged or cut:
+            write_atomic(self.path, b"".join(line + b"\n" for line, _ in found))
 
 
 def _line(record: Record) -> bytes:
