@@ -227,6 +227,16 @@ def test_a_corner_by_rounding_only_is_none() -> None:
     assert same_rows(found, square, 1e-15)
 
 
+def test_corners_that_stand_twice_up_to_rounding_stay() -> None:
+    rng, square = np.random.default_rng(0), 0.05 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    for near in 10.0 ** np.arange(-17, -11):
+        for turn in rng.uniform(0, 2 * np.pi, 20):
+            corners = square @ np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+            found = convex_hull(np.vstack([corners, corners + near * rng.standard_normal((4, 2))]))
+            area = 0.5 * np.sum(found[:, 0] * np.roll(found[:, 1], -1) - found[:, 1] * np.roll(found[:, 0], -1))
+            assert abs(area - 0.01) < 1e-11
+
+
 def test_cylinder_of_a_load_is_a_prism() -> None:
     solid = shapes.cylinder(0.03, 0.1, 16)
     found = polytope(solid.bounding_points_G)

@@ -7,6 +7,7 @@ import numpy as np
 from salver.geometry import Array
 
 STRAIGHT = 1e-13  # relative area below which three points are on a line
+MANY = 200  # with more points, those that are obviously inside are removed first
 
 
 def half_planes(polygon: Array) -> tuple[Array, Array]:
@@ -17,19 +18,32 @@ def half_planes(polygon: Array) -> tuple[Array, Array]:
 
 
 def convex_hull(points: Array) -> Array:
-    """Vertices (n, 2) of the convex hull of points (m, 2), least x first; empty if the points lie on a line."""
-    from scipy.spatial import ConvexHull, QhullError
+    """Vertices (n, 2) of the convex hull of points (m, 2), least x first; empty if the points lie on a line.
 
-    try:
-        corners = points[ConvexHull(points).vertices] if len(points) > 2 else points[:0]
-    except QhullError:
+    By the monotone chain (Andrew 1979), without vertices at which the hull turns by rounding only.
+    """
+    if len(points) < 3:
         return np.empty((0, 2))
-    back, on = corners - np.roll(corners, 1, axis=0), np.roll(corners, -1, axis=0) - corners
-    turn = back[:, 0] * on[:, 1] - back[:, 1] * on[:, 0]
-    corners = corners[turn > STRAIGHT * float(np.ptp(points, axis=0).max(initial=0.0)) ** 2]  # not by rounding only
-    if len(corners) < 3:
-        return np.empty((0, 2))
-    return np.roll(corners, -int(np.lexsort((corners[:, 1], corners[:, 0]))[0]), axis=0)
+    size = float(np.ptp(points, axis=0).max())
+    if len(points) > MANY:  # a point inside eight extreme ones cannot be a vertex
+        angle = np.pi / 4 * np.arange(8)
+        far = convex_hull(points[np.unique((points @ [np.cos(angle), np.sin(angle)]).argmax(axis=0))])
+        if len(far):
+            normal, offset = half_planes(far)
+            points = points[(points @ normal.T - offset).max(axis=1) > -STRAIGHT * size]
+    ordered = points[np.lexsort((points[:, 1], points[:, 0]))].tolist()
+    corners: list[list[float]] = []
+    for way in (ordered, ordered[::-1]):
+        chain: list[list[float]] = []
+        for x, y in way:
+            while len(chain) > 1:
+                (ax, ay), (bx, by) = chain[-2:]
+                if (bx - ax) * (y - ay) - (by - ay) * (x - ax) > STRAIGHT * size**2:
+                    break
+                chain.pop()
+            chain.append([x, y])
+        corners += chain[:-1]
+    return np.array(corners) if len(corners) > 2 else np.empty((0, 2))
 
 
 def from_half_planes(normal: Array, offset: Array) -> Array:
