@@ -16,6 +16,8 @@ import annotated_types
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
+# Keys that earlier versions wrote into every run directory, and what to do about them.
+_LEFT = {"motion.stop": "; stops no longer keep to the path: delete the line, and plan again"}
 _COUNTS = {1: "one", 2: "two", 3: "three", 4: "four", 5: "five", 6: "six"}
 
 
@@ -33,7 +35,7 @@ def sentences(error: ValidationError, model: type[BaseModel], data: Any, where: 
 def _sentence(item: Any, model: type[BaseModel], data: Any, keys: tuple[Any, ...], accepted: Any, where: str) -> str:
     key = _path(keys)
     if item["type"] == "extra_forbidden":
-        return f"{where}: unknown key {key}{_suggestion(model, data, keys)}."
+        return f"{where}: unknown key {key}{_LEFT.get(key) or _suggestion(model, data, keys)}."
     if item["type"] == "value_error":
         text = str(item.get("ctx", {}).get("error", item["msg"]))
         return f"{where}: {key}: {text}." if key else f"{where}: {text}."
