@@ -331,6 +331,22 @@ def test_a_timed_stop_comes_in_time_whatever_waits():
     assert (prompter.accepted, prompter.dropped) == (102, 800)
 
 
+def test_a_timed_stop_that_comes_does_not_wait_for_a_later_time():
+    heard = Heard()
+    told = lines({"t": 60.0, "goto": [0.4, 0.0, 0.5]}, {"t": 0.05, "stop": True}, {"goto": [0.5, 0.0, 0.5]})
+    prompter = Prompter(heard).listening(told, "standard input")
+    assert heard_in(prompter, heard, 50) == []  # what comes after it waits for it
+    assert heard_in(prompter, heard, 60) == ["stop", "goto"]
+    assert (prompter.dropped, prompter.over) == (1, True)
+
+
+def test_a_script_that_is_known_is_carried_out_to_its_end_however_long():
+    heard = Heard()
+    prompter = Prompter(heard).of(script(lines(*[{"twist": [0.1, 0.0, 0.0]}] * 1500), "wishes"))
+    assert heard_in(prompter, heard, 1600) == ["twist"] * 1500
+    assert prompter.dropped == 0
+
+
 def test_nothing_that_comes_makes_it_deaf():
     heard = Heard()
     deep = b'{"goto": ' + b"[" * 100_000 + b"]" * 100_000 + b"}"

@@ -110,11 +110,6 @@ class Said:
         return "stop" in self.words
 
     @property
-    def overtakes(self) -> bool:
-        """Whether it is carried out at once, whatever waits before it."""
-        return self.stops and self.t is None
-
-    @property
     def lasts(self) -> float:
         """s for which it is sent again and again."""
         return float(self.words.get("for", 0.0))
@@ -216,7 +211,7 @@ class Prompter:
     def __post_init__(self) -> None:
         # Filled by whoever listens, emptied by the loop: requests, and sentences about lines that cannot be understood.
         self._waiting: deque[Said | str] = deque()
-        self._overtaking: deque[Said] = deque()  # those of them that do not wait
+        self._stops: deque[Said] = deque()  # those of them that wait for their time alone
         self._lasting: tuple[Said, float] | None = None  # a twist, and until when
         self._again = 0.0
         self._ended = False
@@ -246,32 +241,38 @@ class Prompter:
             try:
                 for number, text in enumerate(lines, 1):
                     for one in heard(text, number):
-                        self._add(one)
+                        if self._full and not (isinstance(one, Said) and one.stops):
+                            self.dropped += 1
+                        else:
+                            self._add(one)
             except Exception as error:
-                self._waiting.append(f"{source} cannot be read any more ({type(error).__name__}: {error}).")
+                self._add(f"{source} cannot be read any more ({type(error).__name__}: {error}).")
             self._ended = True
 
         threading.Thread(target=listen, name="salver-script", daemon=True).start()
         return self
 
+    @property
+    def _full(self) -> bool:
+        """Whether too many lines wait; those that a stop overtakes at once do not count."""
+
+        def kept(one: Said | str) -> bool:
+            return not (isinstance(one, Said) and one.stops and one.t is None)
+
+        return sum(1 for _ in takewhile(kept, reversed(tuple(self._waiting)))) >= self.options.waiting
+
     def _add(self, one: Said | str) -> None:
-        """From one thread. Lines that a stop overtakes do not count as waiting."""
-        lines = tuple(self._waiting)
-        behind = next((k for k, x in enumerate(reversed(lines)) if isinstance(x, Said) and x.overtakes), len(lines))
-        if behind >= self.options.waiting and not (isinstance(one, Said) and one.stops):
-            self.dropped += 1
-            return
+        """From one thread."""
         self._waiting.append(one)
-        if isinstance(one, Said) and one.overtakes:
-            self._overtaking.append(one)
+        if isinstance(one, Said) and one.stops:
+            self._stops.append(one)
 
     def period(self, t: float) -> None:
         """What is due at time t, s. From the robot's loop: it waits for nobody and never raises."""
-        due = takewhile(lambda one: self._due(one, t), tuple(self._waiting))
-        stop = next((one for one in due if isinstance(one, Said) and one.stops), None)
-        if self._overtaking:
-            stop = self._overtaking.popleft()
+        stop = next((one for one in tuple(self._stops) if t >= (one.t or 0.0) - 1e-9), None)
         if stop is not None:
+            while self._stops.popleft() is not stop:
+                pass
             while (one := self._waiting.popleft()) is not stop:
                 if isinstance(one, str):
                     self._misunderstood(one, t)
@@ -298,8 +299,8 @@ class Prompter:
                 self._note({"t": t, "answer": told})
 
     def _due(self, one: Said | str, t: float) -> bool:
-        """Whether its turn has come, but for what overtakes."""
-        return isinstance(one, str) or (not one.overtakes and t >= (one.t or 0.0) - 1e-9)
+        """Whether its turn has come; that of a stop comes by its time alone."""
+        return isinstance(one, str) or (not one.stops and t >= (one.t or 0.0) - 1e-9)
 
     def _misunderstood(self, sentence: str, t: float) -> None:
         self.refused += 1
