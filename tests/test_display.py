@@ -47,7 +47,7 @@ def test_arrays_show_their_shapes(shown):
     plan = shown["plan"]
     assert re.fullmatch(r"<JointMotion t (\d+), q \1×7, dq \1×7, ddq \1×7>", repr(plan.joint))
     audit = sv.audit({"t": plan.joint.t, **dict(zip(JOINTS, plan.joint.q.T, strict=True))}, plan.scenario)
-    held = (plan.chain, plan.scenario.payload, plan.arm_status, audit.given, audit.motion, shown["run"].motion())
+    held = (plan.chain, plan.scenario.payload, plan.arm_status, audit.joints, audit.motion, shown["run"].motion())
     for thing in held:
         assert len(repr(thing)) < 400
         assert "\n" not in repr(thing)

@@ -10,6 +10,7 @@ import salver as sv
 from salver.auditing.arm import NOT_CHECKED, arm_status
 from salver.auditing.verdict import audit_samples
 from salver.errors import ScenarioError
+from salver.geometry import quat_wxyz_from_matrix
 from salver.models.arm.arm import load_arm
 from salver.motion_files.samples import JointSamples
 
@@ -52,6 +53,28 @@ def test_an_arm_that_goes_into_its_table_is_said_to_whatever_becomes_of_the_load
     summary = json.loads(json.dumps(found.summary()))
     assert summary["holds"]
     assert summary["arm"] == {"code": found.arm.code, "ok": False, "sentence": found.arm.sentence}
+
+
+def test_joints_beside_a_tray_motion_tell_of_the_arm(ur10, tmp_path):
+    """As `salver export` writes both in one table; joints in degrees, or of another arm, tell nothing."""
+    arm = load_arm(ur10.arm, ur10.tray)
+    q = np.array(list(columns(ur10, LEVEL_DOWN).values())[1:]).T
+    poses = [arm.tray_pose(each) for each in q]
+    tray = [np.hstack([p, quat_wxyz_from_matrix(R)]) for p, R in poses]
+
+    def audited(names, q):
+        path = tmp_path / "both.csv"
+        header = ",".join(["t", "x", "y", "z", "qw", "qx", "qy", "qz", *names])
+        np.savetxt(path, np.column_stack([T, tray, q]), delimiter=",", header=header, comments="")
+        return sv.audit(path, ur10)
+
+    alone, both = audited([], q[:, :0]), audited([f"q_{name}" for name in arm.joint_names], q)
+    assert alone.arm == NOT_CHECKED
+    assert both.arm.sentence == sv.audit(columns(ur10, LEVEL_DOWN), ur10).arm.sentence
+    assert not both.ok
+    assert both.worst.sentence == alone.worst.sentence
+    assert audited([f"q_{name}" for name in arm.joint_names], np.rad2deg(q)).arm == NOT_CHECKED
+    assert audited([f"joint{k}" for k in range(1, 7)], q).arm == NOT_CHECKED
 
 
 def test_the_floor_is_what_the_scenario_says(ur10):

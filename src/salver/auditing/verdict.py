@@ -16,7 +16,7 @@ import numpy as np
 
 from salver.auditing.arm import NOT_CHECKED, arm_status
 from salver.auditing.doubts import CANNOT_TELL, Borne, cannot_tell
-from salver.auditing.motion import AuditedMotion, Doubt, tray_motion
+from salver.auditing.motion import AuditedMotion, Doubt, check_radians, tray_motion
 from salver.auditing.options import DEFAULT, AuditOptions
 from salver.auditing.recorded import OUTER
 from salver.auditing.slip import Slip, slide
@@ -25,13 +25,13 @@ from salver.contact_margins import MarginModel, Margins, SafeSpeeds, margin_mode
 from salver.display import Shown
 from salver.dynamics.load_limits import LoadVerdict
 from salver.dynamics.payload_response import PayloadResponse
-from salver.errors import Status
+from salver.errors import SalverError, Status
 from salver.files import provenance
 from salver.geometry import Array, Indices, invert, lean
 from salver.models.tray_motion import at_rest, motion_vector
 from salver.models.uncertain.parameters import unshaken
 from salver.motion_files import JointSamples, Samples, of_columns, read
-from salver.motion_files.samples import cut_at_rests
+from salver.motion_files.samples import cut_at_rests, reordered
 from salver.motion_files.units import Units
 from salver.scenario import Scenario
 from salver.tables import Table, Tabular
@@ -50,13 +50,14 @@ AT_REST = 1e-3  # m/s or rad/s, below which the tray is at rest
 class Audit(Shown, Tabular):
     """A motion and its consequences for the scenario's objects; each is computed when it is first read.
 
-    source: name of the file. motion: motion of the tray, with repairs and assumptions. given: the samples as read.
+    source: name of the file. motion: motion of the tray, with repairs and assumptions. joints: those of the arm along
+    it, where they are known.
     """
 
     scenario: Scenario
     source: str
     motion: AuditedMotion
-    given: Samples | None = None
+    joints: JointSamples | None = None
 
     @cached_property
     def margins(self) -> Margins:
@@ -232,11 +233,9 @@ class Audit(Shown, Tabular):
 
     @cached_property
     def arm(self) -> Status:
-        """Whether the joints stay in their ranges and the arm collides with nothing, for a joint motion."""
-        given, arm = self.given, _arm(self.scenario)
-        if not isinstance(given, JointSamples) or arm is None:
-            return NOT_CHECKED
-        return arm_status(given, arm, self.scenario)
+        """Whether the joints stay in their ranges and the arm collides with nothing, where its joints are known."""
+        arm = _arm(self.scenario)
+        return NOT_CHECKED if self.joints is None or arm is None else arm_status(self.joints, arm, self.scenario)
 
     @property
     def ok(self) -> bool:
@@ -372,9 +371,23 @@ def audit(
 ) -> Audit:
     """Audit a trajectory file (formats: `salver.motion_files`), or columns of one, for the objects of a scenario.
 
+    Of a file with tray and joints, the tray decides about the load, and the joints about the arm.
+
     topic: topic of a bag. units: of a table, as in "deg,mm,ms". Raises SalverError, one sentence for each mistake.
     """
-    return audit_samples(read_for(scenario, path, topic, units=units), scenario, options)
+    samples, arm = read_for(scenario, path, topic, units=units), _arm(scenario)
+    found = audit_samples(samples, scenario, options)
+    if arm is None or found.joints is not None:
+        return found
+    try:
+        beside = read_for(scenario, path, topic, joints_first=True, units=units)
+        if not isinstance(beside, JointSamples) or not np.array_equal(beside.t, samples.t):
+            return found
+        beside = reordered(beside, arm.joint_names)
+        check_radians(beside.q, arm, beside.source)
+    except SalverError:  # joints of another arm, or damaged
+        return found
+    return replace(found, joints=beside)
 
 
 def audit_legs(
@@ -416,9 +429,10 @@ def read_for(
 def audit_samples(samples: Samples, scenario: Scenario, options: AuditOptions = DEFAULT) -> Audit:
     """`audit` of samples."""
     first = scenario.payload.first
-    joints = _arm(scenario) if isinstance(samples, JointSamples) else None
-    motion = tray_motion(samples, joints, *invert(first.p_EB, first.R_EB), options)
-    return Audit(scenario, samples.source, motion, samples)
+    joints = samples if isinstance(samples, JointSamples) else None
+    arm = None if joints is None else _arm(scenario)
+    motion = tray_motion(samples, arm, *invert(first.p_EB, first.R_EB), options)
+    return Audit(scenario, samples.source, motion, joints)
 
 
 def _arm(scenario: Scenario) -> ArmModel | None:

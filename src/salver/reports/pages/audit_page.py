@@ -14,7 +14,6 @@ from salver.auditing import Audit
 from salver.errors import Status
 from salver.files import output_file, to_json, versions, write_atomic
 from salver.geometry import Array, interpolated, spread
-from salver.motion_files import JointSamples
 from salver.motion_files.samples import reordered
 from salver.planning.plan import Plan
 from salver.reports.contact import curves_of
@@ -114,8 +113,8 @@ def _run(audit: Audit) -> tuple[ReportedRun, ArmModel | None]:
     thinned = samples.only(keep)
     plan = Plan(scenario, "given", SampledReference(thinned), Status("given", audit.source, True))
     arrays: dict[str, Array] = dict(plan.arrays())
-    arm, joints = None, audit.given
-    if isinstance(joints, JointSamples) and scenario.arm is not None:
+    arm, joints = None, audit.joints
+    if joints is not None and scenario.arm is not None:
         from salver.models.arm.arm import load_arm
 
         arm = load_arm(scenario.arm, scenario.tray)
