@@ -8,7 +8,7 @@ from __future__ import annotations
 import tempfile
 from pathlib import Path
 
-from salver.cli.plans.demo import bottle
+from salver.cli.plans.demo import BOTTLE, experiment
 from salver.reports.film import write_film
 
 FILM = Path(__file__).parent / "images" / "bottle.gif"
@@ -16,7 +16,7 @@ FILM = Path(__file__).parent / "images" / "bottle.gif"
 
 def main() -> None:
     with tempfile.TemporaryDirectory() as name:
-        found = bottle(Path(name), n=20, seed=0, quiet=True)
+        found = experiment(BOTTLE, "fastest", "nominal", Path(name), n=20, seed=0, quiet=True)
         FILM.unlink(missing_ok=True)  # or it would be kept beside the new one
         film = write_film(name, FILM, rate=20, speed=0.5, width=360, height=300)
     for stem, plan in found["campaign"]["plans"].items():
