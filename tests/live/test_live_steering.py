@@ -55,6 +55,7 @@ def test_how_a_hand_changes_is_told_from_what_it_said_last():
     assert np.allclose(slope(np.arange(-0.1, 0.021, 0.01), kinked), [1, 0, -2])
     assert np.allclose(slope(np.array([0.1, 0.15]), kinked), [1, 0, -2])
     assert not slope(np.array([0.0, 0.07]), kinked).any()
+    assert not slope(np.array([0.1, 0.101]), kinked).any()  # too near to one another to say anything
 
 
 def test_a_hand_is_followed_from_the_first_ticks_on(cube):
