@@ -204,7 +204,7 @@ def run_live(
     if not listen:
         prompter.of(list(script([x if isinstance(x, str) else x.decode() for x in wishes], source)))
     plan_files.check_place(scenario, directory, edited=True, force=True)
-    checks = [c for c in check_plan(plan, arm, carried) if c.name not in ("stops", "command", "rest", "speeds")]
+    checks = [c for c in check_plan(plan, arm, carried) if c.name not in ("stops", "rest", "speeds")]
     checks += known.checks
     demand(checks)
     checks.append(check_place(directory))

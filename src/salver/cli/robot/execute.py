@@ -226,7 +226,7 @@ def _tell(result: Execution) -> None:
         tell(f"Largest e_p {1e3 * summary['e_p_peak']:.3f} mm, e_o {1e3 * summary['e_o_peak']:.3f} mrad.")
     tell(f"Stopped: {summary['stopped']}" if summary["stopped"] else f"Ran to its end; outcome: {summary['outcome']}.")
     if summary["bridged"]:
-        tell(f"Implausible readings that what was commanded replaced: {summary['bridged']}.")
+        tell(f"Implausible readings, replaced by what was commanded: {summary['bridged']}.")
     if summary["load_kept_in_stop"] is False:
         tell("The arm did not stop by a motion that is safe for the load: the load may have moved or fallen.")
     elif summary["load_kept_in_stop"]:
