@@ -75,7 +75,7 @@ class TestMap:
         present = {path.relative_to(ROOT).as_posix(): _digest(path) for path in sorted(ROOT.glob("tests/**/test_*.py"))}
         for name in [*(only or []), *(without or [])]:
             if name not in present:
-                raise SystemExit(f"There is no test file {name}; give it as in tests/models/test_arm.py.")
+                raise SystemExit(f"There is no test file {name}; give it as in tests/models/arm/test_arm.py.")
         wanted = [name for name in only or present if name not in (without or [])]
         self.files = {name: entry for name, entry in self.files.items() if name in present}
         for name in wanted:
