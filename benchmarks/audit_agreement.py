@@ -102,7 +102,7 @@ def exact_pace(scenario: Scenario, reference: PolynomialReference) -> float | No
     """Factor of the duration at which the motion itself, without file or smoothing, just holds."""
     first = scenario.payload.first
     s = reference.sample(np.linspace(0, reference.duration, 2001)).of_frame(*invert(first.p_EB, first.R_EB))
-    return Audit(scenario, "exact", AuditedMotion(s)).pace.factor
+    return Audit(scenario, "exact", AuditedMotion(s)).speeds.pace.details["factor"]
 
 
 def slower(reference: PolynomialReference, factor: float) -> PolynomialReference:

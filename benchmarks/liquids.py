@@ -102,7 +102,7 @@ def flow_rows() -> Iterator[str]:
 
 def taken_for_solid(scenario: Scenario) -> Plan:
     """The fastest plan of somebody who does not know that a liquid moves."""
-    problem = replace(transport_problem(scenario), liquids=())
+    problem = replace(transport_problem(scenario), cases=(), every_case=())
     found = fastest(problem)
     return joint_plan(scenario, problem, found.joint_motion(), found.status, {})
 

@@ -50,7 +50,7 @@ from by_hand import GRAVITY, demand, kept_by_hand, rocking, slipping
 from salver.models.bodies import TRAY
 from salver.scenario import Scenario, load, names
 from salver.simulation import creep
-from salver.simulation.outcome import Thresholds, behaviour, judge
+from salver.simulation.outcome import Thresholds, behaviour, inner_motions, judge
 from salver.simulation.physics import simulate_tray
 from salver.simulation.scene.elements import FOOT_RADIUS
 from salver.simulation.scene.loads import Load, TrueWorld, true_world
@@ -111,10 +111,10 @@ def in_drake(reference: Reference, scenario: Scenario, parameters: dict[str, flo
     touches = np.ones((len(t), m), bool)
     trace = Trace(
         t, none, none, none, p[:, 0], R[:, 0], p[:, 1:], R[:, 1:], np.zeros((len(t), 0, 3)), np.zeros((len(t), m, 3)),
-        touches, ~touches, np.zeros(len(t), bool),
+        touches, np.zeros(len(t), bool),
     )  # fmt: skip
     moved = behaviour(scene, trace, creep.still_bias(len(t)), scenario.tray.size)
-    return judge(t, moved, touches, Thresholds(), tuple(item.name for item in world.loads))
+    return judge(t, moved, touches, Thresholds(), world.loads, inner_motions(scene, trace))
 
 
 def _plant(world: TrueWorld, tray_size: tuple[float, float]) -> tuple[Any, Any, list[Any]]:

@@ -354,7 +354,7 @@ def sloshing() -> Any:
         (spill,) = made.margins.load_verdicts(worst=True)
         curve.plot(
             spill.t,
-            1e3 * spill.left,
+            1e3 * (spill.inner.edge(spill.inner.value) - spill.size),
             color=style.ROLE_COLOURS[role],
             linestyle=ROLE_DASHES[role],
             label=label,
