@@ -98,7 +98,7 @@ def _paired(run: ReportedRun, campaign: dict[str, Any]) -> Markup:
 
 
 def _distribution(run: ReportedRun, column: str, title: str, label: str, units: Units) -> Spec | None:
-    """Share of the runs of each motion in which a quantity is at most so large."""
+    """Share of all runs of each motion in which a quantity is known, and at most so large."""
     values = np.asarray(run.runs.get(column, ()), dtype=float)
     finite = np.isfinite(values)
     if not finite.any():
@@ -106,9 +106,10 @@ def _distribution(run: ReportedRun, column: str, title: str, label: str, units: 
     unit, factor = suited(float(np.abs(values[finite]).max()), units)
     curves = []
     for m in run.motions:
-        own = np.sort(factor * values[finite & (run.runs["stem"] == m.stem)])
+        made = run.runs["stem"] == m.stem
+        own = np.sort(factor * values[finite & made])
         if len(own):
-            curves.append(series(m, m.label, own, 100 * np.arange(1, len(own) + 1) / len(own)))
+            curves.append(series(m, m.label, own, 100 * np.arange(1, len(own) + 1) / np.count_nonzero(made)))
     shown = {
         "title": title,
         "note": "In so many of the runs it was no larger.",
