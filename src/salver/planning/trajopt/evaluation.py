@@ -26,12 +26,16 @@ EASING = 0.25  # share of a motion with a moving start over which margins grow f
 
 @dataclass(frozen=True, eq=False)
 class Known:
-    """Quantities of `MotionEvaluation` that are known already, or taken from a similar motion; None: to be computed."""
+    """Quantities of `MotionEvaluation` that are known already, or taken from a similar motion; None: to be computed.
+
+    like: the motion whose response of arm and load dynamics is used.
+    """
 
     terms: MotionTerms | None = None
     response: Deviation | None = None
     sag: Drift | None = None
     loads: LoadResponses | None = None
+    like: MotionEvaluation | None = None
 
 
 NOTHING = Known()
@@ -152,10 +156,10 @@ class MotionEvaluation:
 
     def giving_way_as(self, other: MotionEvaluation) -> MotionEvaluation:
         """A copy with the response of the arm, and of the load dynamics, of a similar motion at the same shares of the
-        duration; without the rest after it."""
+        duration."""
         straying = self.straying_as(other)
         loads = other.load_responses.along(self.shares * self.duration, straying.terms.w)
-        return straying.knowing(loads=loads)
+        return straying.knowing(loads=loads, like=other)
 
     @cached_property
     def rest(self) -> MotionEvaluation:
@@ -163,9 +167,13 @@ class MotionEvaluation:
         count = RESTS[0 if self.imposed else 1]
         z = np.zeros((4, count, self.n))
         z[0] = self.z[0, -1]
-        s, nodes = np.linspace(0.0, 1.0, count), np.arange(count)
+        s, nodes, like = np.linspace(0.0, 1.0, count), np.arange(count), self.known.like
         basic = self.model, self.frame_id, self.tracking, s, self.resting, z, nodes, self.imposed, False, self.cases
         terms = MotionTerms.deriving(self.model, self.frame_id, z[:3], s, nodes[[0, -1]])  # at all of them the same
+        if like is not None:
+            still = MotionEvaluation(*basic, like.rest.past).knowing(terms=terms).straying_as(like.rest)
+            loads = like.rest.load_responses.along(self.resting * s, terms.w, self.load_responses)
+            return still.knowing(loads=loads)
         t, tracking = self.shares * self.duration, self.tracking
         if tracking is not None and self.response is not None:
             tracking = tracking.begun(self.response.state_at(t, t[-1]))

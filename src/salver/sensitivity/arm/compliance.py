@@ -54,11 +54,13 @@ class LoadResponses:
             found.append((group, given[-1].responses))
         return cls(tuple(found), tuple(given))
 
-    def along(self, t: Array, w: Array) -> LoadResponses:
-        """The responses along another motion, with the arm's deviation of this one."""
+    def along(self, t: Array, w: Array, after: LoadResponses | None = None) -> LoadResponses:
+        """The responses along another motion, with the arm's deviation of this one. after: responses along the motion
+        that it continues, if that differs too."""
         found = []
-        for group, (old, *given) in self.together:
-            planned = type(old).of(old.modes.along(all_cases(group), t, w, old.modes.start))
+        for k, (group, (old, *given)) in enumerate(self.together):
+            start = old.modes.start if after is None else after.together[k][1][0].modes.states.last
+            planned = type(old).of(old.modes.along(all_cases(group), t, w, start))
             found.append((group, (planned, *(part.along(planned.modes) for part in given))))
         return LoadResponses(tuple(found))
 
