@@ -104,17 +104,24 @@ class Linearised:
 
 @dataclass(frozen=True, eq=False)
 class Programme:
-    """A nonlinear programme: an objective over the motions of a curve, under constraints at the nodes of its grid."""
+    """A nonlinear programme: an objective over the motions of a curve, under constraints at the nodes of its grid.
+
+    given: whether the arm's response to load dynamics is frozen at that of the first iterate. The derivatives neglect
+    its change, so predictions of steps are then accurate; the final motion needs a check with the true response.
+    """
 
     curve: Curve
     constraints: Sequence[Constraint]
     objective: Objective
+    given: bool = field(default=False, kw_only=True)
 
-    def at(self, point: Point) -> Iterate:
-        """The iterate at a point, with all rows."""
+    def at(self, point: Point, like: MotionEvaluation | None = None) -> Iterate:
+        """The iterate at a point, with all rows. like: a motion whose arm response is used."""
         grid = self.curve.grid
         z = self.curve.motion(point.coefficients, point.duration)
         motion = self.curve.problem.at(grid.s, z, point.duration, grid.nodes)
+        if like is not None:
+            motion = motion.giving_way_as(like)
         blocks = self.objective.demanded(evaluate(self.constraints, motion), point.margin)
         return Iterate(point, self.curve, motion, blocks, self.objective.value(self.curve, point))
 
@@ -140,7 +147,7 @@ class Programme:
             duration *= float(np.sqrt(1 + step[-1]))
         elif self.objective.scalar is Scalar.MARGIN:
             margin += float(step[-1])
-        return self.at(Point(coefficients, duration, margin))
+        return self.at(Point(coefficients, duration, margin), path.motion if self.given else None)
 
     def derivatives(self, path: Iterate, block: Block, node: Indices, column: Indices) -> Array:
         """Derivatives (r, size m + 1) of a block's rows by the coefficients and the scalar. With free duration, rows
