@@ -350,6 +350,20 @@ def test_an_end_is_reached_with_a_joint_at_its_stop():
         assert np.abs(problem.goal.residual(problem.arm, q)[0]).max() < 1e-10
 
 
+def test_rows_beyond_a_kink_are_exact_where_they_were_taken():
+    box = {"name": "post", "type": "box", "position": [0.55, -0.13, 0.3], "size": [0.1, 0.1, 0.6]}
+    problem = transport_problem(cube(obstacles=[box]), robust=False)
+    spline = RestSpline(5, 8)
+    programme = Programme(FreeCurve(problem, Grid.of(spline, spline.nodes(3))), problem.constraints, Duration())
+    first = line(problem, spline)
+    path, trial = (programme.at(Point(c, 1.0)) for c in (first, first + 0.02 * np.sin(np.arange(7))))
+    kinked = programme.beyond_kinks(path, trial)
+    (clearance,) = (block for block in trial.blocks if block.kinked)
+    moved = np.append((trial.coefficients - path.coefficients).ravel(), 0.0)
+    assert len(kinked.bound) > 3
+    assert np.allclose(kinked.matrix @ moved - kinked.bound, clearance.values[clearance.values > 0], atol=1e-12)
+
+
 # The closed loop -----------------------------------------------------------------------------------------------
 
 

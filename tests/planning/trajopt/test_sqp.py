@@ -336,6 +336,24 @@ def test_corrected_rows_are_exact_where_the_step_led():
     assert bent.matrix @ step - bent.bound == pytest.approx(true)
 
 
+@pytest.mark.parametrize("objective", [Duration(), Roomy()])
+def test_rows_beyond_a_kink_are_those_of_the_trial(objective):
+    """Exact there, and in the scalar as the step counts it: shares of the square of the path's time, not of its own."""
+    name = "counted" if isinstance(objective, Roomy) else "rows"
+    rows = Rows(lambda q, t: np.array([(2 + q[0]) / t**2 - 1]), name, more={"scales": True, "kinked": True})
+    task = programme(objective, rows)
+    path = task.at(place(0.0, 0.0, duration=1.3, margin=0.1))
+    trial = task.moved(path, np.array([0.4, 0.2, -0.2]))
+    assert trial is not None
+    found = task.beyond_kinks(path, trial)
+    (value,) = trial.blocks[0].values[0]
+    there = np.array([0.4, 0.2, -0.2])
+    assert value > 0
+    assert found.matrix @ there - found.bound == pytest.approx([value])
+    by_scalar = -1 / 0.8 if isinstance(objective, Duration) else 1.0  # of (2.4 / T_1^2) - (1 + x) / (1 + x_1)
+    assert found.matrix == pytest.approx(np.array([[1 / trial.duration**2, 0.0, by_scalar]]), abs=1e-6)
+
+
 def test_the_programme_of_an_iteration_bends_as_cost_and_priced_rows_do():
     """Along any step, without the proximal term: half the second derivative of the cost and of the rows, at their
     prices. What is priced at nothing is left out, and what is given is no unknown."""

@@ -202,6 +202,18 @@ class Programme:
         matrix = rows.matrix[near]
         return Linearised(matrix, matrix @ step - value[near])
 
+    def beyond_kinks(self, path: Iterate, trial: Iterate) -> Linearised:
+        """Violated rows of a trial that have kinks, linearised at the trial: derivatives before a kink are useless."""
+        kinked = [(block.values > 0) & block.kinked for block in trial.blocks]
+        found = self.linearised(trial, kinked)
+        matrix, scalar = found.matrix.copy(), trial.point.margin - path.point.margin
+        if self.objective.scalar is Scalar.DURATION:  # sigma is relative to that of each iterate
+            ratio = (trial.duration / path.duration) ** 2
+            scalar = ratio - 1
+            matrix[:, -1] /= ratio
+        moved = np.append((trial.coefficients - path.coefficients).ravel(), scalar)
+        return Linearised(matrix, found.bound + matrix @ moved)
+
     @cached_property
     def metric(self) -> Array:
         """Quadratic forms (3, size, size): mean squares of the change in posture, acceleration and jerk, for T = 1."""

@@ -2,7 +2,7 @@
 
 Each iteration takes the step of a quadratic programme (`programme`). A second-order correction (the same rows with
 their true values at the trial point; Fletcher 1982) allows long steps. It includes rows that were left out because
-they were far from their limit.
+they were far from their limit, and rows behind kinks.
 """
 
 from __future__ import annotations
@@ -132,6 +132,9 @@ def minimise(programme: Programme, start: Iterate, options: SqpOptions, trust: T
         if path.violation <= options.violation and (mended or attempt.hoped < little):
             idle = 2
         if idle >= 2 or trust.hopeless:
+            if path.violation > options.violation and trust.dearer():
+                idle = 0
+                continue
             code = "optimal" if idle >= 2 else "stalled"
             break
         if options.watch.over():
@@ -175,7 +178,8 @@ def _attempt(
         # Rows that were left out as far from their limit are added, linearised at the same iterate.
         unseen = tuple(b.joining(m) for b, m in zip(trial.blocks, masks, strict=True))
         rows = rows.and_also(programme.linearised(path, unseen))
-        second = subproblem.solve(programme.corrected(rows, trial, step))
+        bent = programme.corrected(rows, trial, step).and_also(programme.beyond_kinks(path, trial))
+        second = subproblem.solve(bent)
         programmes = 2
         trial, share = _along_arc(programme, path, trial, step, second, slack, predicted, trust.penalty)
     gained = -np.inf if trial is None else merit - trial.merit(trust.penalty)

@@ -40,6 +40,13 @@ class Trust:
         elif self.penalty > 3 * worth:
             self.penalty = max(2 * worth, 0.3 * self.penalty, 1.0)
 
+    def dearer(self) -> bool:
+        """After ending with a violation: start again with ten times the penalty; False when it would be too large."""
+        if self.penalty >= 1e4 or self.hopeless:
+            return False
+        self.penalty, self.damping = 10 * self.penalty, 1.0
+        return True
+
     def accepted(self, ratio: float, share: float, change: Array) -> None:
         """Adapt to an accepted step: `ratio` of actual to predicted improvement, `share` of the step taken, largest
         change (B,) of the rows of each block."""
