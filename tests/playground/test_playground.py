@@ -104,6 +104,21 @@ def test_a_recording_may_begin_where_an_earlier_goal_has_left_the_arm(tmp_path):
     assert np.linalg.norm(np.subtract(plan.scenario.motion.goal.position, first)) < 1e-3
 
 
+@pytest.mark.slow
+def test_a_recording_that_is_too_long_ends_though_the_hand_goes_on(tmp_path, monkeypatch):
+    monkeypatch.setattr("salver.playground.world.LONGEST", 0.3)
+    world = World(sv.load_scenario("panda-cube"), lead=0.02, keep_in=tmp_path / "kept")
+    run(world, 0.02)
+    assert world.say({"record": True}).ok
+    wild(world, 1.5, 60)
+    assert world.frame()["recording"] is None
+    assert world.say({"twist": [0.1, 0.0, 0.0, 0.0]}).ok
+    end = time.monotonic() + 60
+    while "salver report" not in world.note and time.monotonic() < end:
+        time.sleep(0.05)
+    assert load_plan(tmp_path / "kept").ok
+
+
 def test_a_ball_that_meets_the_load_has_hit_it():
     """One that nothing moves away from is thrown at the middle of what is carried: it falls on it from above."""
     world = World(sv.load_scenario("panda-cube"))

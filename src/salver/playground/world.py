@@ -31,6 +31,7 @@ from salver.trajectory import JointMotion
 
 LONGEST = 115.0  # s of a recording; a live motion keeps 120 s of what was commanded
 RECORDED = "It is being recorded; end the recording first."
+ENDING = Status("refused", "The recording ends first, at rest.", False)
 
 
 class World:
@@ -166,11 +167,18 @@ class World:
                     return self._record(value)
         return Status("refused", f"Nobody knows what {str(key)[:40]} means.", False)
 
+    @property
+    def _closing(self) -> bool:
+        """Whether the arm comes to rest for the end of a recording."""
+        return self._recorded is not None and self._ending
+
     def _goto(self, value: Any) -> Status:
         try:
             p = numbers(value, (3,), "the goal")
         except Refused as reason:
             return reason.status
+        if self._closing:
+            return ENDING
         status = self.live.goto(p) if self.protected else Status("accepted", "", True)
         self._goal = p if status.ok else None
         return status
@@ -180,6 +188,8 @@ class World:
             twist = numbers(value, (4,), "the twist")
         except Refused as reason:
             return reason.status
+        if self._closing:
+            return ENDING
         v, omega = twist[:3], np.array([0.0, 0.0, twist[3]])
         self._goal = None
         self._hand = (self.t, v, omega)
@@ -238,7 +248,7 @@ class World:
         """A recording that is to end, does so at rest; one that is too long is to end."""
         if self.live.now - since > LONGEST and not self._ending:
             self._record(False)
-        if self._ending and self._resting:
+        if self._closing and self._resting:
             motion, self._recorded = self.live.commanded(since), None
             self.note = "The recording is being written."
             threading.Thread(target=self._kept, args=(motion,), name="recording").start()
