@@ -129,13 +129,24 @@ def test_a_pair_that_is_too_near_at_an_end_keeps_a_share_of_that_less_what_nodes
 
     parts: Any = SimpleNamespace(clearance=clearance, of_floor=np.zeros(5, dtype=bool))
     keep_out = KeepOut(parts, required)
-    kept = keep_out.kept_by(np.zeros((2, 7)))
+    kept = keep_out.kept_by(np.zeros((2, 7)), np.zeros(2))
     assert 1e3 * kept.required == pytest.approx([5.0, -0.4, -0.6, 1.0, -1.0])
     # A verdict ends where an arm goes 0.1 mm at most, half of it from either end, and distances are good to 0.01 mm.
     assert 1e3 * kept.least == pytest.approx([5.0, 0.07, 0.07, 1.0, 0.0])
     assert 1e3 * keep_out.distances(np.zeros((2, 7)), 0.002) == pytest.approx(1e3 * (there - required))
     far = CLEARANCE.reach + CLEARANCE.at_nodes + 0.002  # exact as far as the arm may stray into reach
     assert np.all(asked[-1] >= required + far)
+
+
+def test_a_pair_keeps_no_more_than_the_tracking_error_leaves_of_its_distance_at_the_ends() -> None:
+    """By hand, in mm: at the first end 2 mm of 7 are used up, at the second 0.5 mm of 6.8 and 6; 1 mm is for nodes."""
+    there = np.array([[7.0, 20.0, 20.0, 7.0], [9.0, 6.8, 6.0, 30.0]]) * 1e-3
+    required = np.array([5.0, 5.0, 5.0, 5.0]) * 1e-3
+    parts: Any = SimpleNamespace(clearance=lambda q, most=None: there, of_floor=np.zeros(4, dtype=bool))
+    kept = KeepOut(parts, required).kept_by(np.zeros((2, 7)), np.array([2.0, 0.5]) * 1e-3)
+    assert 1e3 * kept.required == pytest.approx([4.0, 5.0, -0.4, 4.0])
+    kept = KeepOut(parts, required).kept_by(np.zeros((2, 7)), np.array([6.9, 0.0]) * 1e-3)  # nearly all of it
+    assert 1e3 * kept.required == pytest.approx([-0.3, 5.0, -0.4, -0.3])  # as of a pair that is too near
 
 
 def straight_to(path: SplinePath, corners: Array) -> float:

@@ -13,6 +13,7 @@ from salver.geometry import GRAVITY_S, Array, interpolated
 from salver.models.arm.arm_limits import POSITION
 from salver.planning.seeds.around import way_around
 from salver.planning.trajopt.bound import least_duration, least_time
+from salver.planning.trajopt.constraints.constraints import strayed
 from salver.planning.trajopt.constraints.obstacles import APART as APART_FROM_TOUCHING
 from salver.planning.trajopt.constraints.obstacles import CLEARANCE
 from salver.planning.trajopt.ends import AtPosture, End
@@ -319,7 +320,19 @@ def between(problem: TransportProblem, pair: Ends) -> TransportProblem:
     """The problem with required distances that both end postures satisfy."""
     if problem.keep_out is None:
         return problem
-    return replace(problem, keep_out=problem.keep_out.kept_by(np.stack([pair.start, pair.goal])))
+    postures = (pair.start, pair.goal)
+    stray = np.array([_stray_at_rest(problem, q) for q in postures])
+    return replace(problem, keep_out=problem.keep_out.kept_by(np.stack(postures), stray))
+
+
+def _stray_at_rest(problem: TransportProblem, q: Array) -> float:
+    """Largest distance, m, by which the arm strays from a posture (n,) at rest, under the uncertain load."""
+    if problem.tracking is None:
+        return 0.0
+    z = np.zeros((4, 5, problem.n))  # a filter of cubics needs five instants
+    z[0] = q
+    still = replace(problem, cases=()).at(np.linspace(0.0, 1.0, 5), z, 1.0, imposed=False)
+    return float(strayed(*still.tray_radius()).max())
 
 
 def straight(pair: Ends) -> Start:

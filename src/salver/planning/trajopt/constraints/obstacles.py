@@ -74,16 +74,20 @@ class KeepOut:
             required = np.minimum(required, CLEARANCE.kept_where_given * there)
         return cls(parts, required)
 
-    def kept_by(self, ends: Array) -> KeepOut:
+    def kept_by(self, ends: Array, stray: Array) -> KeepOut:
         """The pairs with a smaller required distance where end postures (N, n) are closer than required: a tenth of the
-        distance there, because tracking error may use up the rest. Exceptions for a given start posture stay, because
-        motions that begin there are judged by them."""
-        there = self.parts.clearance(ends).min(axis=0)
+        distance there, because tracking error may use up the rest; and with what the tracking error at rest there,
+        stray (N,), m, leaves of the distance, where nodes could not keep more. Exceptions for a given start posture
+        stay, because motions that begin there are judged by them."""
+        free = self.parts.clearance(ends)
+        there = free.min(axis=0)
         share = np.where(self.required < safety(self.parts), CLEARANCE.kept_where_given, CLEARANCE.kept_at_ends)
         there = np.maximum(there, 0.0)
         kept = np.maximum(share * there, np.minimum(APART, CLEARANCE.kept_if_little * there))
         less = np.minimum(kept - CLEARANCE.at_nodes, self.required)
-        return KeepOut(self.parts, np.where(there < self.required + CLEARANCE.enough_at_ends, less, self.required))
+        left = (free - stray[:, None]).min(axis=0) - CLEARANCE.at_nodes
+        enough = there >= self.required + CLEARANCE.enough_at_ends
+        return KeepOut(self.parts, np.where(enough, np.clip(left, less, self.required), less))
 
     @property
     def least(self) -> Array:
