@@ -377,7 +377,7 @@ def audit(
     """
     samples, arm = read_for(scenario, path, topic, units=units), _arm(scenario)
     found = audit_samples(samples, scenario, options)
-    if arm is None or found.joints is not None:
+    if arm is None or found.joints is not None or samples.form == "ros2":  # a topic has one of both
         return found
     try:
         beside = read_for(scenario, path, topic, joints_first=True, units=units)
