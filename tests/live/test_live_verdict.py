@@ -238,7 +238,8 @@ def test_a_row_that_rises_between_two_instants_is_judged_at_its_peak(motion):
     judged, constraint = Judged.of(problem, whole), ContactConstraint(problem.contacts[0])
     middle, half = 0.5 * (judged.t[41] + judged.t[40]), 0.5 * (judged.t[41] - judged.t[40])
     values = -2e-4 - STANDARD.contact * ((judged.t[:, None] - middle) / half) ** 2  # no instant needs the margin
-    (live,) = judged.rows(constraint, [Block("contact", values, no_gradient, judged.along.nodes)])
+    block = Block("contact", values, no_gradient, judged.along.nodes)
+    live = judged.at_peaks(next(judged.rows(constraint, [block])))
     assert live.values.max() == pytest.approx(STANDARD.contact - 2e-4)
     assert live.values.argmax() == 40
 

@@ -158,13 +158,17 @@ class Judged:
         for block in constraint.blocks(self.along) if blocks is None else blocks:
             margin = self.options.margin(block, constraint)
             values = block.values + margin
-            if isinstance(constraint, ContactConstraint) and self.options.contact:
-                values[:-1] = peaks(self.t[block.points], values)
             values[np.isnan(values)] = np.inf
             if block.inherits:
                 first = values[: np.searchsorted(self.t[block.points], self.options.beginning)]
                 first[:] = np.where(first < self.options.forgiven * margin, np.minimum(first, 0.0), first)
             yield block.having(values=values, of=constraint)
+
+    def at_peaks(self, block: Block) -> Block:
+        """Rows at all instants, each with the largest value until the next one; see `VerdictOptions.contact`."""
+        if not self.options.contact or not np.all(np.isfinite(block.values)):
+            return block
+        return block.having(values=np.append(peaks(self.t, block.values), block.values[-1:], axis=0))
 
     @cached_property
     def _hulls(self) -> list[Array]:

@@ -121,7 +121,7 @@ def contact(judged: Judged) -> Iterator[Block]:
     for constraint in judged.of_kind(ContactConstraint):
         assert isinstance(constraint, ContactConstraint)
         if constraint.speed.factor:
-            yield from judged.rows(replace(constraint, coarsely=True))
+            yield from map(judged.at_peaks, judged.rows(replace(constraint, coarsely=True)))
 
 
 def contact_standing(judged: Judged) -> Iterator[Block]:
