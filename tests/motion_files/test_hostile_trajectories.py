@@ -94,8 +94,15 @@ def test_aliases_that_unfold_without_end_are_refused_at_the_first(tmp_path):
     path = tmp_path / "t.yaml"
     lines = ["a0: &a0 [x, x]"] + [f"a{k}: &a{k} [{', '.join([f'*a{k - 1}'] * 9)}]" for k in range(1, 12)]
     path.write_text("\n".join([*lines, "joint_names: *a11", "points: *a11"]))
-    with pytest.raises(FileFormatError, match=r"uses the alias \*a0, which messages do not have, at line 2"):
+    with pytest.raises(FileFormatError, match=r"the alias \*a0, which messages do not have at line 2"):
         read(path)
+
+
+def test_a_star_in_a_comment_or_in_a_text_is_no_alias(tmp_path):
+    path = tmp_path / "t.yaml"
+    points = [{"time_from_start": 0.1 * k, "positions": [0.01 * k]} for k in range(12)]
+    path.write_text(f"# from *home* to: *goal*\nnote: 'see *all'\njoint_names: [j1]\npoints: {points}\n")
+    assert len(read(path).t) == 12
 
 
 @pytest.mark.parametrize(("name", "size"), [("t.yaml", 5), ("t.json", 100), ("t.csv", 500), ("t.mcap", 2000)])

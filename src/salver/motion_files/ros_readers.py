@@ -6,7 +6,6 @@ Quaternions of ROS are x, y, z, w; only this module and `ros_writers` convert th
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from itertools import islice
@@ -33,7 +32,6 @@ LARGEST_YAML, LARGEST_JSON = 5_000_000, 100_000_000  # bytes; YAML is read at ab
 LARGEST_BAG = 2_000_000_000  # bytes
 MOST_MESSAGES = 5_000_000
 DEEPEST = 8  # largest depth of a trajectory in a message
-_ALIAS = re.compile(r"(?:^|[\s\[\]{},:?-])(\*[^\s\[\]{},]+)", re.MULTILINE)
 _NESTED = ("trajectory", "joint_trajectory", "planned_trajectory", "msg", "goal")
 
 
@@ -84,13 +82,23 @@ def _yaml(text: str, path: Path) -> Any:
     """The first document of a YAML text. Aliases are refused, because messages have none and they can expand without
     limit."""
     from ruamel.yaml import YAML
+    from ruamel.yaml.composer import Composer, ComposerError
     from ruamel.yaml.error import YAMLError
+    from ruamel.yaml.events import AliasEvent
 
-    if found := _ALIAS.search(text):
-        line = text.count("\n", 0, found.end()) + 1
-        raise FileFormatError(f"{path} uses the alias {found[1]}, which messages do not have, at line {line}.")
+    class NoAliases(Composer):
+        def compose_node(self, parent: Any, index: Any) -> Any:
+            if self.parser.check_event(AliasEvent):
+                event = self.parser.peek_event()
+                raise ComposerError(
+                    None, None, f"it uses the alias *{event.anchor}, which messages do not have", event.start_mark
+                )
+            return super().compose_node(parent, index)
+
+    loader = YAML(typ="safe", pure=True)
+    loader.Composer = NoAliases
     try:
-        return next(iter(YAML(typ="safe", pure=True).load_all(text)), None)
+        return next(iter(loader.load_all(text)), None)
     except YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         where = f" at line {mark.line + 1}" if mark else ""
