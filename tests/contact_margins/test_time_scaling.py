@@ -8,7 +8,7 @@ import pytest
 from recorded_motions import GOAL, START, line
 from salver import scenario as scenarios
 from salver.contact_margins import BrakingOptions, Margins, braking, margin_model, safe_speeds
-from salver.contact_margins.time_scaling import TimeScaled, lacking_of_few
+from salver.contact_margins.time_scaling import TimeScaled, _edge, lacking_of_few
 from salver.geometry import exp, log
 from salver.models.tray_motion import FULL_SPEED, Speed, motion_vector
 from salver.planning.fastest.speeds import _with
@@ -178,6 +178,16 @@ def test_factors_between_which_alone_it_holds_are_found():
 
 
 # Laws ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("at_safe", "at_failing", "edge"), [(-1e-17, -1.0, 0.25), (1.0, 1e-3, 1.0)])
+def test_an_edge_is_found_where_margins_of_fewer_instants_are_rounded_to_the_other_sign(at_safe, at_failing, edge):
+    class Rounded(TimeScaled):
+        def margin(self, squared, rate=0.0, at=slice(None)):
+            alone = at_safe + (squared - 0.25) / 0.75 * (at_failing - at_safe)
+            return np.array([1.0, alone if not isinstance(at, slice) else -1e-17 if squared == 1.0 else 0.0])[at]
+
+    assert _edge(Rounded(None, None, worst=True), 0.25, 1.0) == pytest.approx(edge)
 
 
 @pytest.mark.parametrize("seed", range(6))

@@ -243,7 +243,15 @@ def _edge(scaled: TimeScaled, inside: float, outside: float) -> float:
     failing = np.flatnonzero(scaled.margin(outside) < 0)
     if not len(failing):
         return outside
-    root = brentq(lambda squared: scaled.margin(squared, at=failing).min(), inside, outside, xtol=1e-9)
+
+    def left(squared: float) -> float:
+        return float(scaled.margin(squared, at=failing).min())
+
+    if left(inside) <= 0:  # margins of fewer instants are rounded differently, and brentq needs both signs
+        return inside
+    if left(outside) >= 0:
+        return outside
+    root = brentq(left, inside, outside, xtol=1e-9)
     return float(inside + (1 - 1e-6) * (root - inside))
 
 
