@@ -32,6 +32,10 @@ def columns(scenario, way):
     return {"t": T, **{f"q_{name}": START[j] + way[j] * BLEND for j, name in enumerate(names)}}
 
 
+def rotation_z(angle):
+    return np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
+
+
 def commanded(scenario, way):
     """The same as waypoints with velocities and accelerations."""
     names = load_arm(scenario.arm, scenario.tray).joint_names
@@ -56,7 +60,8 @@ def test_an_arm_that_goes_into_its_table_is_said_to_whatever_becomes_of_the_load
 
 
 def test_joints_beside_a_tray_motion_tell_of_the_arm(ur10, tmp_path):
-    """As `salver export` writes both in one table; joints in degrees, or of another arm, tell nothing."""
+    """As `salver export` writes both in one table; joints in degrees, or of another arm, tell nothing, and that is
+    said."""
     arm = load_arm(ur10.arm, ur10.tray)
     q = np.array(list(columns(ur10, LEVEL_DOWN).values())[1:]).T
     poses = [arm.tray_pose(each) for each in q]
@@ -73,8 +78,33 @@ def test_joints_beside_a_tray_motion_tell_of_the_arm(ur10, tmp_path):
     assert both.arm.sentence == sv.audit(columns(ur10, LEVEL_DOWN), ur10).arm.sentence
     assert not both.ok
     assert both.worst.sentence == alone.worst.sentence
-    assert audited([f"q_{name}" for name in arm.joint_names], np.rad2deg(q)).arm == NOT_CHECKED
+    for names, other, why in (
+        ([f"q_{name}" for name in arm.joint_names], np.rad2deg(q), "these are degrees"),
+        ([f"q{k}" for k in range(1, 8)], np.column_stack([q, q[:, 0]]), "no joint"),
+    ):
+        found = audited(names, other)
+        assert found.arm == NOT_CHECKED
+        assert re.search(f"The joints in the file are not used: .*({why})", found.motion.notes[-1])
     assert audited([f"joint{k}" for k in range(1, 7)], q).arm == NOT_CHECKED
+
+
+@pytest.mark.parametrize(
+    ("moved", "turned", "told"), [(0.0, 0.0, False), (0.04, 0.08, False), (0.06, 0.0, True), (0.0, 0.12, True)]
+)
+def test_joints_that_carry_the_tray_elsewhere_leave_the_verdict_open(ur10, tmp_path, moved, turned, told):
+    """The tray's columns alone hold."""
+    arm = load_arm(ur10.arm, ur10.tray)
+    q = START - 0.1 * np.outer(BLEND, LEVEL_DOWN)
+    poses = [arm.tray_pose(each) for each in q]
+    tray = [np.hstack([p - [moved, 0, 0], quat_wxyz_from_matrix(rotation_z(turned) @ R)]) for p, R in poses]
+    path = tmp_path / "both.csv"
+    header = ",".join(["t", "x", "y", "z", "qw", "qx", "qy", "qz", *(f"q_{name}" for name in arm.joint_names)])
+    np.savetxt(path, np.column_stack([T, tray, q]), delimiter=",", header=header, comments="")
+    found = sv.audit(path, ur10)
+    assert found.ok != told
+    if told:
+        assert found.worst.code == "cannot_tell"
+        assert f"{1e3 * moved:.0f} mm and {np.rad2deg(turned):.1f} deg" in found.worst.sentence
 
 
 def test_the_floor_is_what_the_scenario_says(ur10):

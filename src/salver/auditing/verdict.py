@@ -38,11 +38,13 @@ from salver.tables import Table, Tabular
 
 if TYPE_CHECKING:
     from salver.models.arm.arm import ArmModel
+    from salver.trajectory import MotionSamples
 
 EDGES = 16  # of the friction pyramids, which are at most 2 % inside the round cone
 
 AT_ONCE = 4096  # instants whose margins are computed at once
 SPILLS = ("spills", "unsettled")
+APART, TURNED = 0.05, 0.1  # m, rad, beyond which tray and joints of a file disagree: more than lags and calibration
 AT_REST = 1e-3  # m/s or rad/s, below which the tray is at rest
 
 
@@ -371,7 +373,8 @@ def audit(
 ) -> Audit:
     """Audit a trajectory file (formats: `salver.motion_files`), or columns of one, for the objects of a scenario.
 
-    Of a file with tray and joints, the tray decides about the load, and the joints about the arm.
+    Of a file with tray and joints, the tray decides about the load, and the joints about the arm. If they disagree, the
+    verdict is not "holds"; why joints tell nothing of the arm is a note.
 
     topic: topic of a bag. units: of a table, as in "deg,mm,ms". Raises SalverError, one sentence for each mistake.
     """
@@ -385,9 +388,30 @@ def audit(
             return found
         beside = reordered(beside, arm.joint_names)
         check_radians(beside.q, arm, beside.source)
-    except SalverError:  # joints of another arm, or damaged
-        return found
-    return replace(found, joints=beside)
+    except SalverError as error:  # joints of another arm, or damaged
+        note = f"The joints in the file are not used: {error}"
+        return replace(found, motion=replace(found.motion, notes=(*found.motion.notes, note)))
+    doubts = (*found.motion.doubts, *_disagreement(found.motion.samples, beside, arm))
+    return replace(found, joints=beside, motion=replace(found.motion, doubts=doubts))
+
+
+def _disagreement(tray: MotionSamples, joints: JointSamples, arm: ArmModel) -> list[Doubt]:
+    """A doubt, if the joints do not carry the tray frame E where the tray's own samples have it."""
+    some = np.unique(np.linspace(0, len(tray.t) - 1, 500).astype(int))
+    q = np.column_stack([np.interp(tray.t[some], joints.t, each) for each in joints.q.T])
+    p_SE, R_SE = (np.array(each) for each in zip(*map(arm.tray_pose, q), strict=True))
+    apart = np.linalg.norm(p_SE - tray.p_SB[some], axis=1)
+    cosine = (np.einsum("tij,tij->t", R_SE, tray.R_SB[some]) - 1) / 2
+    turned = np.arccos(np.clip(cosine, -1, 1))
+    if apart.max() <= APART and turned.max() <= TURNED:
+        return []
+    worst = int(np.argmax(np.maximum(apart / APART, turned / TURNED)))
+    clause = (
+        f"at {tray.t[some[worst]]:.2f} s the joints have the tray {1e3 * apart[worst]:.0f} mm and "
+        f"{np.rad2deg(turned[worst]):.1f} deg from where the file's tray is: leave out the columns that are wrong, or "
+        "correct the arm's base or the tray in the scenario"
+    )
+    return [("disagreement", clause)]
 
 
 def audit_legs(
