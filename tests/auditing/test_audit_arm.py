@@ -70,8 +70,12 @@ def test_joints_beside_a_tray_motion_tell_of_the_arm(ur10, tmp_path):
     def audited(names, q):
         path = tmp_path / "both.csv"
         header = ",".join(["t", "x", "y", "z", "qw", "qx", "qy", "qz", *names])
-        np.savetxt(path, np.column_stack([T, tray, q]), delimiter=",", header=header, comments="")
-        return sv.audit(path, ur10)
+        table = np.column_stack([T, tray, q])
+        np.savetxt(path, table, delimiter=",", header=header, comments="")
+        found = sv.audit(path, ur10)
+        in_memory = sv.audit(dict(zip(header.split(","), table.T, strict=True)), ur10)
+        assert (in_memory.arm, in_memory.ok) == (found.arm, found.ok)
+        return found
 
     alone, both = audited([], q[:, :0]), audited([f"q_{name}" for name in arm.joint_names], q)
     assert alone.arm == NOT_CHECKED
@@ -86,6 +90,14 @@ def test_joints_beside_a_tray_motion_tell_of_the_arm(ur10, tmp_path):
         assert found.arm == NOT_CHECKED
         assert re.search(f"The joints in the file are not used: .*({why})", found.motion.notes[-1])
     assert audited([f"joint{k}" for k in range(1, 7)], q).arm == NOT_CHECKED
+    tray[1:3], T_twice = [tray[1]] * 2, np.array([*T[:2], T[1], *T[3:]])
+    columns_twice = dict(
+        zip(["t", "x", "y", "z", "qw", "qx", "qy", "qz"], np.column_stack([T_twice, tray]).T, strict=True)
+    )
+    columns_twice |= {f"q_{name}": q[:, j] for j, name in enumerate(arm.joint_names)}
+    found = sv.audit(columns_twice, ur10)
+    assert found.arm == NOT_CHECKED
+    assert "repeats times" in found.motion.notes[-1]
 
 
 @pytest.mark.parametrize(

@@ -384,10 +384,12 @@ def audit(
         return found
     try:
         beside = read_for(scenario, path, topic, joints_first=True, units=units)
-        if not isinstance(beside, JointSamples) or not np.array_equal(beside.t, samples.t):
+        if not isinstance(beside, JointSamples):
             return found
+        if not np.array_equal(beside.t, samples.t):
+            raise SalverError(f"{beside.source} repeats times, with other joints but the same tray, or the reverse.")
         beside = reordered(beside, arm.joint_names)
-        check_radians(beside.q, arm, beside.source)
+        check_radians(beside.q, arm, beside.source, beside.form)
     except SalverError as error:  # joints of another arm, or damaged
         note = f"The joints in the file are not used: {error}"
         return replace(found, motion=replace(found.motion, notes=(*found.motion.notes, note)))
@@ -443,11 +445,12 @@ def read_for(
         arm = _arm(scenario)
         return arm.joint_names if arm else ()
 
+    joints_first = joints_first and scenario.arm is not None
     arm = _arm(scenario) if units else None
     known = Units.parse(units, arm.linear if arm else ())
     if isinstance(path, str | Path):
-        return read(path, names, topic, as_path=joints_first and scenario.arm is not None, units=known)
-    return of_columns(path, names, known)
+        return read(path, names, topic, as_path=joints_first, units=known)
+    return of_columns(path, names, joints_first, known)
 
 
 def audit_samples(samples: Samples, scenario: Scenario, options: AuditOptions = DEFAULT) -> Audit:

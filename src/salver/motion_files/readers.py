@@ -170,9 +170,11 @@ def column_names(quantity: str, joint_names: tuple[str, ...]) -> list[str]:
     return [f"{quantity.removesuffix('_wxyz')}_{part}" for part in parts]
 
 
-def of_columns(columns: Mapping[str, Any], joint_names: JointNames = no_joints, units: Units = SI) -> Samples:
+def of_columns(
+    columns: Mapping[str, Any], joint_names: JointNames = no_joints, as_path: bool = False, units: Units = SI
+) -> Samples:
     """A motion from columns by name: a mapping of arrays, or a pandas DataFrame, whose index is the time if no column
-    is. Raises FileFormatError."""
+    is. Arguments: as of `read`. Raises FileFormatError."""
     source = f"the {type(columns).__name__}"
     if not hasattr(columns, "keys"):
         raise FileFormatError(f"{source} is no motion; give a file, a mapping of columns by name, or a DataFrame.")
@@ -185,7 +187,7 @@ def of_columns(columns: Mapping[str, Any], joint_names: JointNames = no_joints, 
         table = np.column_stack([np.asarray(part, dtype=float) for part in parts])
     except (TypeError, ValueError):
         raise FileFormatError(f"{source} must have columns of numbers of one length; it has {header}.") from None
-    return of_table(header, table, source, joint_names, units=units)
+    return of_table(header, table, source, joint_names, as_path, units)
 
 
 def of_table(
