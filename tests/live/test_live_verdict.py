@@ -234,6 +234,8 @@ def test_a_row_that_rises_between_two_instants_is_judged_at_its_peak(motion):
     t = np.array([0.0, 0.3, 0.5, 1.1])
     rows = np.stack([1 + 2 * t - 3 * t**2, t**2, 1 - t], axis=1)
     assert peaks(t, rows) == pytest.approx(np.array([[1.33, 0.09, 1.0], [4 / 3, 0.25, 0.7], [1.25, 1.21, 0.5]]))
+    bent = np.array([[0.0, 1.0, 1.0, 1.0], [1.0, 1.0, 1.0, 0.0]]).T  # at one end of the middle step only
+    assert peaks(np.arange(4.0), bent)[1] == pytest.approx([1.125, 1.125])
     problem, whole = motion
     judged, constraint = Judged.of(problem, whole), ContactConstraint(problem.contacts[0])
     middle, half = 0.5 * (judged.t[41] + judged.t[40]), 0.5 * (judged.t[41] - judged.t[40])

@@ -207,7 +207,16 @@ def test_what_the_arm_strays_comes_off_its_distance_from_what_is_around() -> Non
     stray = np.linalg.norm(position, axis=1) + REACH_BEYOND_TRAY * np.linalg.norm(turn, axis=1)
     assert stray.max() > 1e-4
     assert problem.keep_out is not None
-    (rows,), (sure,) = (list(Clearance(problem.keep_out).blocks(x)) for x in (motion, replace(motion, tracking=None)))
+    asked = []
+
+    class Watched(KeepOut):
+        def distances(self, q: Array, stray: float = 0.0) -> Array:
+            asked.append(stray)
+            return super().distances(q, stray)
+
+    watched = Clearance(Watched(problem.keep_out.parts, problem.keep_out.required))
+    (rows,), (sure,) = (list(watched.blocks(x)) for x in (motion, replace(motion, tracking=None)))
+    assert asked == pytest.approx([stray.max(), 0.0])  # as far beyond they must be exact
     exact = problem.keep_out.parts.clearance(z[0]) - problem.keep_out.required
     near = exact < CLEARANCE.exact  # further away a bound is enough
     assert near.any()
