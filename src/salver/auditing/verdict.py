@@ -378,23 +378,39 @@ def audit(
 
     topic: topic of a bag. units: of a table, as in "deg,mm,ms". Raises SalverError, one sentence for each mistake.
     """
-    samples, arm = read_for(scenario, path, topic, units=units), _arm(scenario)
-    found = audit_samples(samples, scenario, options)
-    if arm is None or found.joints is not None or samples.form == "ros2":  # a topic has one of both
-        return found
+    samples = read_for(scenario, path, topic, units=units)
+    return _with_joints(audit_samples(samples, scenario, options), _beside(samples, scenario, path, units))
+
+
+def _beside(
+    samples: Samples, scenario: Scenario, path: str | Path | Mapping[str, Any], units: str | None
+) -> JointSamples | str | None:
+    """The arm's joints beside the tray motion `samples` of a file, a note why they are not used, or None."""
+    arm = _arm(scenario)
+    if arm is None or isinstance(samples, JointSamples) or samples.form == "ros2":  # a topic has one of both
+        return None
     try:
-        beside = read_for(scenario, path, topic, joints_first=True, units=units)
+        beside = read_for(scenario, path, joints_first=True, units=units)
         if not isinstance(beside, JointSamples):
-            return found
+            return None
         if not np.array_equal(beside.t, samples.t):
             raise SalverError(f"{beside.source} repeats times, with other joints but the same tray, or the reverse.")
         beside = reordered(beside, arm.joint_names)
         check_radians(beside.q, arm, beside.source, beside.form)
     except SalverError as error:  # joints of another arm, or damaged
-        note = f"The joints in the file are not used: {error}"
-        return replace(found, motion=replace(found.motion, notes=(*found.motion.notes, note)))
-    doubts = (*found.motion.doubts, *_disagreement(found.motion.samples, beside, arm))
-    return replace(found, joints=beside, motion=replace(found.motion, doubts=doubts))
+        return f"The joints in the file are not used: {error}"
+    return beside
+
+
+def _with_joints(found: Audit, beside: JointSamples | str | None) -> Audit:
+    """An audit of a tray motion, with what `_beside` found."""
+    motion, arm = found.motion, _arm(found.scenario)
+    if isinstance(beside, str):
+        return replace(found, motion=replace(motion, notes=(*motion.notes, beside)))
+    if beside is None or arm is None:
+        return found
+    doubts = (*motion.doubts, *_disagreement(motion.samples, beside, arm))
+    return replace(found, joints=beside, motion=replace(motion, doubts=doubts))
 
 
 def _disagreement(tray: MotionSamples, joints: JointSamples, arm: ArmModel) -> list[Doubt]:
@@ -424,8 +440,14 @@ def audit_legs(
     units: str | None = None,
 ) -> tuple[Audit, ...]:
     """`audit` of a motion of several legs, which rests between them: each leg with its own load."""
-    parts = cut_at_rests(read_for(scenario, path, topic, units=units), len(scenario.legs))
-    return tuple(audit_samples(part, leg, options) for part, leg in zip(parts, scenario.each_leg, strict=True))
+    samples = read_for(scenario, path, topic, units=units)
+    beside, first, found = _beside(samples, scenario, path, units), 0, []
+    for part, leg in zip(cut_at_rests(samples, len(scenario.legs)), scenario.each_leg, strict=True):
+        last = first + len(part.t) - 1
+        joints = beside.between(first, last) if isinstance(beside, JointSamples) else beside
+        found.append(_with_joints(audit_samples(part, leg, options), joints))
+        first = last
+    return tuple(found)
 
 
 def read_for(

@@ -66,6 +66,12 @@ class JointSamples(Outlined):
         dq, ddq = (None if x is None else x / factor**k for k, x in ((1, self.dq), (2, self.ddq)))
         return replace(self, t=self.t * factor, dq=dq, ddq=ddq)
 
+    def between(self, first: int, last: int) -> JointSamples:
+        """The samples from index `first` to `last`, both included, at times from the first of them."""
+        some = slice(first, last + 1)
+        dq, ddq, tau = (None if x is None else x[some] for x in (self.dq, self.ddq, self.tau))
+        return replace(self, t=self.t[some] - self.t[first], q=self.q[some], dq=dq, ddq=ddq, tau=tau)
+
 
 Samples = TraySamples | JointSamples
 

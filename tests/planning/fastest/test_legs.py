@@ -385,6 +385,7 @@ def test_an_audit_cuts_a_file_of_all_legs_at_its_rest_and_knows_what_is_taken_th
     assert [len(one.scenario.payload.bodies) for one in (first, second)] == [4, 3]
     for one, leg in ((first, planned.legs[0]), (second, planned.legs[1])):
         assert one.ok, one.worst
+        assert one.arm.code == "within_limits"  # by the joints beside the tray
         assert one.motion.samples.t[-1] == pytest.approx(leg.duration + 0.4, abs=0.03)
         least = min(m.exact_worst.min() for m in leg.margins.interfaces)
         assert min(m.exact_worst.min() for m in one.margins.interfaces) == pytest.approx(least, abs=3e-3)
