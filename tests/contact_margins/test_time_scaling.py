@@ -79,6 +79,22 @@ def test_a_tray_that_leans_into_its_acceleration_holds_only_near_full_speed(sign
     assert "slides" in found.sentence
 
 
+def test_a_level_load_that_holds_at_a_twentieth_of_its_speed_fails_at_the_next_hundredth():
+    found = safe_speeds(model_of(), tilted(0.0, FRICTION * 9.80665 / 0.0505**2), worst=False)
+    assert found.fastest == pytest.approx(0.0505, rel=1e-3)
+    assert found.intervals == ((0.0, found.fastest),)
+    assert found.fails_at == pytest.approx(0.06)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_what_holds_only_faster_than_planned_holds_at_no_speed_up_to_that(sign):
+    """A tray that leans by 20 degrees, more than friction holds, needs an acceleration above g tan(20 - 16.7)."""
+    least = 9.80665 * np.tan(np.deg2rad(20.0) - np.arctan(FRICTION))
+    found = safe_speeds(model_of(), tilted(20.0 * sign, -sign * least / 1.5**2), worst=False)
+    assert found.intervals == ()
+    assert found.fastest > 1.5
+
+
 def test_what_is_too_fast_holds_when_it_is_run_slower():
     duration = 0.9
     found = safe_speeds(model_of(), line(duration), worst=False)

@@ -213,7 +213,7 @@ def _exact(scaled: TimeScaled) -> tuple[Intervals, float | None]:
     inside = 1.0 if full else 0.0 if still else _between(scaled)
     if inside is None:
         return (), None
-    low, high = _edge(scaled, inside, 0.0), _edge(scaled, inside, 1.0 if inside < 1 and not full else FASTEST**2)
+    low, high = _edge(scaled, inside, 0.0), _edge(scaled, inside, 1.0 if inside < 1 else FASTEST**2)
     if high < SLOWEST**2:
         return (), None
     return ((float(np.sqrt(low)), float(np.sqrt(min(high, 1.0)))),) if low <= 1 else (), float(np.sqrt(high))
