@@ -426,3 +426,17 @@ def test_every_command_that_reads_a_table_takes_its_units_and_writes_si(tmp_path
     with pytest.raises(FileFormatError, match=r"taught\.csv has panda_joint\d at .*degrees: give --units deg"):
         read_waypoints(tmp_path / "taught.csv", case)
     assert np.allclose(read_waypoints(tmp_path / "taught.csv", case, units="deg"), q[::50], atol=1e-9)
+
+
+@pytest.mark.parametrize("apart", [0.0, 0.01, 0.03])
+def test_poses_of_the_tray_and_of_the_object_that_move_apart_are_refused(apart):
+    t = np.linspace(0.0, 1.0, 101)
+    table = {"t": t}
+    for frame, x in (("SE", t), ("SB", 0.1 + (1 + apart) * t)):
+        table |= {f"p_{frame}_x": x, f"p_{frame}_y": 0 * t, f"p_{frame}_z": 0 * t}
+        table |= {f"quat_{frame}_{part}": 0 * t + (part == "w") for part in "wxyz"}
+    if apart < 0.02:
+        assert of_columns(table).frame == "E"
+    else:
+        with pytest.raises(FileFormatError, match="p_SE_x and p_SB_x are of points that move apart"):
+            of_columns(table)

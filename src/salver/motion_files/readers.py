@@ -46,6 +46,7 @@ _QUATERNION = re.compile(r"(?:pose[._])?(?:q|quat|quaternion|orientation)(?:[._]
 _POSE = ("px", "py", "pz", "qw", "qx", "qy", "qz")
 JointNames = Callable[[], tuple[str, ...]]
 
+APART = 0.02  # m, by which the distance of two points of the tray may change
 LARGEST = 500_000_000  # bytes of a text file
 FORMAT = "salver motion"  # of JSON that salver wrote
 BAGS = (".bag", ".mcap", ".db3")
@@ -221,6 +222,13 @@ def of_table(
     joints = _joint_columns(header, names) if as_path or not whole else {}
     if whole and not joints:
         frame, place = next(iter(whole.items()))
+        for other in whole.values():  # points of one rigid body
+            lines = [units.length * (values[:, other[name]] - values[:, place[name]]) for name in _POSE[:3]]
+            if np.ptp(np.linalg.norm(lines, axis=0)) > APART:
+                one, two = header[place["px"]], header[other["px"]]
+                raise FileFormatError(
+                    f"{source}: {one} and {two} are of points that move apart; leave out one of them."
+                )
         pose = values[:, [place[name] for name in _POSE]]
         tray = tray_samples(t, units.length * pose[:, :3], pose[:, 3:], "B" if frame == "sb" else "E", source)
         return replace(tray, notes=units.notes + tray.notes)
