@@ -7,6 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
+from salver.contact_margins.root_finding import zero_between
 from salver.contact_margins.values import RowValues
 from salver.geometry import Array
 from salver.models.contact.contact import ContactSet
@@ -132,8 +133,6 @@ class InterfaceMargins:
 
         It is at least the nominal one, and infinite if no friction suffices.
         """
-        from scipy.optimize import brentq
-
         whole, least = self.whole, max(0.999 * float(self.friction_needed.max()), 1e-4)
         if float(self.tipping_worst.min()) < -_TOLERANCE or least >= HIGHEST:
             return float("inf")
@@ -152,8 +151,7 @@ class InterfaceMargins:
             return least
         if beyond(1.0 / HIGHEST) > 0:
             return float("inf")
-        found = float(brentq(beyond, 1.0 / HIGHEST, 1.0 / least, xtol=1e-6, rtol=1e-6))
-        return (1 + 1e-5) / found  # on the side on which it holds
+        return (1 + 1e-5) / zero_between(beyond, 1.0 / HIGHEST, 1.0 / least, 1e-6)  # on the side on which it holds
 
     @property
     def least_friction(self) -> float:

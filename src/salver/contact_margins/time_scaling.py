@@ -24,6 +24,7 @@ from typing import Any
 import numpy as np
 
 from salver.contact_margins.model import MarginModel
+from salver.contact_margins.root_finding import zero_between
 from salver.contact_margins.whole import Margins
 from salver.dynamics.payload_response import PayloadResponse
 from salver.errors import Status
@@ -238,8 +239,6 @@ def _edge(scaled: TimeScaled, inside: float, outside: float) -> float:
 
     By concavity only the instants that fail at the end can fail on the way.
     """
-    from scipy.optimize import brentq
-
     failing = np.flatnonzero(scaled.margin(outside) < 0)
     if not len(failing):
         return outside
@@ -247,12 +246,11 @@ def _edge(scaled: TimeScaled, inside: float, outside: float) -> float:
     def left(squared: float) -> float:
         return float(scaled.margin(squared, at=failing).min())
 
-    if left(inside) <= 0:  # margins of fewer instants are rounded differently, and brentq needs both signs
+    if left(inside) <= 0:  # margins of fewer instants are rounded differently, and a zero needs both signs
         return inside
     if left(outside) >= 0:
         return outside
-    root = brentq(left, inside, outside, xtol=1e-9)
-    return float(inside + (1 - 1e-6) * (root - inside))
+    return inside + (1 - 1e-6) * (zero_between(left, inside, outside, 1e-9) - inside)
 
 
 def _tried(scaled: TimeScaled) -> tuple[Intervals, float | None, int, tuple[float, ...]]:
