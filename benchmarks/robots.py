@@ -126,9 +126,8 @@ def logs(plan: Plan, seeds: int, seed: int, only: str) -> str:
         if np.abs(q - real.joint.sample(t)[0]).max() > 0.2:
             continue  # the robot does not do the plan at all
         dq = np.gradient(q, t, axis=0)
-        terms = judge.terms(q, dq, np.gradient(dq, t, axis=0))
-        moving = t > -0.2
-        true = max(0.0, float(judge.rows(terms.w, judge.drift(t, terms))[0][moving].max()))
+        states, moving = (q, dq, np.gradient(dq, t, axis=0)), t > -0.2
+        true = max(0.0, judge.largest(judge.along(t[moving], [x[moving] for x in states]))[0])
         cells = []
         for noise, every in LOGS:
             rng, found = np.random.default_rng(seed), []

@@ -18,6 +18,7 @@ from salver.learning.tracking.executed import executed, read_joints
 from salver.learning.tracking.track import Judge, track
 from salver.models.arm.arm import load_arm
 from salver.planning.plan import Plan, load_plan
+from salver.planning.trajopt.problem import transport_problem
 from salver.scenario import load
 from salver.simulation.physics import Experiment
 from salver.simulation.scene.robots import robot_for
@@ -64,7 +65,7 @@ def test_what_all_joints_are_late_together_costs_nothing(plan: Plan, judge: Judg
     assert found.row == pytest.approx(found.planned, abs=2e-3)
     assert found.ok
     assert max(abs(joint.lag) for joint in found.joints) < 1e-4
-    assert found.planned == pytest.approx(-float(plan.margins.exact_worst.min()), abs=0.02)
+    assert found.planned <= 0  # as the plan's own verdict
 
 
 @pytest.mark.slow
@@ -74,8 +75,7 @@ def test_excess_is_that_of_the_true_states(plan: Plan, noise: float) -> None:
     slow = with_robot(plan, physics__robot={"control": "position", "bandwidth": UNEQUAL})
     judge = Judge.of(slow.scenario)
     t, q, dq, ddq = lagging(slow, UNEQUAL, 0.7)
-    terms = judge.terms(q, dq, ddq)
-    true = float(judge.rows(terms.w, judge.drift(t, terms))[0].max())
+    true = judge.largest(judge.along(t, (q, dq, ddq)))[0]
     found = track(slow, logged(slow, t, q, noise), judge)
     assert true > 0.02
     assert found.excess == pytest.approx(true, abs=max(0.005, 0.2 * true))
@@ -208,3 +208,12 @@ def test_what_cannot_be_tracked_is_said(plan: Plan, tmp_path: Path) -> None:
     tray.write_text("t,x,y,z,qw,qx,qy,qz\n" + "".join(f"{k / 100},0,0,{k / 1000},1,0,0,0\n" for k in range(30)))
     with pytest.raises(SalverError, match="motion of the tray"):
         read_joints(tray, Judge.of(plan.scenario).arm)
+
+
+def test_plans_and_logs_are_judged_with_the_robot_of_the_scenario(plan: Plan) -> None:
+    """Under position control the slowest joint, of 9.6 Hz, says how far the arm deviates under the load's errors."""
+    slow = with_robot(plan, physics__robot={"control": "position", "bandwidth": UNEQUAL, "damping": 0.5})
+    rate = 2 * np.pi * 9.6
+    for loop in (transport_problem(slow.scenario).tracking, Judge.of(slow.scenario).problem.tracking):
+        assert loop is not None
+        assert (loop.kp, loop.kd) == pytest.approx((rate**2, rate))

@@ -45,8 +45,8 @@ def done(plan: Plan) -> Callable[[str], tuple[Plan, Judge, Array, Array, float]]
         done = Experiment(real).strapped()
         t, q = done.t, done.q
         dq = np.gradient(q, t, axis=0)
-        terms = judge.terms(q, dq, np.gradient(dq, t, axis=0))
-        return real, judge, t, q, max(0.0, float(judge.rows(terms.w, judge.drift(t, terms))[0][t > -0.2].max()))
+        states, moving = (q, dq, np.gradient(dq, t, axis=0)), t > -0.2
+        return real, judge, t, q, max(0.0, judge.largest(judge.along(t[moving], [x[moving] for x in states]))[0])
 
     return by
 
@@ -99,7 +99,7 @@ def test_of_a_wrong_payload_one_number_is_found_for_all_joints(plan: Plan, done)
     real, judge, t, q, _ = done("payload")
     t, q = t[t > -0.2][::5], q[t > -0.2][::5]
     off = q - real.joint.sample(t)[0]
-    payload, delay, *_ = under_torque(real.scenario, judge.model, judge.arm.tray_id)(t, real.joint, off)
+    payload, delay, *_ = under_torque(real.scenario, judge.problem.model, judge.arm.tray_id)(t, real.joint, off)
     assert np.abs(payload.base[0] - off).max() < 0.1 * np.abs(off).max()
     assert np.abs(delay.base[0] - off).max() > 0.5 * np.abs(off).max()
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+import numpy as np
 import typer
 
 from salver.cli.checks.audit import Topic
@@ -12,6 +13,7 @@ from salver.cli.common import NO_SAFE_PLAN, Json, headed, print_json, print_tabl
 
 if TYPE_CHECKING:
     from salver.learning.tracking.track import Tracking
+    from salver.models.uncertain.parameters import Vibration
 
 UNSEEN = "what joint encoders do not see: how arm and tray bend, and where the load stands"
 
@@ -28,7 +30,8 @@ def track(
     The log holds joint positions (rad) over time (s), 90 samples a second or more, from rest to rest; its clock may
     begin anywhere. A common delay of all joints is removed, because it does not affect the load. The executed motion of
     the tray is then judged like the plan, for every load in the scenario's ranges: the excess is the missing margin, as
-    a share of the weight. The output names the joint that causes most of it, and the remedies in order.
+    a share of the weight. The output names the joint that causes most of it, the tray's vibration beside the commanded
+    motion, and the remedies in order.
 
     Example: `salver track runs/panda-tall-bottle runs/panda-tall-bottle/execution/plan.npz`
 
@@ -40,7 +43,7 @@ def track(
     from salver.planning.plan import load_plan
 
     plan = load_plan(directory, stem)
-    judge = Judge.of(plan.scenario)
+    judge = Judge.of(plan.scenario, plan.space)
     found = compare(plan, read_joints(log, judge.arm, topic), judge)
     if json:
         print_json(record(found))
@@ -64,6 +67,7 @@ def record(found: Tracking) -> dict[str, Any]:
         "noise": found.noise,
         "uncertainty": found.uncertainty,
         "planned": found.planned,
+        "shake": None if found.shake is None else shake_table(found.shake),
         "excess": found.excess,
         "time": found.time,
         "interface": found.interface,
@@ -72,6 +76,24 @@ def record(found: Tracking) -> dict[str, Any]:
         "margin_that_pays": found.margin,
         "joints": [vars(joint) for joint in found.joints],
     }
+
+
+def shake_table(shake: Vibration) -> dict[str, float]:
+    """The keys of a scenario's `uncertainty.shake`, rounded up to two digits."""
+    amounts = {"amplitude": shake.amplitude, "tilt_deg": np.rad2deg(shake.tilt), "frequency": shake.frequency}
+    size = {key: 10.0 ** np.floor(np.log10(value) - 1) for key, value in amounts.items() if value}
+    return {key: float(f"{unit * np.ceil(amounts[key] / unit - 1e-6):.2g}") for key, unit in size.items()}
+
+
+def vibration(found: Tracking) -> str:
+    """The tray's vibration in a sentence, with the keys that count it."""
+    if found.shake is None:
+        return "None of the tray is above the noise of the log."
+    known, keys = found.plan.uncertain.shake, shake_table(found.shake)
+    if known is not None and known.covers(found.shake):
+        return f"The tray shakes by {found.shake.words}; the plan has margin for {known.words}."
+    table = ", ".join(f"{key} = {value:g}" for key, value in keys.items())
+    return f"The tray shakes by {found.shake.words} beside the commanded motion: [uncertainty] shake = {{ {table} }}."
 
 
 def verdict(found: Tracking) -> str:
@@ -96,8 +118,10 @@ def _show(found: Tracking) -> None:
     console.print(headed("executed", verdict(found)))
     console.print(
         f"The log's clock is {found.done.shift:.4f} s ahead of the plan's; the plan itself has a margin of "
-        f"{-100 * found.planned:.1f} % of the weight."
+        f"{-100 * found.planned:.1f} % of the weight, and of {100 * found.plan.left:.1f} % for an arm that follows "
+        "exactly."
     )
+    console.print(headed("vibration", vibration(found)))
     rows = [
         (
             joint.name,
@@ -105,15 +129,16 @@ def _show(found: Tracking) -> None:
             f"{1e3 * joint.lag:.2f} ms",
             f"{1e3 * joint.friction:.3f} m{joint.unit}",
             f"{1e6 * joint.noise:.1f} u{joint.unit}",
-            f"{100 * joint.row:.1f} %",
+            f"{-100 * joint.row:.1f} %",
         )
         for joint in found.joints
     ]
-    print_table(("joint", "off the plan", "later than all", "friction", "noise", "alone"), rows, left=("joint",))
+    print_table(("joint", "off the plan", "later than all", "friction", "noise", "margin alone"), rows, left=("joint",))
     if found.ok:
         return
     console.print(headed("cause", f"{found.cause}."))
-    console.print(headed("remedy 1", f"add margin: contact.margin = {found.margin:.4f}, and plan again."))
+    shake = "" if found.shake is None else ", with the shake above"
+    console.print(headed("remedy 1", f"add margin: contact.margin = {found.margin:.4f}{shake}, and plan again."))
     console.print(
         headed("remedy 2", "if that is too slow: another robot, or this one with friction and payload configured.")
     )

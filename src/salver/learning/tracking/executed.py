@@ -41,6 +41,12 @@ class TrackingOptions:
         rate: samples per second that suffice; of more samples, means are used. Doubled, twice the time.
         slowest, fastest: Hz, limits of the smoother's cut-off. Motion above 80 Hz hardly moves a joint or the load;
             doubled, more noise remains.
+        slowest_shake: Hz, below which an unexplained deviation is no vibration of the tray: the arm's own motion.
+        window: s, of a spectrum of vibrations; halved, 12 and 18 Hz are one.
+        lever: m, distance of loads from the tray's middle, at which a rotation accelerates them; doubled, smaller
+            rotations are reported.
+        negligible: m/s^2, acceleration below which a vibration is not reported, 0.2 % of the weight.
+        false_alarm: probability that noise alone is reported as a vibration.
     """
 
     astray: float = 0.3
@@ -52,6 +58,11 @@ class TrackingOptions:
     rate: float = 400.0
     slowest: float = 2.0
     fastest: float = 80.0
+    slowest_shake: float = 5.0
+    window: float = 0.5
+    lever: float = 0.1
+    negligible: float = 0.02
+    false_alarm: float = 0.005
 
 
 OPTIONS = TrackingOptions()
@@ -63,7 +74,7 @@ class Executed:
 
     q, dq, ddq (K, n): smoothed. off (K, n): smoothed deviation from the plan, rad. noise (n,): standard deviation of a
     sample of noisy, rad. shift: s, delay of the log relative to the plan. noisy (K, n): the logged deviation, means of
-    `each` samples. fastest: Hz, largest cut-off.
+    `each` samples. fastest: Hz, largest cut-off. unexplained: (K, n) rad, part of `noisy` that no model explains.
     """
 
     t: Array
@@ -79,16 +90,28 @@ class Executed:
     each: int
     fastest: float
     slowest: float
+    unexplained: Array
 
     @property
     def step(self) -> float:
         return float(self.t[1] - self.t[0])
 
+    @property
+    def states(self) -> tuple[Array, Array, Array]:
+        return self.q, self.dq, self.ddq
+
     def again(self, noisy: Array) -> Executed:
         """The executed motion for another logged deviation (K, n), smoothed likewise."""
-        off, noise = _most_likely(noisy, self.fits, self.step, (self.slowest, self.fastest))
+        off, noise, explained = _most_likely(noisy, self.fits, self.step, (self.slowest, self.fastest))
         q, dq, ddq = self.plan.sample(self.t) + off
-        return replace(self, q=q, dq=dq, ddq=ddq, off=off[0], noise=noise, noisy=noisy)
+        rest = noisy - explained
+        return replace(self, q=q, dq=dq, ddq=ddq, off=off[0], noise=noise, noisy=noisy, unexplained=rest)
+
+    def without_vibration(self) -> Executed:
+        """The executed motion without unexplained deviations from `TrackingOptions.slowest_shake` on."""
+        fast = dct(self.unexplained, axis=0, norm="ortho")
+        fast[np.arange(len(fast)) < 2 * len(fast) * self.step * OPTIONS.slowest_shake] = 0.0
+        return replace(self.again(self.noisy - idct(fast, axis=0, norm="ortho")), noise=self.noise)
 
 
 def read_joints(path: str | Path, arm: ArmModel, topic: str | None = None) -> JointSamples:
@@ -137,7 +160,7 @@ def executed(plan: JointMotion, samples: JointSamples, fitted: Fitted = of_lags)
     t, off = even.reshape(-1, every).mean(axis=1), off.reshape(-1, every, off.shape[1]).mean(axis=1)
     fits = [DeviationFit.known(np.zeros((3, *off.shape))), *fitted(t, plan, off)]
     fastest = min(0.4 / (every * step), OPTIONS.fastest)
-    found = Executed(t, off, off, off, off, off[0], shift, off, plan, fits, every, fastest, OPTIONS.slowest)
+    found = Executed(t, off, off, off, off, off[0], shift, off, plan, fits, every, fastest, OPTIONS.slowest, off)
     return found.again(off)
 
 
@@ -190,9 +213,11 @@ def _rates(coefficients: Array, step: float) -> Array:
     )
 
 
-def _most_likely(noisy: Array, fits: list[DeviationFit], step: float, band: tuple[float, float]) -> tuple[Array, Array]:
+def _most_likely(
+    noisy: Array, fits: list[DeviationFit], step: float, band: tuple[float, float]
+) -> tuple[Array, Array, Array]:
     """A deviation (K, n) without its noise, with two derivatives (3, K, n), as the mean over all fits and cut-offs
-    weighted by likelihood; and its noise (n,)."""
+    weighted by likelihood; its noise (n,); and the part (K, n) that the fits explain."""
     count = len(noisy)
     cuts = np.geomspace(*band, 40)
     known, taken = (
@@ -210,4 +235,5 @@ def _most_likely(noisy: Array, fits: list[DeviationFit], step: float, band: tupl
     likely /= likely.sum(axis=(0, 1))
     kept = np.einsum("mcj,cf,mfj->fj", likely, 1 / (1 + (f / cuts[:, None]) ** 6), coefficients, optimize=True)
     explained = np.einsum("mcj,mdkj->dkj", likely, known, optimize=True)
-    return explained + _rates(kept, step), np.sqrt(np.sum(likely * left / free, axis=(0, 1)))
+    noise = np.sqrt(np.sum(likely * left / free, axis=(0, 1)))
+    return explained + _rates(kept, step), noise, explained[0]

@@ -8,9 +8,9 @@ nothing; unequal delays, friction or a wrong payload setting do. A plan with an 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
@@ -18,31 +18,35 @@ from salver.errors import ScenarioError
 from salver.geometry import Array
 from salver.learning.tracking.deviations import STANDSTILL, of_lags, under_torque
 from salver.learning.tracking.executed import Executed, executed
-from salver.models.arm.arm import ArmModel, load_arm, with_load
-from salver.models.contact_rows import ContactRows, contact_rows
-from salver.models.uncertain.worst_case import Drift, WorstCase
+from salver.learning.tracking.vibration import vibration_of
+from salver.models.arm.arm import ArmModel
+from salver.models.tray_motion import FULL_SPEED
+from salver.models.uncertain.parameters import Vibration
 from salver.motion_files import JointSamples
 from salver.planning.plan import Plan
+from salver.planning.stops import Space
+from salver.planning.trajopt.constraints.constraints import ContactConstraint
+from salver.planning.trajopt.evaluation import MotionEvaluation
+from salver.planning.trajopt.problem import TransportProblem, transport_problem
 from salver.scenario import Scenario
-from salver.sensitivity.arm.terms import MotionTerms, motion_terms
-from salver.sensitivity.arm.tracking import JointLoop, joint_loop
 from salver.trajectory import JointMotion
 
 
 @dataclass(frozen=True, eq=False)
 class Judge:
-    """Judges a motion of an arm with its load: contact constraints of every network, with the arm's response to
-    parameter errors."""
+    """Judges a motion of an arm with its load by the contact constraints of a plan's own verdict: at all speeds that
+    the scenario asks for, with an arm that follows exactly, and with one that deviates under parameter errors.
 
-    scenario: Scenario
-    arm: ArmModel
-    model: Any
-    contacts: tuple[ContactRows, ...]
-    loop: JointLoop | None
+    constraints: without margins, of every network of touching objects.
+    """
+
+    problem: TransportProblem
+    constraints: tuple[ContactConstraint, ...]
 
     @classmethod
-    def of(cls, scenario: Scenario) -> Judge:
-        """The judge of a scenario. Raises ScenarioError without an arm, or with a liquid or pendulum."""
+    def of(cls, scenario: Scenario, space: Space = "joint") -> Judge:
+        """The judge of a scenario, for plans in a space (`Plan.space`): the verdict on a plan in object space takes the
+        arm to follow exactly. Raises ScenarioError without an arm, or with a liquid or pendulum."""
         if scenario.arm is None:
             raise ScenarioError(f"{scenario.name} has no arm; what is compared are its joints.")
         payload = scenario.payload
@@ -51,35 +55,40 @@ class Judge:
                 f"{scenario.name}: what an executed motion does to {payload.dynamic[0].inside} is not "
                 "judged yet; leave it away."
             )
-        arm = load_arm(scenario.arm, scenario.tray)
-        loop, robot = None, scenario.physics.robot
-        if payload.uncertain.size and not arm.weightless:
-            loop = joint_loop(scenario, payload.with_only([p for p in payload.uncertain.parameters if p.loads]))
-            if robot.control == "position":  # of such a robot, the slowest joint deviates most under a parameter error
-                rate = 2 * np.pi * float(np.min(robot.bandwidth))
-                loop = replace(loop, kp=rate**2, kd=2 * float(np.min(robot.damping)) * rate)
-        return cls(scenario, arm, with_load(arm, payload.bodies).pin_model, contact_rows(payload), loop)
+        problem = transport_problem(scenario.with_changes(arm__start_posture=None, motion__through=[]))
+        loop = None if space == "object" else problem.tracking
+        # A log has the delay of held commands in it.
+        problem = replace(problem, tracking=loop and replace(loop, delay=0.0))
+        speeds = (FULL_SPEED,) if scenario.contact.condition == "paper" else problem.speeds
+        found = (
+            ContactConstraint(rows, 0.0, speed, exactly=exactly, coarsely=True)
+            for rows in problem.contacts
+            for speed in speeds
+            for exactly in ((True,) if loop is None else (True, False))
+        )
+        return cls(problem, tuple(found))
 
-    def terms(self, q: Array, dq: Array, ddq: Array) -> MotionTerms:
-        return motion_terms(self.model, self.arm.tray_id, q, dq, ddq)
+    @property
+    def arm(self) -> ArmModel:
+        return self.problem.arm
 
-    def drift(self, t: Array, terms: MotionTerms) -> Drift | None:
-        """Tracking perturbation along a motion."""
-        if self.loop is None:
-            return None
-        rates = np.stack([terms.dq, terms.ddq, np.gradient(terms.ddq, t, axis=0)])
-        return self.loop.along(t, terms, rates).felt(held=False)[1]
+    def along(self, t: Array, states: Sequence[Array], like: MotionEvaluation | None = None) -> MotionEvaluation:
+        """A motion of q, dq, ddq (K, n) at t (K,), s. like: a similar one, whose deviation under parameter errors is
+        used."""
+        z = np.stack([*states, np.gradient(states[2], t, axis=0)])
+        found = self.problem.at((t - t[0]) / np.ptp(t), z, float(np.ptp(t)), imposed=False)
+        return found if like is None else found.straying_as(like)
 
-    def rows(self, w: Array, drift: Drift | None) -> tuple[Array, Array]:
-        """Largest constraint (K,) of all networks at w (K, 12), and the index (K,) of its interface."""
-        best, of, before = np.full(len(w), -np.inf), np.zeros(len(w), dtype=int), 0
-        for rows in self.contacts:
-            values = WorstCase.of(rows, w, drift).values
-            k = np.argmax(values, axis=1)
-            top = values[np.arange(len(w)), k]
-            of = np.where(top > best, before + rows.interface[k], of)
-            best, before = np.maximum(best, top), before + len(rows.network.interfaces)
-        return best, of
+    def largest(self, motion: MotionEvaluation) -> tuple[float, int, str]:
+        """The largest constraint along a motion, the index of its instant, and the name of its interface."""
+        best = -np.inf, 0, ""
+        for constraint in self.constraints:
+            (block,) = constraint.blocks(motion)
+            k, i = np.unravel_index(int(np.argmax(block.values)), block.values.shape)
+            if block.values[k, i] > best[0]:
+                interface = constraint.rows.network.interfaces[int(constraint.rows.interface[i])]
+                best = float(block.values[k, i]), int(k), interface.name + constraint.speed.words
+        return best
 
 
 @dataclass(frozen=True)
@@ -104,18 +113,22 @@ class JointError:
 class Tracking:
     """Result of the comparison.
 
-    row: largest worst-case constraint along the executed motion, as a share of the weight, at `time`. planned: that of
-    the plan. noise: standard deviation of row by the noise of the log. joints: the one that causes most first.
+    row: largest worst-case constraint along the executed motion, as a share of the weight, at `time`. noise: its
+    standard deviation by the noise of the log. calm: both without the tray's vibration. planned: that of the plan.
+    joints: the one that causes most first. shake: vibration of the tray that the commanded motion does not explain;
+    None if there is none beside noise.
     """
 
     plan: Plan
     done: Executed
     row: float
+    calm: tuple[float, float]
     planned: float
     time: float
     interface: str
     noise: float
     joints: tuple[JointError, ...]
+    shake: Vibration | None
 
     @property
     def excess(self) -> float:
@@ -137,9 +150,10 @@ class Tracking:
 
     @property
     def margin(self) -> float:
-        """The `contact.margin` that compensates for the excess: the scenario's plus 1.1 times the largest constraint
-        violation plus its uncertainty, or plus the excess if that is larger."""
-        lacking = max(self.excess, 1.1 * max(0.0, self.row) + self.uncertainty)
+        """The `contact.margin` that, beside `shake`, compensates for the excess: the scenario's plus 1.1 times the
+        largest constraint violation plus its uncertainty."""
+        row, noise = self.calm
+        lacking = max(0.0, row + 2 * noise, 1.1 * max(0.0, row) + 4 * noise)
         return self.plan.scenario.contact.margin + lacking
 
     @cached_property
@@ -160,44 +174,47 @@ def track(plan: Plan, samples: JointSamples, judge: Judge | None = None) -> Trac
     """
     if plan.joint is None:
         raise ScenarioError(f"{plan.scenario.name}: this plan has no motion of an arm; tracking compares joints.")
-    judge = judge or Judge.of(plan.scenario)
-    torque = judge.scenario.physics.robot.control == "torque"
-    fitted = under_torque(judge.scenario, judge.model, judge.arm.tray_id) if torque else of_lags
+    judge = judge or Judge.of(plan.scenario, plan.space)
+    torque = plan.scenario.physics.robot.control == "torque"
+    fitted = under_torque(plan.scenario, judge.problem.model, judge.arm.tray_id) if torque else of_lags
     done = executed(plan.joint, samples, fitted)
-    t = done.t
-    terms = judge.terms(done.q, done.dq, done.ddq)
-    drift = judge.drift(t, terms)
-    over, of = judge.rows(terms.w, drift)
-    k, wanted = int(np.argmax(over)), judge.terms(*plan.joint.sample(t))
-    planned = judge.rows(wanted.w, judge.drift(t, wanted))[0].max()
-    row, noise = _without_noise(judge, done, drift)
-    names = [face.name for rows in judge.contacts for face in rows.network.interfaces]
-    joints = tuple(sorted(_joints(judge, plan.joint, done, drift), key=lambda joint: -joint.row))
-    return Tracking(plan, done, row, float(planned), float(t[k]), names[of[k]], noise, joints)
+    motion = judge.along(done.t, done.states)
+    shake, steady = vibration_of(done, motion.terms), done
+    if shake is not None:
+        steady = done.without_vibration()
+        known = plan.uncertain.shake
+        if known is not None and known.covers(shake):  # the constraints count it
+            done, motion = steady, judge.along(steady.t, steady.states)
+    worst, k, interface = judge.largest(motion)
+    row, noise = _without_noise(judge, done, motion, worst)
+    calm = row, noise
+    if steady is not done:
+        calm = _without_noise(judge, steady, motion, judge.largest(judge.along(steady.t, steady.states, motion))[0])
+    planned = judge.largest(judge.along(done.t, plan.joint.sample(done.t)))[0]
+    joints = tuple(sorted(_joints(judge, plan.joint, done, motion), key=lambda joint: -joint.row))
+    return Tracking(plan, done, row, calm, planned, float(done.t[k]), interface, noise, joints, shake)
 
 
-def _without_noise(judge: Judge, done: Executed, drift: Drift | None) -> tuple[float, float]:
+def _without_noise(judge: Judge, done: Executed, motion: MotionEvaluation, row: float) -> tuple[float, float]:
     """Largest constraint along the executed motion without the bias by noise, and its standard deviation.
 
     Both come from adding simulated noise: its effect on the smoothed result equals that of the noise in the log.
     """
-
-    def largest(seen: Executed) -> float:
-        return float(judge.rows(judge.terms(seen.q, seen.dq, seen.ddq).w, drift)[0].max())
-
-    rng = np.random.default_rng(0)
-    drawn = [largest(done.again(done.off + done.noise * rng.standard_normal(done.off.shape))) for _ in range(8)]
-    return 2 * largest(done) - float(np.mean(drawn)), float(np.std(drawn))
+    rng, drawn = np.random.default_rng(0), []
+    for _ in range(8):
+        seen = done.again(done.off + done.noise * rng.standard_normal(done.off.shape))
+        drawn.append(judge.largest(judge.along(seen.t, seen.states, motion))[0])
+    return 2 * row - float(np.mean(drawn)), float(np.std(drawn))
 
 
-def _joints(judge: Judge, plan: JointMotion, done: Executed, drift: Drift | None) -> list[JointError]:
+def _joints(judge: Judge, plan: JointMotion, done: Executed, motion: MotionEvaluation) -> list[JointError]:
     q, dq, ddq = plan.sample(done.t)
     found = []
     for j, name in enumerate(judge.arm.joint_names):
         alone = [x.copy() for x in (q, dq, ddq)]
-        for x, real in zip(alone, (done.q, done.dq, done.ddq), strict=True):
+        for x, real in zip(alone, done.states, strict=True):
             x[:, j] = real[:, j]
-        row = float(judge.rows(judge.terms(*alone).w, drift)[0].max())
+        row = judge.largest(judge.along(done.t, alone, motion))[0]
         speed = dq[:, j]
         scale = np.column_stack([speed, ddq[:, j], np.tanh(speed / STANDSTILL)])
         lag, _, friction = np.linalg.lstsq(scale, done.off[:, j], rcond=1e-9)[0]

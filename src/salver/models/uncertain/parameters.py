@@ -120,6 +120,10 @@ class Vibration:
         force, turn = (np.linalg.norm(rows[..., k : k + 3], axis=-1) for k in (0, 3))
         return np.asarray(self.acceleration * force + self.angular_acceleration * turn)
 
+    def covers(self, other: Vibration) -> bool:
+        """Whether another vibration accelerates the tray no more than this one may."""
+        return other.acceleration <= self.acceleration and other.angular_acceleration <= self.angular_acceleration
+
     @property
     def words(self) -> str:
         """Such as "0.02 mm at up to 20 Hz"."""

@@ -279,10 +279,14 @@ class JointLoop:
 
 
 def joint_loop(scenario: Scenario, payload: Payload) -> JointLoop:
-    """The loop of a scenario's controller, for the uncertain set of a payload."""
-    control, physics = scenario.control, scenario.physics
-    delay = 0.5 * physics.command_period
-    return JointLoop(load_change(payload), control.kp[0], control.kd[0], physics.settle_before, delay)
+    """The loop of a scenario's controller, for the uncertain set of a payload; of a robot under position control that
+    of its slowest joint."""
+    physics, robot = scenario.physics, scenario.physics.robot
+    kp, kd, delay = scenario.control.kp[0], scenario.control.kd[0], 0.5 * physics.command_period
+    if robot.control == "position":
+        rate = 2 * np.pi * float(np.min(robot.bandwidth))
+        kp, kd = rate**2, 2 * float(np.min(robot.damping)) * rate
+    return JointLoop(load_change(payload), kp, kd, physics.settle_before, delay)
 
 
 def missing_acceleration(load: LoadChange, terms: MotionTerms) -> Array:
