@@ -14,7 +14,8 @@ Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.intp]
 Mask = npt.NDArray[np.bool_]
 
-GRAVITY_S: Array = np.array([0.0, 0.0, -9.81])
+GRAVITY = 9.81  # m/s^2
+GRAVITY_S: Array = np.array([0.0, 0.0, -GRAVITY])
 GRAVITY_S.setflags(write=False)
 
 _SMALL = 1e-4  # rad; below this the series is exact to rounding

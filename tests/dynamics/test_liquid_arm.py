@@ -12,7 +12,7 @@ from scipy.special import jnp_zeros, jv
 import salver as sv
 from salver.dynamics.liquid.surface import SurfaceCases, SurfaceMotion
 from salver.dynamics.load_cases import LoadCase
-from salver.models.load_dynamics import GRAVITY
+from salver.geometry import GRAVITY
 from salver.planning.trajopt.constraints.constraints import TorqueLimit
 from salver.planning.trajopt.problem import transport_problem
 from salver.sensitivity.arm.compliance import LoadResponses

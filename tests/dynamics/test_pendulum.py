@@ -18,8 +18,8 @@ from salver.dynamics.motion_gradients import Unknowns, wrench_by
 from salver.dynamics.pendulum import PendulumResponse
 from salver.errors import ScenarioError
 from salver.live import Live
-from salver.models.rigid_body import RigidBody
-from salver.models.tray_motion import PRODUCTS, at_rest, frame_map, wrench_map
+from salver.models.rigid_body import PAIRS, RigidBody
+from salver.models.tray_motion import at_rest, frame_map, wrench_map
 from salver.planning.fastest import plan_fastest
 from salver.planning.stops import plan_stops, stop_problem
 from salver.simulation.physics import Experiment, simulate_tray
@@ -84,7 +84,7 @@ def turning(t, w):
     """(T, 3) rad/s of a tray with these angular accelerations, and w with the products of it that it then feels."""
     omega = cumulative_trapezoid(w[:, 3:6], t, axis=0, initial=0.0)
     felt = w.copy()
-    felt[:, 6:] = np.stack([omega[:, i] * omega[:, j] for i, j in PRODUCTS], axis=1)
+    felt[:, 6:] = np.stack([omega[:, i] * omega[:, j] for i, j in PAIRS], axis=1)
     return omega, felt
 
 

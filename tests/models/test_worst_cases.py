@@ -233,7 +233,7 @@ def random_rows(rng: np.random.Generator, kind: str) -> tuple[UncertainRows, tup
 @pytest.mark.parametrize("kind", ["box", "ellipsoid", "filled"])
 def test_slopes_support_worst_cases_and_the_side_of_a_swing_is_the_worse_one(kind: str) -> None:
     """A worst case is convex in what is felt: wherever one looks it lies above every tangent."""
-    rng, near = np.random.default_rng(9), 2e-2 if kind == "filled" else 1e-5  # contents: EXACT of their coefficients
+    rng, near = np.random.default_rng(9), 2e-2 if kind == "filled" else 1e-5  # contents: the gap of their coefficients
     for _ in range(2 if kind == "filled" else 6):
         rows, terms = random_rows(rng, kind)
         w, swing = rng.normal(size=(3, 12)), 0.3 * rng.normal(size=(3, 12))

@@ -15,7 +15,7 @@ import browser
 import salver as sv
 from salver.dynamics.liquid.drawn_surface import DrawnSurface
 from salver.geometry import matrix_from_quat_wxyz, matrix_from_rpy, quat_wxyz_from_matrix
-from salver.models.load_dynamics import BEYOND_COLOUR
+from salver.models.load_dynamics import Drawn
 from salver.reports.pages.page import write_report
 from salver.reports.pages.replay import replay_scene
 from salver.reports.run import read_run
@@ -102,7 +102,7 @@ def test_the_liquid_that_is_drawn_fills_the_cup_to_its_fill(coffee, box):
 
 def red(image):
     """Pixels of about the colour of a brim that was spilt over."""
-    return int(np.sum(np.all(np.abs(image[..., :3] / 255.0 - BEYOND_COLOUR) < 0.12, axis=-1)))
+    return int(np.sum(np.all(np.abs(image[..., :3] / 255.0 - Drawn.edge_colours[1]) < 0.12, axis=-1)))
 
 
 @pytest.fixture(scope="module")

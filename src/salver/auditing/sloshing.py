@@ -24,8 +24,7 @@ from salver.dynamics.liquid.surface import SurfaceMotion
 from salver.dynamics.load_limits import LoadVerdict
 from salver.dynamics.load_response import LoadResponse
 from salver.dynamics.modal_motion import ModalMotion
-from salver.geometry import Array, interpolated
-from salver.models.load_dynamics import GRAVITY
+from salver.geometry import GRAVITY, Array, interpolated
 
 FOLLOWED = 2.0  # ratio to the fastest mode above which the surface does not follow vibration quasi-statically
 STEPS = 16  # integration steps per radian of the fastest mode, for crests to 0.2 %

@@ -8,10 +8,10 @@ from typing import Self
 
 import numpy as np
 
-from salver.geometry import Array
+from salver.geometry import GRAVITY, Array
 from salver.models.bodies import Body
 from salver.models.interfaces import to_tray
-from salver.models.load_dynamics import APART, GRAVITY, LoadDynamics, Modes
+from salver.models.load_dynamics import APART, LoadDynamics, Modes
 from salver.models.tray_motion import frame_map
 from salver.models.uncertain.parameters import Parameter, UncertainSet
 

@@ -17,8 +17,7 @@ from salver.dynamics.modal_changes import Change, changed
 from salver.dynamics.modal_motion import ModalMotion
 from salver.dynamics.modal_state import ModalState
 from salver.dynamics.motion_gradients import Unknowns
-from salver.geometry import Array, Indices
-from salver.models.load_dynamics import GRAVITY
+from salver.geometry import GRAVITY, Array, Indices
 
 
 class ArmReaction(Protocol):

@@ -16,9 +16,9 @@ import numpy as np
 
 from salver.dynamics.load_cases import LoadCase, ModalCases
 from salver.dynamics.modal_state import ModalState
-from salver.geometry import Array, Indices
+from salver.geometry import GRAVITY, Array, Indices
 from salver.linear_filter import LinearFilter
-from salver.models.load_dynamics import GRAVITY, LEAST_WEIGHT
+from salver.models.load_dynamics import LEAST_WEIGHT
 from salver.models.tray_motion import N_MOTION
 
 TURNS, SETTLED = 24, 1e-3  # limit and tolerance of the iteration in which waves along both sides of a box interact

@@ -11,9 +11,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from salver.dynamics.modal_motion import ModalMotion, across, turned
-from salver.geometry import Array, Indices, Mask
+from salver.geometry import GRAVITY, Array, Indices, Mask
 from salver.linear_filter import LinearFilter
-from salver.models.load_dynamics import GRAVITY
 from salver.models.tray_motion import N_MOTION
 
 

@@ -14,8 +14,8 @@ import numpy as np
 from salver.dynamics.load_limits import LoadLimit, of_end
 from salver.dynamics.load_response import LoadResponse
 from salver.dynamics.motion_gradients import Unknowns, at_node
-from salver.geometry import Array, Indices
-from salver.models.load_dynamics import GRAVITY, Colour, Drawn, LoadDynamics, Modes
+from salver.geometry import GRAVITY, Array, Indices
+from salver.models.load_dynamics import Colour, Drawn, LoadDynamics, Modes
 from salver.models.rigid_body import RigidBody
 
 ROOM = "the room there is"  # group of its limits, in words

@@ -22,15 +22,13 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from salver.geometry import Array
+from salver.geometry import GRAVITY, Array
 from salver.models.rigid_body import RigidBody
 from salver.models.shapes.shapes import Solid
 
-GRAVITY = 9.81  # m/s^2
 APART = 0.12  # largest relative step in frequency between the values that represent a range
 LEAST_WEIGHT = 0.2  # least specific force along the axis, as a share of g; with less the masses do not swing back
 THICKEST = 0.1  # largest damping, as a share of critical, for which the modes are valid
-SQUARE = 1e-6  # relative difference below which the modes along both axes count as equal
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,27 +91,30 @@ class Rod:
     along: tuple[int, ...]
 
 
-def _pendulum(first: int, mass: Array, height: Array, length: Array) -> tuple[Rod, ...]:
-    """The rods of a mode with these values by axis; first: the axis with the longer pendulum."""
+def _pendulum(first: int, mass: Array, height: Array, length: Array, square: float = 1e-6) -> tuple[Rod, ...]:
+    """The rods of a mode with these values by axis; first: the axis with the longer pendulum. square: relative
+    difference below which both axes count as equal."""
     second, pivot = 1 - first, height + length
     lever = pivot[first] - height[second]
     # Moments about its hinge that the first rod needs besides those of the mass that hangs on it.
     moment = mass[first] * length[first] - mass[second] * lever
     inertia = mass[first] * length[first] ** 2 - mass[second] * lever**2
-    if inertia < SQUARE * mass[first] * length[first] ** 2:
+    if inertia < square * mass[first] * length[first] ** 2:
         return (Rod(float(mass[second]), float(height[second]), float(pivot[second]), (first, second)),)
     carries = Rod(float(moment**2 / inertia), float(pivot[first] - inertia / moment), float(pivot[first]), (first,))
     return carries, Rod(float(mass[second]), float(height[second]), float(pivot[second]), (second,))
 
 
 Colour = tuple[float, float, float]
-EDGE_COLOUR: Colour = (0.42, 0.47, 0.53)
-BEYOND_COLOUR: Colour = (0.89, 0.07, 0.04)
 
 
 class Drawn(ABC):
-    """Drawing of the liquid or pendulum in a body, in B. beyond: s, when it first crossed its edge, or None."""
+    """Drawing of the liquid or pendulum in a body, in B. beyond: s, when it first crossed its edge, or None.
 
+    edge_colours: of the edge until then, and from then on.
+    """
+
+    edge_colours: ClassVar[tuple[Colour, Colour]] = (0.42, 0.47, 0.53), (0.89, 0.07, 0.04)
     beyond: float | None
 
     @property
@@ -135,7 +136,7 @@ class Drawn(ABC):
 
     def edge_colour(self, t: float) -> Colour:
         """Colour of the edge at time t, s."""
-        return BEYOND_COLOUR if self.beyond is not None and t >= self.beyond else EDGE_COLOUR
+        return self.edge_colours[self.beyond is not None and t >= self.beyond]
 
 
 class LoadDynamics(ABC):

@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from salver.models.bodies import Body
 
 _TOLERANCE = 1e-9  # relative to the size of the shape
-_ROUNDS = 60
 
 
 def _pseudo_inertia(phi: Array) -> Array:
@@ -75,12 +74,15 @@ def realisable(body: Body, values: npt.ArrayLike, *, within_shape: bool = True) 
     return result
 
 
-def nearest(body: Body, phi: Array, covariance: Array, *, within_shape: bool = True) -> tuple[Array, float]:
+def nearest(
+    body: Body, phi: Array, covariance: Array, *, within_shape: bool = True, rounds: int = 60
+) -> tuple[Array, float]:
     """The phi (10,) nearest to a phi with a covariance (10, 10), in B, that a mass distribution can have
     (`realisable`), and its distance in standard deviations.
 
     All conditions are linear in phi except that the pseudo-inertia J (Wensing, Kim and Slotine 2018) is positive
-    semidefinite, which linear cuts v^T J v >= 0 impose (least distance programming: Lawson and Hanson 1974).
+    semidefinite, which linear cuts v^T J v >= 0 impose, in at most so many rounds (least distance programming: Lawson
+    and Hanson 1974).
     """
     from scipy.optimize import nnls
 
@@ -90,7 +92,7 @@ def nearest(body: Body, phi: Array, covariance: Array, *, within_shape: bool = T
     scale = np.array([size, size, size, 1.0])
     root, z = np.linalg.cholesky(covariance), np.zeros(10)
     cuts = np.zeros((0, 10))
-    for _ in range(_ROUNDS):
+    for _ in range(rounds):
         found = phi + root @ z
         values, vectors = np.linalg.eigh(np.einsum("k,kab->ab", found, _PSEUDO) / np.outer(scale, scale))
         allowed = 0.01 * _TOLERANCE * abs(phi[0])

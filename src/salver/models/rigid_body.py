@@ -9,17 +9,17 @@ import numpy.typing as npt
 
 from salver.geometry import GRAVITY_S, Array, hat
 
-N_INERTIAL = 10  # m, m c (3), I about B (6): Pinocchio's order, see docs/conventions.md
-
-_INERTIA_INDEX = ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))
-_ROW, _COLUMN = (list(side) for side in zip(*_INERTIA_INDEX, strict=True))
+# Axes of the six entries of a symmetric matrix: of an inertia, of second moments, of products of angular velocities.
+# Inertial parameters are m, m c (3), I about B (6): Pinocchio's order, see docs/conventions.md.
+PAIRS = ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))
+_ROW, _COLUMN = (list(side) for side in zip(*PAIRS, strict=True))
 
 
 def inertia_matrix(six: npt.ArrayLike) -> Array:
     """Symmetric matrices (..., 3, 3) from their six entries (xx, xy, yy, xz, yz, zz)."""
     six = np.asarray(six, dtype=float)
     matrix = np.empty((*six.shape[:-1], 3, 3))
-    for k, (i, j) in enumerate(_INERTIA_INDEX):
+    for k, (i, j) in enumerate(PAIRS):
         matrix[..., i, j] = matrix[..., j, i] = six[..., k]
     return matrix
 
@@ -78,7 +78,7 @@ def spatial_inertia(phi: npt.ArrayLike) -> Array:
 def _inertia_regressor(x: Array) -> Array:
     """L(x) (..., 3, 6) with I x = L(x) (xx, xy, yy, xz, yz, zz)."""
     out = np.zeros((*x.shape, 6))
-    for k, (i, j) in enumerate(_INERTIA_INDEX):
+    for k, (i, j) in enumerate(PAIRS):
         out[..., i, k] = x[..., j]
         out[..., j, k] = x[..., i]
     return out
@@ -91,7 +91,7 @@ def regressor(R_SB: Array, a_S: Array, omega_B: Array, alpha_B: Array) -> Array:
     (..., 3) as in docs/conventions.md. Eq (1) written in its parameters; see Atkeson, An, Hollerbach 1986.
     """
     f = np.einsum("...ji,...j->...i", R_SB, a_S - GRAVITY_S)  # specific force at B, in B
-    y = np.zeros((*f.shape[:-1], 6, N_INERTIAL))
+    y = np.zeros((*f.shape[:-1], 6, 10))
     omega_hat = hat(omega_B)
     y[..., :3, 0] = f
     y[..., :3, 1:4] = hat(alpha_B) + omega_hat @ omega_hat

@@ -18,7 +18,6 @@ from salver.geometry import GRAVITY_S, Array, hat
 from salver.models.rigid_body import inertia_entries, inertia_matrix
 
 N_MOTION = 12
-PRODUCTS = ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))
 
 # Symmetric (6, 3, 3) matrices of the six products omega_i omega_j.
 _PRODUCT_MATRICES = inertia_matrix(np.eye(6))

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from salver.geometry import Array
-from salver.models.load_dynamics import GRAVITY, LEAST_WEIGHT
+from salver.geometry import GRAVITY, Array
+from salver.models.load_dynamics import LEAST_WEIGHT
 from salver.simulation import creep
 from salver.simulation.scene.elements import DAMPING_WIDTH
 from salver.simulation.scene.loads import Load

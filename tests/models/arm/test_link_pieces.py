@@ -12,11 +12,10 @@ import trimesh
 
 from salver import scenario
 from salver.geometry import Array
-from salver.models.arm import link_pairs
 from salver.models.arm.arm import ArmModel, load_arm
 from salver.models.arm.arm_geometry import arm_geometry
 from salver.models.arm.link_shapes import link_shapes
-from salver.models.shapes.convex_shapes import PIECES, convex, convex_pieces
+from salver.models.shapes.convex_shapes import convex, convex_pieces
 
 URS = ("ur5", *(pytest.param(model, marks=pytest.mark.slow) for model in ("ur3", "ur10")))
 
@@ -70,7 +69,7 @@ def test_pieces_hold_the_mesh_and_are_smaller_than_its_hull(seed: int) -> None:
         part.apply_transform(turned)
     body = trimesh.util.concatenate(parts)
     pieces = convex_pieces(np.asarray(body.vertices), np.asarray(body.faces))
-    assert 1 < len(pieces) <= PIECES
+    assert 1 < len(pieces) <= 3
     rods = trimesh.creation.cylinder(0.02, 0.4)
     rods.apply_transform(turned)
     inside = np.vstack([part.bounding_box_oriented.sample_volume(500) for part in parts[:2]])
@@ -152,10 +151,8 @@ def test_hulls_would_block_a_tenth_of_a_urs_postures(model: str, monkeypatch: py
     arm = arm_of(model)
     postures = np.random.default_rng(2).uniform(-np.pi, np.pi, (200, arm.n))
     in_pieces = arm_geometry(arm)
-    monkeypatch.setattr(link_pairs, "BULKY", 2.0)  # a share that nothing reaches
-    link_pairs.bulky.cache_clear()
+    monkeypatch.setattr("salver.models.arm.arm_geometry.bulky", lambda links: ())
     in_hulls = arm_geometry(arm)
-    link_pairs.bulky.cache_clear()
     free = [np.mean([parts.clearance(q[None]).min() > 0 for q in postures]) for parts in (in_pieces, in_hulls)]
     assert free[0] - free[1] >= 0.1, free
 
@@ -187,5 +184,5 @@ def test_pieces_of_a_mirrored_mesh_are_as_large() -> None:
     body = trimesh.util.concatenate(parts)
     points, corners = np.asarray(body.vertices), np.asarray(body.faces)
     sizes = [sorted(p.computeVolume() for p in convex_pieces(sign * points, corners)) for sign in (1.0, -1.0)]
-    assert len(sizes[0]) == PIECES
+    assert len(sizes[0]) == 3
     np.testing.assert_allclose(*sizes, rtol=1e-9)

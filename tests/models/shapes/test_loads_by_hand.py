@@ -17,7 +17,7 @@ from salver.models.contact.internal_wrench import internal_wrenches
 from salver.models.interfaces import networks, sure_contacts
 from salver.models.load_dynamics import APART
 from salver.models.shapes import shapes
-from salver.models.shapes.convex_shapes import THINNEST, convex
+from salver.models.shapes.convex_shapes import convex
 from salver.models.shapes.surfaces import surface
 from salver.models.uncertain.contents import Filling, Hull, inertia_ranges, largest_mean, most_second_moments
 from salver.models.uncertain.parameters import Parameter
@@ -216,8 +216,8 @@ def test_a_flat_link_is_as_thick_as_a_slab_about_where_it_is() -> None:
     import pinocchio as pin
 
     corners = surface(convex(flat), pin.SE3.Identity())[0]
-    assert corners.min(axis=0) == pytest.approx([-0.2, 0.0, 0.1 - 0.5 * THINNEST], abs=1e-9)
-    assert corners.max(axis=0) == pytest.approx([0.3, 0.1, 0.1 + 0.5 * THINNEST], abs=1e-9)
+    assert corners.min(axis=0) == pytest.approx([-0.2, 0.0, 0.1 - 0.5e-3], abs=1e-9)
+    assert corners.max(axis=0) == pytest.approx([0.3, 0.1, 0.1 + 0.5e-3], abs=1e-9)
 
 
 def test_a_capsule_runs_from_a_joint_to_the_centre_of_mass() -> None:

@@ -22,8 +22,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from salver.geometry import Array
-from salver.models.load_dynamics import GRAVITY, LoadDynamics, Modes
+from salver.geometry import GRAVITY, Array
+from salver.models.load_dynamics import LoadDynamics, Modes
 from salver.models.rigid_body import RigidBody
 from salver.models.shapes import shapes
 from salver.models.shapes.shapes import Solid

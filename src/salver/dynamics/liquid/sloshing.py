@@ -19,8 +19,8 @@ from salver.dynamics.load_response import LoadResponse, slacks
 from salver.dynamics.modal_changes import Change
 from salver.dynamics.modal_motion import ModalMotion
 from salver.dynamics.motion_gradients import Unknowns, at_node
-from salver.geometry import Array, Indices
-from salver.models.load_dynamics import GRAVITY, Drawn
+from salver.geometry import GRAVITY, Array, Indices
+from salver.models.load_dynamics import Drawn
 
 LESS = STEEPEST / LEANING
 LEAST_SIZE = 1e-4  # m; smaller waves have no direction

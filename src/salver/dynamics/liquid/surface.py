@@ -13,8 +13,7 @@ from salver.dynamics.load_cases import ModalCases
 from salver.dynamics.modal_changes import Change, turned_each
 from salver.dynamics.modal_motion import TURNING, ModalMotion, across, turned
 from salver.dynamics.motion_gradients import Unknowns, at_node
-from salver.geometry import Array, Indices
-from salver.models.load_dynamics import GRAVITY
+from salver.geometry import GRAVITY, Array, Indices
 
 
 def _stacked(name: str) -> cached_property[Array]:

@@ -18,8 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from salver.geometry import Array
-from salver.models.rigid_body import inertia_entries, parallel_axis
-from salver.models.uncertain.contents import PAIRS
+from salver.models.rigid_body import PAIRS, inertia_entries, parallel_axis
 from salver.models.uncertain.parameters import INERTIAL
 
 WIDTH = 3.0  # standard deviations of the ranges for planning

@@ -21,7 +21,7 @@ from salver.geometry import GRAVITY_S, Array, adjoint, invert, matrix_from_rpy
 from salver.models.arm.arm_limits import JointLimits, VelocityByPosition, joint_limits, read_joint_limits
 from salver.models.arm.known_arms import KNOWN_ARMS, robot_file
 from salver.models.arm.tables import Arm
-from salver.models.arm.urdf import SUFFIXES, read_chain, read_disabled_pairs
+from salver.models.arm.urdf import LARGEST_LINK, SUFFIXES, read_chain, read_disabled_pairs
 from salver.models.contact.contact import ContactSet
 from salver.models.described import Tray
 
@@ -30,9 +30,6 @@ if TYPE_CHECKING:
 
 TRAY_FRAME = "salver_tray"
 OWN = ("the URDF", "the maker of")  # beginnings of the sources of the arm's own limits
-# m, of the links that one joint moves. It detects wrong units: inertias in g mm^2 give 3e4 times the true radius of
-# gyration, in kg mm^2 1e3 times. The largest arbitrary value seen in a URDF is 3.2 (the jaws of a Robonaut).
-LARGEST_GYRATION = 10.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -278,11 +275,11 @@ def _build(text: str, path: Path) -> Any:
                 f"{inertia.mass:g} kg); masses are at least 0, and all numbers finite."
             )
         gyration = np.sqrt(np.abs(np.linalg.eigvalsh(inertia.inertia)).max() / inertia.mass) if inertia.mass > 0 else 0
-        if gyration > LARGEST_GYRATION:
+        if gyration > LARGEST_LINK:
             raise ScenarioError(
                 f"The URDF {path} gives what the joint {name} moves, {inertia.mass:g} kg, an inertia as if it were all "
                 f"{gyration:.3g} m from its centre; inertias are in kg m^2 (1000 kg mm^2 are 0.001), of a mass at "
-                f"most {LARGEST_GYRATION:g} m away."
+                f"most {LARGEST_LINK:g} m away."
             )
     model.gravity.linear = GRAVITY_S.copy()
     return model

@@ -27,9 +27,6 @@ from salver.models.shapes.obstacle_shapes import obstacle_shapes
 from salver.wording import listed
 
 TRAY = "tray"
-_TOUCHING = 1e-3  # m, largest penetration of a load and the link on which it stands
-_STILL = 1e-6  # m: smaller changes of a distance count as none
-_REMEMBERED = 4  # cached paths, each with another number of postures
 
 
 class UnknownShapeError(ScenarioError):
@@ -97,9 +94,10 @@ class ArmGeometry:
         self._remember(q, low)
         return low
 
-    def _remember(self, q: Array, low: Array) -> None:
+    def _remember(self, q: Array, low: Array, paths: int = 4) -> None:
+        """Cache distances (N, pairs) in postures (N, n) of so many paths, each with another number of postures."""
         self._last[len(q)] = q.copy(), low.copy()
-        if len(self._last) > _REMEMBERED:
+        if len(self._last) > paths:
             del self._last[next(iter(self._last))]
 
     def _measure(self, q: Array, low: Array, within: float | Array) -> None:
@@ -314,13 +312,13 @@ def _always(parts: ArmGeometry) -> list[Pair]:
     return list(parts.pairs)
 
 
-def _fixed_in(known: LinkShapes, parts: Any, link: int, load: int) -> bool:
-    """Whether a load penetrates a link on the same joint by more than `_TOUCHING`: its mesh, not the hull, which would
-    fill a tray with a rim that is a link of the URDF."""
+def _fixed_in(known: LinkShapes, parts: Any, link: int, load: int, touching: float = 1e-3) -> bool:
+    """Whether a load penetrates a link on the same joint by more than `touching`, m, as a load on that link may: its
+    mesh, not the hull, which would fill a tray with a rim that is a link of the URDF."""
     one, other = (parts.geometryObjects[k] for k in (link, load))
     if one.parentJoint != other.parentJoint:
         return False
-    half = np.maximum(np.asarray(other.geometry.halfSide) - _TOUCHING, 0.5 * _TOUCHING)
+    half = np.maximum(np.asarray(other.geometry.halfSide) - touching, 0.5 * touching)
     shape, place = known.shapes[link], one.placement.actInv(other.placement)
     there = coal.Transform3s(place.rotation, place.translation)
     box, request, result = coal.Box(*(2 * half)), coal.CollisionRequest(), coal.CollisionResult()
@@ -329,12 +327,12 @@ def _fixed_in(known: LinkShapes, parts: Any, link: int, load: int) -> bool:
     )
 
 
-def _on_floor(parts: ArmGeometry) -> tuple[list[Pair], list[Pair]]:
-    """Pairs of the floor and a link whose distance is the same in every posture, as for rotation about the vertical, or
-    always below the required distance."""
+def _on_floor(parts: ArmGeometry, same: float = 1e-6) -> tuple[list[Pair], list[Pair]]:
+    """Pairs of the floor and a link whose distance is the same in every posture (up to `same`, m), as for rotation
+    about the vertical, or always below the required distance."""
     parts = parts.only(np.flatnonzero(parts.of_floor))
     distance = parts.clearance(postures_of(parts.arm))
-    still, sunk = np.ptp(distance, axis=0) <= _STILL, distance.max(axis=0, initial=-np.inf) < Floor.clear
+    still, sunk = np.ptp(distance, axis=0) <= same, distance.max(axis=0, initial=-np.inf) < Floor.clear
     found = [[pair for pair, yes in zip(parts.pairs, which, strict=True) if yes] for which in (still, sunk & ~still)]
     return found[0], found[1]
 

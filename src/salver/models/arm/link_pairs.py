@@ -15,10 +15,6 @@ from salver.geometry import Array, Mask
 from salver.models.arm.arm import ArmModel
 from salver.models.arm.link_shapes import LinkShapes
 
-POSTURES = 200  # random postures in which parts are compared
-BULKY = 0.05  # pieces replace hulls that touch in at least this share of the postures in which pieces do not
-_LOOKS = 16  # of these postures, in which meshes are compared
-
 Pair = tuple[int, int]
 
 
@@ -71,14 +67,18 @@ class Links:
 
 
 @lru_cache(maxsize=32)
-def bulky(links: Links) -> tuple[Pair, ...]:
-    """Pairs of links (indices of their shapes) whose hulls overlap in many postures in which pieces of them do not."""
+def bulky(links: Links, share: float = 0.05, looks: int = 16) -> tuple[Pair, ...]:
+    """Pairs of links (indices of their shapes) whose hulls overlap in many postures in which pieces of them do not.
+
+    share: of all postures, from which on pieces replace the hulls. looks: number of postures in which meshes are
+    compared first.
+    """
     arm, shapes = links.arm, links.known.shapes
     parts, names = placed(arm, links.known)
     pairs = comparable(arm, parts, names, range(len(names)), len(names), len(names))[0]
     pairs = [(i, j) for i, j in pairs if shapes[i].mesh or shapes[j].mesh]
     postures = postures_of(arm)
-    often = BULKY * len(postures)
+    often = share * len(postures)
     found = []
     for pair, overlap in zip(pairs, _overlaps(arm, parts, pairs, postures).T, strict=True):
         there = postures[overlap]
@@ -86,7 +86,7 @@ def bulky(links: Links) -> tuple[Pair, ...]:
             continue
         hulls = [parts.geometryObjects[k] for k in pair]
         # Meshes are compared in some of these postures first: they show whether pieces, which are expensive, can help.
-        some = there[:: -(-len(there) // _LOOKS)]
+        some = there[:: -(-len(there) // looks)]
         if _apart(arm, hulls, [(shapes[k].itself,) for k in pair], some) * len(there) < often * len(some):
             continue
         if _apart(arm, hulls, [shapes[k].pieces for k in pair], there) >= often:
@@ -120,7 +120,7 @@ def _overlaps(arm: ArmModel, parts: Any, pairs: Sequence[Pair], postures: Array)
     return found
 
 
-def postures_of(arm: ArmModel) -> Array:
-    """Random postures (N, n) of an arm within its limits."""
+def postures_of(arm: ArmModel, count: int = 200) -> Array:
+    """Random postures (N, n) of an arm within its limits, in which parts are compared."""
     low, high = np.maximum(arm.limits.q_min, -np.pi), np.minimum(arm.limits.q_max, np.pi)
-    return np.random.default_rng(0).uniform(low, high, (POSTURES, arm.n))
+    return np.random.default_rng(0).uniform(low, high, (count, arm.n))

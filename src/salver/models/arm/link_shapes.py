@@ -19,14 +19,11 @@ import numpy as np
 import pinocchio as pin
 
 from salver.geometry import Array, matrix_from_rpy
+from salver.models.arm.urdf import LARGEST_LINK
 from salver.models.shapes.convex_shapes import Triangles, convex, convex_pieces
 
-DENSITIES = (2700.0, 700.0)  # kg/m^3: solid aluminium; light shells with little inside
-LARGEST_LINK = 10.0  # m
-FRAME_MASS = 0.02  # kg: a lighter link without geometry counts as a frame, not a body
 SIZES = {"box": ("size",), "sphere": ("radius",), "cylinder": ("radius", "length"), "capsule": ("radius", "length")}
 _NOUGHT = re.compile(r"0*\.?0*")
-_SAME_DIRECTION = 1e-9
 
 
 @dataclass(frozen=True)
@@ -80,12 +77,11 @@ class LinkShapes:
 
 
 @lru_cache(maxsize=16)
-def link_shapes(urdf: str, capsules: bool = False) -> LinkShapes:
+def link_shapes(urdf: str, capsules: bool = False, frame: float = 0.02) -> LinkShapes:
     """Shapes of the links of a URDF whose mesh files have absolute paths (`salver.models.arm.urdf.read_chain`).
 
-    capsules: fit capsules to links whose geometry cannot be read. They run from the link's own joint, and from each of
-    the next ones, to its centre of mass. Their radius is that of the solid cylinder of the same mass and least moment
-    of inertia, limited to densities within `DENSITIES`, because many URDFs have arbitrary moments of inertia.
+    capsules: fit capsules to links whose geometry cannot be read (`_capsules`). frame: mass, kg, up to which a link
+    without geometry counts as a frame, not a body.
     """
     root = ElementTree.fromstring(urdf)
     shapes: list[LinkShape] = []
@@ -103,7 +99,7 @@ def link_shapes(urdf: str, capsules: bool = False) -> LinkShapes:
                 reasons.append(str(error))
             else:
                 shapes.append(LinkShape(name, shape, _origin(element), mesh))
-        if not elements and _mass(link) > FRAME_MASS:
+        if not elements and _mass(link) > frame:
             reasons.append("the URDF gives it no geometry")
         if not reasons:
             continue
@@ -196,8 +192,15 @@ def _mass(link: ElementTree.Element) -> float:
     return 0.0 if mass is None else float(mass.get("value", "0"))
 
 
-def _capsules(link: ElementTree.Element, root: ElementTree.Element) -> list[LinkShape]:
-    """Capsules of a link by its mass, inertia and joints; none when the URDF gives it no mass."""
+def _capsules(
+    link: ElementTree.Element, root: ElementTree.Element, densities: tuple[float, float] = (2700.0, 700.0)
+) -> list[LinkShape]:
+    """Capsules of a link by its mass, inertia and joints; none when the URDF gives it no mass.
+
+    They run from the link's own joint, and from each of the next ones, to its centre of mass. Their radius is that of
+    the solid cylinder of the same mass and least moment of inertia, limited to densities, kg/m^3, from solid aluminium
+    to light shells with little inside, because many URDFs have arbitrary moments of inertia.
+    """
     name, mass, inertial = link.get("name", ""), _mass(link), link.find("inertial")
     if mass <= 0 or inertial is None:
         return []
@@ -206,7 +209,7 @@ def _capsules(link: ElementTree.Element, root: ElementTree.Element) -> list[Link
     ends = [np.zeros(3), *(_origin(joint).translation for joint in joints)]
     segments = [(end, placement.translation) for end in ends]
     length = float(sum(np.linalg.norm(b - a) for a, b in segments))
-    least, most = (_capsule_radius(mass / density, length) for density in DENSITIES)
+    least, most = (_capsule_radius(mass / density, length) for density in densities)
     radius = most
     if entries is not None:
         xx, xy, xz, yy, yz, zz = (float(entries.get(f"i{k}", "0")) for k in ("xx", "xy", "xz", "yy", "yz", "zz"))
@@ -229,6 +232,6 @@ def _parent(joint: ElementTree.Element) -> str:
 def _capsule(link: str, start: Array, end: Array, radius: float) -> LinkShape:
     """The capsule about the segment from start to end (link's frame, m)."""
     length = float(np.linalg.norm(end - start))
-    z = np.array([0.0, 0.0, 1.0]) if length < _SAME_DIRECTION else (end - start) / length
+    z = np.array([0.0, 0.0, 1.0]) if length == 0.0 else (end - start) / length
     rotation = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), z).toRotationMatrix()
     return LinkShape(link, coal.Capsule(radius, length), pin.SE3(rotation, 0.5 * (start + end)))

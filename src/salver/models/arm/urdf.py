@@ -20,10 +20,12 @@ import numpy as np
 
 from salver.errors import ScenarioError, reason
 from salver.models.arm.known_arms import OWN_FOLDER
+from salver.models.shapes.mesh_files import LARGEST
 
 SUFFIXES = (".urdf", ".xml")
-LARGEST = 20_000_000  # bytes
-LONGEST_NAME = 200  # characters, of a link or a joint
+# m, of a link; of the links that one joint moves also the radius of gyration. It tells wrong units: inertias in g mm^2
+# give 3e4 times the true radius, in kg mm^2 1e3 times. The largest arbitrary one seen in a URDF is 3.2 (a Robonaut's).
+LARGEST_LINK = 10.0
 MOST_JOINTS = 20  # that move, between root and flange
 # Of a revolute joint's limit, either way: more than ten turns in rad are degrees, of which there are up to three turns;
 # what is beyond stands for none (999999 of a Fetch's base).
@@ -31,7 +33,6 @@ DEGREES = 20 * np.pi, 1080.0
 TURNS = 1.0  # of a continuous joint, either way: the rest of salver counts joint angles as numbers
 MODELS = "example-robot-data"  # the package whose models of some arms come with salver, `salver/robots`
 BY_POSITION = "position_based_velocity_limits"  # an element of a joint in franka_description, as libfranka reads it
-_NESTED = 2  # folders between one that is searched and a package in it
 
 
 @dataclass(frozen=True)
@@ -49,12 +50,12 @@ class Chain:
     by_position: Mapping[str, tuple[float, float]]
 
 
-def read_chain(path: Path, flange: str, package_dirs: Sequence[Path] = ()) -> Chain:
+def read_chain(path: Path, flange: str, package_dirs: Sequence[Path] = (), longest: int = 200) -> Chain:
     """Read a URDF and keep the chain from its root to the flange.
 
     What hangs beyond the flange (a gripper) is left off; joints beside the chain are fixed at zero. A continuous
     joint becomes a revolute one of `TURNS` turns either way; soft limits of a safety controller that are narrower than
-    the limits stand for them. Mesh files that are found get absolute paths.
+    the limits stand for them. Mesh files that are found get absolute paths. longest: characters of a name.
 
     Raises ScenarioError: no URDF, no such link, a chain that closes or branches back, a joint on it that follows
     another one, has no axis or limits that cannot be in rad.
@@ -62,10 +63,10 @@ def read_chain(path: Path, flange: str, package_dirs: Sequence[Path] = ()) -> Ch
     root = _parse(path)
     for element in root:
         name = element.get("name", "")
-        if len(name) > LONGEST_NAME:
+        if len(name) > longest:
             raise ScenarioError(
                 f'The URDF {path}: the name of <{element.tag}> "{name[:20]}..." has {len(name)} characters; it may '
-                f"have at most {LONGEST_NAME}."
+                f"have at most {longest}."
             )
     names = frozenset(link.get("name", "") for link in root.iter("link"))
     if flange not in names:
@@ -99,8 +100,7 @@ def read_chain(path: Path, flange: str, package_dirs: Sequence[Path] = ()) -> Ch
     if len(moving) > MOST_JOINTS:
         raise ScenarioError(
             f"The URDF {path} has {len(moving)} joints that move between its root and {flange}; an arm may have at "
-            f"most "
-            f"{MOST_JOINTS}."
+            f"most {MOST_JOINTS}."
         )
     for mesh in root.iter("mesh"):
         mesh.set("filename", find_mesh(mesh.get("filename", ""), path, package_dirs))
@@ -125,12 +125,12 @@ def read_disabled_pairs(path: Path, links: Collection[str]) -> frozenset[tuple[s
     return found
 
 
-def find_mesh(name: str, urdf: Path, package_dirs: Sequence[Path] = ()) -> str:
+def find_mesh(name: str, urdf: Path, package_dirs: Sequence[Path] = (), nested: int = 2) -> str:
     """Absolute path of a mesh file that a URDF names; the name itself if no such file is found.
 
-    `package://PACKAGE/FILE` is looked for in `package_dirs`, then in AMENT_PREFIX_PATH and ROS_PACKAGE_PATH, then
-    among the models that come with salver, in every folder above the URDF, in example-robot-data where that is
-    installed. Other names are relative to the URDF.
+    `package://PACKAGE/FILE` is looked for in `package_dirs`, then in AMENT_PREFIX_PATH and ROS_PACKAGE_PATH (below
+    fewer than `nested` folders), then among the models that come with salver, in every folder above the URDF, in
+    example-robot-data where that is installed. Other names are relative to the URDF.
     """
     scheme, _, rest = name.rpartition("://")
     if scheme not in ("package", "model"):
@@ -139,8 +139,8 @@ def find_mesh(name: str, urdf: Path, package_dirs: Sequence[Path] = ()) -> str:
     package, _, file = rest.partition("/")
     for folder in (*package_dirs, *_ros_folders()):
         here = [folder] if folder.name == package else []
-        nested = (p for k in range(_NESTED) for p in folder.glob("*/" * k + package))
-        for place in (*here, *islice(nested, 16)):
+        below = (p for k in range(nested) for p in folder.glob("*/" * k + package))
+        for place in (*here, *islice(below, 16)):
             if (place / file).is_file():
                 return str(place / file)
     if package == MODELS and (OWN_FOLDER / file).is_file():

@@ -6,21 +6,19 @@ import numpy as np
 
 from salver.geometry import Array, interpolated
 
-_COARSE = 25  # instants at which the linear programme is solved first; others are interpolated
-_MOST = 200  # largest number of further instants that are solved because the interpolated choice fails there
 
-
-def internal_wrenches(value: Array, internal: Array) -> Array:
+def internal_wrenches(value: Array, internal: Array, first: int = 25, further: int = 200) -> Array:
     """Internal wrenches w_0 (T, n_w) that make the rows value + internal w_0 (T, n) small.
 
     value (T, n): rows at w_0 = 0; internal (n, n_w). At some instants, among them the worst one and the first that
-    fails, a linear programme minimises the largest row; elsewhere w_0 is interpolated. Any w_0 with negative rows
-    proves that the objects hold.
+    fails, a linear programme minimises the largest row: at `first` ones, evenly, and at most at `further` ones at which
+    the interpolated choice fails. Elsewhere w_0 is interpolated. Any w_0 with negative rows proves that the objects
+    hold.
     """
     count, n_w = len(value), internal.shape[1]
     if n_w == 0:
         return np.zeros((count, 0))
-    knots = np.unique(np.linspace(0, count - 1, min(count, _COARSE)).astype(int))
+    knots = np.unique(np.linspace(0, count - 1, min(count, first)).astype(int))
     solved = {int(k): _least(value[k], internal) for k in knots}
 
     def between() -> Array:
@@ -30,7 +28,7 @@ def internal_wrenches(value: Array, internal: Array) -> Array:
     def largest(k: int) -> float:
         return float((value[k] + internal @ solved[k]).max())
 
-    for _ in range(_MOST):
+    for _ in range(further):
         seen = (value + between() @ internal.T).max(axis=1)
         worst, known = int(np.argmax(seen)), max(largest(k) for k in solved)
         failing = np.flatnonzero(seen > 0)

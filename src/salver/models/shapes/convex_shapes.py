@@ -15,20 +15,15 @@ import numpy as np
 from salver.geometry import Array, Indices
 from salver.models.shapes.hulls import triangles
 
-THINNEST = 1e-3  # m, least thickness, because Coal needs shapes with a volume
-SLABS = 8  # equal slabs, which are joined to at most PIECES
-PIECES = 3
-WORTH = 0.85  # share of the hull's volume that the pieces may have together, to stand for it
-
 Triangles = Indices
 
 
-def convex(points: Array) -> Any:
-    """Coal's convex hull of points (n, 3), m, made at least `THINNEST` thick."""
+def convex(points: Array, thinnest: float = 1e-3) -> Any:
+    """Coal's convex hull of points (n, 3), m, made at least `thinnest` thick, m: Coal needs shapes with a volume."""
     axes = np.linalg.eigh(np.cov(points.T))[1]
     for axis in axes.T:
-        if np.ptp(points @ axis) < THINNEST:
-            points = np.vstack([points - 0.5 * THINNEST * axis, points + 0.5 * THINNEST * axis])
+        if np.ptp(points @ axis) < thinnest:
+            points = np.vstack([points - 0.5 * thinnest * axis, points + 0.5 * thinnest * axis])
     mesh = coal.BVHModelOBBRSS()
     mesh.beginModel(0, len(points))
     mesh.addVertices(points)
@@ -49,25 +44,29 @@ def _joggled(points: Array) -> Any:
     return coal.Convex(vertices, faces)
 
 
-def convex_pieces(points: Array, corners: Triangles) -> list[Any]:
-    """Convex shapes that contain a mesh of points (n, 3), m, and triangles (k, 3); its hull if pieces save little."""
+def convex_pieces(points: Array, corners: Triangles, most: int = 3, slabs: int = 8, worth: float = 0.85) -> list[Any]:
+    """Convex shapes that contain a mesh of points (n, 3), m, and triangles (k, 3); its hull if pieces save little.
+
+    most: number of pieces. slabs: number of equal slabs that are joined to them. worth: largest share of the hull's
+    volume that the pieces may have together.
+    """
     whole = convex(points)
     axis = np.linalg.eigh(np.cov(points.T))[1][:, -1]
     ends = points @ axis
-    slabs = _slabs(points, corners, axis, np.linspace(ends.min(), ends.max(), SLABS + 1)[1:-1])
-    if any(len(slab) < 4 for slab in slabs):  # several separate bodies
+    cut = _slabs(points, corners, axis, np.linspace(ends.min(), ends.max(), slabs + 1)[1:-1])
+    if any(len(slab) < 4 for slab in cut):  # several separate bodies
         return [whole]
-    slabs = [np.asarray(convex(slab).points()) for slab in slabs]
-    united = {(i, j): convex(np.vstack(slabs[i:j])) for i in range(SLABS) for j in range(i + 1, SLABS + 1)}
+    cut = [np.asarray(convex(slab).points()) for slab in cut]
+    united = {(i, j): convex(np.vstack(cut[i:j])) for i in range(slabs) for j in range(i + 1, slabs + 1)}
     size = {span: float(shape.computeVolume()) for span, shape in united.items()}
     # The least volume of the first j slabs in a number of pieces, and the first slab of each piece.
-    best = {j: (size[0, j], [0]) for j in range(1, SLABS + 1)}
-    for _ in range(PIECES - 1):
+    best = {j: (size[0, j], [0]) for j in range(1, slabs + 1)}
+    for _ in range(most - 1):
         best = {j: min([best[j]] + [(best[i][0] + size[i, j], [*best[i][1], i]) for i in range(1, j)]) for j in best}
-    least, begins = best[SLABS]
-    if least > WORTH * float(whole.computeVolume()):
+    least, begins = best[slabs]
+    if least > worth * float(whole.computeVolume()):
         return [whole]
-    return [united[span] for span in zip(begins, [*begins[1:], SLABS], strict=True)]
+    return [united[span] for span in zip(begins, [*begins[1:], slabs], strict=True)]
 
 
 def _slabs(points: Array, corners: Triangles, axis: Array, cuts: Array) -> list[Array]:

@@ -12,10 +12,7 @@ import numpy as np
 
 from salver.geometry import Array, Indices, Mask
 
-_IN_PLANE = 1e-8  # distance up to which a ray lies in a facet's plane (both of unit size)
-_NEAR_PLANE = 1e-7  # distance up to which rays are used for the first fit of a plane
 _WIDTH = 1e-12  # least squared width of the rays in a facet
-_POINTED = 1e-9  # least cosine between every ray of a pointed cone and a direction inside the polar cone
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,8 +122,8 @@ def _qhull_cone(rays: Array) -> Array:
     return _refit(rays, rows / np.linalg.norm(rows, axis=1)[:, None])
 
 
-def _interior_direction(rays: Array) -> Array:
-    """A unit vector with a positive product with every ray (n, d)."""
+def _interior_direction(rays: Array, pointed: float = 1e-9) -> Array:
+    """A unit vector with a positive product, at least `pointed`, with every unit ray (n, d)."""
     mean = rays.mean(axis=0)
     if np.linalg.norm(mean) > 0 and (rays @ mean).min() > 1e-2 * np.linalg.norm(mean):
         return mean / np.linalg.norm(mean)
@@ -140,23 +137,24 @@ def _interior_direction(rays: Array) -> Array:
         bounds=[(-1, 1)] * d + [(None, None)],
         method="highs",
     )
-    if result.x is None or result.x[-1] < _POINTED:
+    if result.x is None or result.x[-1] < pointed:
         raise ValueError("the cone contains a line and has no facets")
     return result.x[:-1] / np.linalg.norm(result.x[:-1])
 
 
-def _refit(rays: Array, rows: Array) -> Array:
+def _refit(rays: Array, rows: Array, near: float = 1e-7, within: float = 1e-8) -> Array:
     """Unique facets (m, d), unit rows fitted to the rays (n, d) that lie in them, in the order of those rays.
 
-    Planes with a ray outside, or with too few rays for a facet, are dropped.
+    Planes with a ray outside, or with too few rays for a facet, are dropped. near: distance up to which unit rays are
+    used for the first fit of a plane; within: up to which they lie in it.
     """
-    fitted, _ = _through(rays, rows, np.abs(rows @ rays.T) < _NEAR_PLANE)
+    fitted, _ = _through(rays, rows, np.abs(rows @ rays.T) < near)
     # Neighbouring facets of a round cone can be so close that their rays are mixed; then the fit is not used.
     better = (fitted @ rays.T).max(axis=1) <= (rows @ rays.T).max(axis=1) + 1e-12
     rows = np.where(better[:, None], fitted, rows)
-    active = np.abs(rows @ rays.T) < _IN_PLANE
+    active = np.abs(rows @ rays.T) < within
     _, values = _through(rays, rows, active)
     spanned = values[:, 1] > _WIDTH if rays.shape[1] > 1 else np.ones(len(rows), dtype=bool)
-    kept = np.flatnonzero(spanned & ((rows @ rays.T).max(axis=1) <= _IN_PLANE))
+    kept = np.flatnonzero(spanned & ((rows @ rays.T).max(axis=1) <= within))
     kept = kept[np.unique(np.packbits(active[kept], axis=1), axis=0, return_index=True)[1]]
     return np.asarray(rows[kept])

@@ -13,12 +13,12 @@ if TYPE_CHECKING:
     from trimesh import Trimesh
 
 FORMATS = (".stl", ".obj", ".ply", ".off")
-LARGEST = 50_000_000  # bytes
-MOST_FACES = 1_000_000
+LARGEST = 50_000_000  # bytes of a mesh or a URDF
 
 
-def read_mesh_file(file: str | Path) -> Trimesh:
-    """The triangles of a file, all parts together. Raises ValueError, whose message continues a sentence."""
+def read_mesh_file(file: str | Path, most: int = 1_000_000) -> Trimesh:
+    """The triangles of a file, at most so many, all parts together. Raises ValueError, whose message continues a
+    sentence."""
     import trimesh
 
     path = Path(file)
@@ -44,6 +44,6 @@ def read_mesh_file(file: str | Path) -> Trimesh:
         raise ValueError("has corners that are not finite")
     if mesh is None or len(mesh.faces) == 0:
         raise ValueError("holds no triangles")
-    if len(mesh.faces) > MOST_FACES:
-        raise ValueError(f"has {len(mesh.faces)} triangles; at most {MOST_FACES} are accepted: simplify it")
+    if len(mesh.faces) > most:
+        raise ValueError(f"has {len(mesh.faces)} triangles; at most {most} are accepted: simplify it")
     return mesh

@@ -15,8 +15,6 @@ from salver.models.described import Floor, Obstacle
 from salver.models.shapes.convex_shapes import convex
 from salver.models.shapes.mesh_files import read_mesh_file
 
-MOST_PIECES = 64  # of one mesh
-
 
 def obstacle_shapes(obstacle: Obstacle | Floor) -> list[tuple[Any, Any]]:
     """Coal's shapes of an obstacle with their placements in S (pin.SE3); several for a mesh of several pieces.
@@ -45,7 +43,8 @@ def mesh_pieces(obstacle: Obstacle) -> list[Array]:
 
 
 @lru_cache(maxsize=64)
-def _pieces(file: str) -> tuple[Array, ...]:
+def _pieces(file: str, most: int = 64) -> tuple[Array, ...]:
+    """Corners of each separate piece of a mesh file, at most so many pieces."""
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
 
@@ -58,8 +57,6 @@ def _pieces(file: str) -> tuple[Array, ...]:
     graph = coo_matrix((np.ones(len(edges)), edges.T), shape=(len(points), len(points)))
     labels = connected_components(graph, directed=False)[1]
     pieces = [points[labels == label] for label in np.unique(labels[edges])]
-    if len(pieces) > MOST_PIECES:
-        raise ValueError(
-            f"has {len(pieces)} separate pieces; at most {MOST_PIECES} are accepted: split it into several files"
-        )
+    if len(pieces) > most:
+        raise ValueError(f"has {len(pieces)} separate pieces; at most {most} are accepted: split it into several files")
     return tuple(pieces)

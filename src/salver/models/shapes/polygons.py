@@ -6,9 +6,6 @@ import numpy as np
 
 from salver.geometry import Array
 
-STRAIGHT = 1e-13  # relative area below which three points are on a line
-MANY = 200  # with more points, those that are obviously inside are removed first
-
 
 def half_planes(polygon: Array) -> tuple[Array, Array]:
     """Unit outward normals (n, 2) and offsets (n,) of a polygon, with normal . x <= offset inside."""
@@ -17,20 +14,21 @@ def half_planes(polygon: Array) -> tuple[Array, Array]:
     return normal, np.einsum("ij,ij->i", normal, polygon)
 
 
-def convex_hull(points: Array) -> Array:
+def convex_hull(points: Array, straight: float = 1e-13, many: int = 200) -> Array:
     """Vertices (n, 2) of the convex hull of points (m, 2), least x first; empty if the points lie on a line.
 
-    By the monotone chain (Andrew 1979), without vertices at which the hull turns by rounding only.
+    By the monotone chain (Andrew 1979), without vertices at which the hull turns by rounding only: straight: relative
+    area below which three points are on a line. many: of more points those that are obviously inside go first.
     """
     if len(points) < 3:
         return np.empty((0, 2))
     size = float(np.ptp(points, axis=0).max())
-    if len(points) > MANY:  # a point inside eight extreme ones cannot be a vertex
+    if len(points) > many:  # a point inside eight extreme ones cannot be a vertex
         angle = np.pi / 4 * np.arange(8)
         far = convex_hull(points[np.unique((points @ [np.cos(angle), np.sin(angle)]).argmax(axis=0))])
         if len(far):
             normal, offset = half_planes(far)
-            points = points[(points @ normal.T - offset).max(axis=1) > -STRAIGHT * size]
+            points = points[(points @ normal.T - offset).max(axis=1) > -straight * size]
     ordered = points[np.lexsort((points[:, 1], points[:, 0]))].tolist()
     corners: list[list[float]] = []
     for way in (ordered, ordered[::-1]):
@@ -38,7 +36,7 @@ def convex_hull(points: Array) -> Array:
         for x, y in way:
             while len(chain) > 1:
                 (ax, ay), (bx, by) = chain[-2:]
-                if (bx - ax) * (y - ay) - (by - ay) * (x - ax) > STRAIGHT * size**2:
+                if (bx - ax) * (y - ay) - (by - ay) * (x - ax) > straight * size**2:
                     break
                 chain.pop()
             chain.append([x, y])
@@ -80,8 +78,9 @@ def inset(polygon: Array, distance: float) -> Array:
     return from_half_planes(normal, offset - distance)
 
 
-def simplified(polygon: Array, most: int) -> Array:
-    """A polygon inside the given one, with at most `most` of its vertices."""
+def simplified(polygon: Array, most: int = 16) -> Array:
+    """A polygon inside the given one, with at most `most` of its vertices: the number of facets of a cone on it grows
+    with their square."""
     while len(polygon) > most:
         before, after = np.roll(polygon, 1, axis=0) - polygon, np.roll(polygon, -1, axis=0) - polygon
         ear = np.abs(before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0])

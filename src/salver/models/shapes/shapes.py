@@ -17,8 +17,6 @@ from salver.models.shapes.hulls import polytope
 from salver.models.shapes.mesh_files import read_mesh_file
 from salver.models.shapes.polygons import convex_hull, simplified
 
-MOST_VERTICES = 16  # of the base of a composite or mesh; the number of cone facets grows with its square
-
 
 @dataclass(frozen=True)
 class Solid:
@@ -104,11 +102,11 @@ def composite(parts: list[tuple[Solid, Array, float]]) -> Solid:
     points = np.vstack([s.bounding_points_G + p - middle for s, p, _ in parts])
     return Solid(
         high - low,
-        simplified(convex_hull(np.vstack(base)), MOST_VERTICES),
+        simplified(convex_hull(np.vstack(base))),
         centroid,
         np.asarray(inertia),
         points,
-        simplified(convex_hull(np.vstack(top)), MOST_VERTICES),
+        simplified(convex_hull(np.vstack(top))),
         convex_hull(points[:, :2]),
     )
 
@@ -151,11 +149,11 @@ def _mesh(path: Path, modified: int, file: str, scale: float) -> Solid:
     unit_inertia = scale**2 * np.asarray(surface.moment_inertia) / surface.volume
     return Solid(
         height,
-        simplified(base, MOST_VERTICES),
+        simplified(base),
         scale * np.asarray(surface.center_mass) - bounds.mean(axis=0),
         unit_inertia,
         vertices[polytope(vertices).corners],
-        simplified(top, MOST_VERTICES),
+        simplified(top),
         convex_hull(vertices[:, :2]),
         (vertices, np.asarray(surface.faces)),
     )

@@ -29,16 +29,30 @@ from typing import Self
 import numpy as np
 
 from salver.geometry import Array, Indices, Mask
-from salver.models.rigid_body import inertia_entries, inertia_matrix
+from salver.models.rigid_body import PAIRS, inertia_entries, inertia_matrix
 from salver.models.shapes.hulls import polytope
 from salver.models.uncertain.parameters import Parameter
 
-MOST_FACES = 150  # of the convex hull, of all dimensions; a shape with more is replaced by its bounding box
-EXACT = 1e-3  # largest gap between bound and attained value, as a share of a row's curvature over the shape
-_STEPS = 60  # largest number of iterations of the search
-_AT_ONCE = 2000  # rows that are searched together; they fit into the cache
-_PIVOT = 1e-5  # relative size below which a column does not leave the mixture, to keep the others independent
-_FLAT = 1e-9  # relative curvature below which a face's maximum is taken on its boundary
+
+@dataclass(frozen=True)
+class MomentSearch:
+    """Options of the search for the largest mean.
+
+    Attributes:
+        gap: largest gap between bound and attained value, as a share of a row's curvature over the shape. Doubled,
+            bounds are looser by up to as much.
+        steps: largest number of iterations.
+        rows: number of rows that are searched together; they fit into the cache.
+        pivot: relative size below which a column does not leave the mixture, to keep the others independent.
+    """
+
+    gap: float = 1e-3
+    steps: int = 60
+    rows: int = 2000
+    pivot: float = 1e-5
+
+
+MOMENT_SEARCH = MomentSearch()
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,14 +71,14 @@ class Hull:
     offset: Array
 
     @classmethod
-    def of(cls, points: Array) -> Hull:
-        """The hull of points (n, 3), or their bounding box if the hull has more than `MOST_FACES` faces."""
+    def of(cls, points: Array, most: int = 150) -> Hull:
+        """The hull of points (n, 3), or their bounding box if the hull has more than `most` faces of all dimensions."""
         low, high = points.min(axis=0), points.max(axis=0)
         centre, half = 0.5 * (low + high), 0.5 * (high - low)
         scaled = (points - centre) / half
         hull = polytope(scaled)
         corners, normal, offset = scaled[hull.corners], hull.normal, hull.offset
-        if 4 * len(corners) > MOST_FACES:  # vertices - edges + facets = 2 and facets >= 3
+        if 4 * len(corners) > most:  # vertices - edges + facets = 2 and facets >= 3
             corners = np.array(np.meshgrid(*[(-1.0, 1.0)] * 3)).reshape(3, -1).T
             normal, offset = np.vstack([np.eye(3), -np.eye(3)]), np.ones(6)
         on = np.abs(corners @ normal.T - offset) < 1e-7  # (corners, facets)
@@ -87,8 +101,11 @@ class Hull:
         """Number of corners, which are the first faces."""
         return len(self.foot) - sum(len(basis) for basis in self.basis)
 
-    def maxima(self, b: Array, Q: Array) -> Maxima:
-        """Candidates for the maximum of b . x + x^T Q x - u . x for any u: b (M, 3), Q (M, 3, 3)."""
+    def maxima(self, b: Array, Q: Array, flat: float = 1e-9) -> Maxima:
+        """Candidates for the maximum of b . x + x^T Q x - u . x for any u: b (M, 3), Q (M, 3, 3).
+
+        flat: relative curvature below which a face's maximum is taken on its boundary.
+        """
         scale = np.abs(Q).max(axis=(1, 2), initial=0.0)[:, None] + 1e-300
         start = self.corners
         answer, there = np.zeros((len(b), len(self.foot), 3, 3)), np.zeros((len(b), len(self.foot)), dtype=bool)
@@ -97,7 +114,7 @@ class Hull:
             faces = slice(start, start + len(basis))
             start += len(basis)
             curvature = np.einsum("fia,mij,fjb->mfab", basis, Q, basis, optimize=True)
-            concave = np.linalg.eigvalsh(curvature)[..., -1] < -_FLAT * scale
+            concave = np.linalg.eigvalsh(curvature)[..., -1] < -flat * scale
             inverse = np.linalg.inv(np.where(concave[..., None, None], 2 * curvature, -np.eye(basis.shape[2])))
             answer[:, faces] = np.einsum("fia,mfab,fjb->mfij", basis, inverse, basis, optimize=True)
             there[:, faces] = concave
@@ -143,8 +160,8 @@ def largest_mean(hull: Hull, mean: Array, b: Array, Q: Array, enough: Array | No
     shifted = b + 2 * Q @ centre
     constant = b @ centre + np.einsum("i,mij,j->m", centre, Q, centre)
     goal = np.full(len(b), -np.inf) if enough is None else enough - constant
-    for start in range(0, len(b), _AT_ONCE):
-        part = slice(start, start + _AT_ONCE)
+    for start in range(0, len(b), MOMENT_SEARCH.rows):
+        part = slice(start, start + MOMENT_SEARCH.rows)
         scaled = shifted[part] * half, Q[part] * np.outer(half, half)
         found = _search(hull, mean / half, -centre / half, *scaled, goal[part])
         values[part] = found[0] + constant[part]
@@ -172,7 +189,7 @@ def _search(hull: Hull, mean: Array, origin: Array, b: Array, Q: Array, enough: 
     columns[:, :3] = np.swapaxes(points - start[:, None], 1, 2)
     bounds, shares = np.full(count, np.inf), np.zeros((count, 4))
     left, maxima = np.arange(count), hull.maxima(b, Q)
-    for _ in range(_STEPS):
+    for _ in range(MOMENT_SEARCH.steps):
         inverse = np.linalg.inv(columns[left])
         price = np.einsum("mpi,mp->mi", inverse, cost[left])
         u = price[:, :3]
@@ -183,8 +200,9 @@ def _search(hull: Hull, mean: Array, origin: Array, b: Array, Q: Array, enough: 
         entering = np.concatenate([x - e, np.ones((len(left), 1))], axis=1)
         share, along = np.maximum(inverse[:, :, 3], 0.0), np.einsum("mpi,mi->mp", inverse, entering)
         shares[left] = share
-        pivots = along > _PIVOT * np.abs(along).max(axis=1, keepdims=True)
-        open_ = (bounds[left] - price[:, 3] > EXACT * size[left]) & pivots.any(axis=1) & (bounds[left] > enough[left])
+        pivots = along > MOMENT_SEARCH.pivot * np.abs(along).max(axis=1, keepdims=True)
+        apart = bounds[left] - price[:, 3] > MOMENT_SEARCH.gap * size[left]
+        open_ = apart & pivots.any(axis=1) & (bounds[left] > enough[left])
         if not open_.any():
             break
         ratio = np.where(pivots, share / np.where(pivots, along, 1.0), np.inf)
@@ -197,7 +215,6 @@ def _search(hull: Hull, mean: Array, origin: Array, b: Array, Q: Array, enough: 
     return bounds, points, shares / shares.sum(axis=1, keepdims=True)
 
 
-PAIRS = ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))  # axes of the second moments, ordered as inertia entries
 # (6, 6) from second moments (xx, xy, yy, xz, yz, zz) to inertia entries about the same point: tr(S) 1 - S
 INERTIA_OF_MOMENTS = np.stack([inertia_entries(np.trace(m) * np.eye(3) - m) for m in inertia_matrix(np.eye(6))], axis=1)
 

@@ -40,7 +40,6 @@ from salver.models.uncertain.parameters import Parameter, Vibration, support
 from salver.models.uncertain.worst_contents import SURE, ContentsCase, Unsolved, bounded
 
 ALL = slice(None)
-_CHUNK = 160_000  # terms that are computed at once; they fit into the cache, and are too few for several threads
 
 
 @dataclass(frozen=True)
@@ -290,16 +289,16 @@ def _strayed(
     return strayed, less
 
 
-def _values(rows: UncertainRows, w: Array, drift: Drift | None) -> Array:
+def _values(rows: UncertainRows, w: Array, drift: Drift | None, at_once: int = 160_000) -> Array:
     """Worst case (T, n) of all rows, computed in pieces of time; the searches for the worst fillings run for all pieces
-    together."""
+    together. at_once: terms of a piece, which fit into the cache and are too few for several threads."""
     if rows.certain and (drift is None or not drift.terms):
         either = [side @ rows.nominal.T + rows.shaken for _, side in _sides(w, drift)]
         return np.maximum(*either) if len(either) > 1 else either[0]
     n_k, n = 0 if drift is None else len(drift.terms), len(rows.nominal)
     per_row = len(rows.parameter) + len(rows.remainder) + n_k + 30 * len(rows.fillings)
     values = np.empty((len(w), n))
-    every = max(1, _CHUNK // max(1, n * per_row))
+    every = max(1, at_once // max(1, n * per_row))
     cases, unsolved = _cases(rows, w, drift), []
     for start in range(0, len(w), every):
         part = slice(start, start + every)

@@ -11,7 +11,6 @@ from salver.geometry import Array, Indices
 from salver.models.uncertain.contents import Filling
 
 SURE = -0.02  # rows that may be above this are always computed exactly, so that the sign of every row is right
-_SETTLED = 1e-6  # of the weight; bounds that differ by less are equal
 
 
 @dataclass(frozen=True)
@@ -55,11 +54,13 @@ class Unsolved:
         return np.minimum(highest, self.known + sum(rest))
 
 
-def bounded(fillings: tuple[Filling, ...], cases: list[ContentsCase], start: int) -> tuple[Array, list[Unsolved]]:
+def bounded(
+    fillings: tuple[Filling, ...], cases: list[ContentsCase], start: int, equal: float = 1e-6
+) -> tuple[Array, list[Unsolved]]:
     """Upper bounds (T, n) of the worst case with the worst fillings, and the rows that must be computed exactly.
 
     These may be the largest row of an instant, or above `SURE`; their values are -inf. start: index of the first
-    instant.
+    instant. equal: share of the weight by which bounds of one value may differ.
     """
     limits = [[f.limits(of) for f, of in zip(fillings, case.coefficients, strict=True)] for case in cases]
     low, high = (
@@ -67,7 +68,7 @@ def bounded(fillings: tuple[Filling, ...], cases: list[ContentsCase], start: int
         for side in (0, 1)
     )
     matters = np.minimum(low.max(axis=(0, 2)), SURE)[None, :, None]
-    needed, unsolved = (high > matters) & (high - low > _SETTLED), []
+    needed, unsolved = (high > matters) & (high - low > equal), []
     for case, each, at in zip(cases, limits, needed, strict=True):
         instant, row = np.nonzero(at)
         if len(row):

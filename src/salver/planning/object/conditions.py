@@ -31,7 +31,8 @@ from salver.models.bodies import TRAY, Body
 from salver.models.contact_rows import ContactRows, contact_rows
 from salver.models.interfaces import sure_contacts
 from salver.models.payload import Payload
-from salver.models.tray_motion import FULL_SPEED, N_MOTION, PRODUCTS, Speed, corners, frame_map, wrench_map
+from salver.models.rigid_body import PAIRS
+from salver.models.tray_motion import FULL_SPEED, N_MOTION, Speed, corners, frame_map, wrench_map
 from salver.models.uncertain.parameters import Parameter, support
 from salver.scenario import Scenario
 from salver.sensitivity.dual import Dual, joined
@@ -304,7 +305,7 @@ def felt_at(motion: BodyMotion, first: Body, n_z: int, speed: Speed = FULL_SPEED
         if part.tangent is not None:
             tangent[:, at : at + 3] += scale * part.tangent[:, 0]
     if omega is not None:
-        one, other = (list(index) for index in zip(*PRODUCTS, strict=True))
+        one, other = (list(index) for index in zip(*PAIRS, strict=True))
         turned = np.broadcast_to(omega.value[:, 0], shape)
         w[:, 6:] = turned[:, one] * turned[:, other]
         if omega.tangent is not None:

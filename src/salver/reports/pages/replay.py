@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from salver.geometry import GRAVITY_S, Array, interpolated, invert, matrix_from_quat_wxyz, quat_wxyz_from_matrix, spread
 from salver.models.bodies import Body
-from salver.models.load_dynamics import BEYOND_COLOUR, EDGE_COLOUR, Drawn, LoadDynamics
+from salver.models.load_dynamics import Drawn, LoadDynamics
 from salver.models.shapes import hulls
 from salver.models.uncertain.parameters import Parameter
 from salver.reports.pages.meshes import decimate, link_meshes, obstacle_meshes, pack
@@ -51,7 +51,7 @@ def stage(
             "owner": first.name,
             "coneHeight": 0.03,  # m
         },
-        "edge": {"kept": EDGE_COLOUR, "beyond": BEYOND_COLOUR},
+        "edge": dict(zip(("kept", "beyond"), Drawn.edge_colours, strict=True)),
         "wallOpacity": WALL_OPACITY,
         "loadHeight": max(float(b.p_EB[2] - b.com_G[2] + b.solid.base_z + b.solid.height) for b in bodies),
     }

@@ -18,11 +18,12 @@ from salver.control.object import Gains
 from salver.geometry import Array, hat
 from salver.linear_filter import LinearFilter, settled
 from salver.models.bodies import Body
-from salver.models.tray_motion import PRODUCTS, frame_map
+from salver.models.rigid_body import PAIRS
+from salver.models.tray_motion import frame_map
 from salver.sensitivity.arm.terms import MotionTerms
 from salver.sensitivity.arm.tracking import JointDeviation, Law, TrayDeviation
 
-_FIRST, _SECOND = ([pair[k] for pair in PRODUCTS] for k in (0, 1))
+_FIRST, _SECOND = ([pair[k] for pair in PAIRS] for k in (0, 1))
 
 
 def tray_of_task(

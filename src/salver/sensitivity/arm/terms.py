@@ -15,9 +15,10 @@ import numpy.typing as npt
 import pinocchio as pin
 
 from salver.geometry import GRAVITY_S, Array, hat
-from salver.models.tray_motion import N_MOTION, PRODUCTS
+from salver.models.rigid_body import PAIRS
+from salver.models.tray_motion import N_MOTION
 
-_FIRST, _SECOND = np.array(PRODUCTS).T
+_FIRST, _SECOND = np.array(PAIRS).T
 _VALUES = ("p_SE", "R_SE", "twist", "spatial", "torque", "w")
 
 
@@ -25,8 +26,8 @@ def _by_moved() -> tuple[Array, Array]:
     """Linear maps: from (up, v, omega) to hat(up), hat(omega), -hat(v) (9, 27), and from omega to the derivatives of
     its products (3, 18)."""
     up, v, omega = (hat(x) for x in np.eye(9).reshape(9, 3, 3).swapaxes(0, 1))
-    turning = np.zeros((3, len(PRODUCTS), 3))
-    for k, (i, j) in enumerate(PRODUCTS):
+    turning = np.zeros((3, len(PAIRS), 3))
+    for k, (i, j) in enumerate(PAIRS):
         turning[i, k, j] += 1.0
         turning[j, k, i] += 1.0
     return np.concatenate([up, omega, -v], axis=2).reshape(9, 27), turning.reshape(3, -1)
