@@ -20,7 +20,7 @@ from salver.geometry import Array
 from salver.models.arm.arm import load_arm
 from salver.motion_files import JointSamples, Samples, read_path
 from salver.motion_files.readers import TABLES
-from salver.motion_files.samples import AT_REST
+from salver.motion_files.samples import AT_REST, MOST_SAMPLES
 from salver.motion_files.units import Units
 from salver.motion_files.verdict import SPEED, UNSAFE, one_line
 from salver.planning.plan import Plan, load_plan
@@ -30,11 +30,7 @@ from salver.simulation.physics import simulate_tray
 from salver.simulation.record import SimulationRecord
 from salver.trajectory import SampledReference
 
-MOST_WAYPOINTS = 1_000_000
-FASTEST, SLOWEST = 0.05, 20.0  # time factors that are accepted
-_STEP = 1.02  # ratio of successive time factors that are tried
-_TRIES = 40
-_APART = 1e-6  # s between the two samples at a waypoint
+FACTORS = (0.05, 20.0)  # least and largest time factor that is accepted
 
 
 def read_waypoints(path: Path, scenario: Scenario, topic: str | None = None, units: str | None = None) -> Array:
@@ -56,8 +52,8 @@ def read_waypoints(path: Path, scenario: Scenario, topic: str | None = None, uni
     waypoints = read_path(path, arm.joint_names, topic, Units.parse(units, arm.linear))
     if path.suffix.lower() in TABLES:
         check_radians(waypoints, arm, str(path))
-    if len(waypoints) > MOST_WAYPOINTS:
-        raise FileFormatError(f"{path} has {len(waypoints)} waypoints; at most {MOST_WAYPOINTS} are accepted.")
+    if len(waypoints) > MOST_SAMPLES:
+        raise FileFormatError(f"{path} has {len(waypoints)} waypoints; at most {MOST_SAMPLES} are accepted.")
     return waypoints
 
 
@@ -103,29 +99,35 @@ class Paced:
 
 
 def at_pace(
-    samples: Samples, scenario: Scenario, factor: float | None = None, options: AuditOptions = DEFAULT
+    samples: Samples,
+    scenario: Scenario,
+    factor: float | None = None,
+    options: AuditOptions = DEFAULT,
+    *,
+    step: float = 1.02,
+    tries: int = 40,
 ) -> Paced:
     """The motion stretched in time by `factor`.
 
     factor: new duration over old; if None, the least one (to 2 %) at which the audit holds. If the audit holds at none
-    of those tried, the result is that of the first.
+    of those tried, the result is that of the first. step, tries: ratio and number of the factors that are tried.
 
-    Raises SalverError for a factor outside `FASTEST` to `SLOWEST`, and for a path on which the load cannot hold at any
-    speed.
+    Raises SalverError for a factor outside `FACTORS`, and for a path on which the load cannot hold at any speed.
     """
+    least, most = FACTORS
     if factor is not None:
-        if not FASTEST <= factor <= SLOWEST:
-            raise SalverError(f"The time factor is {factor:g}; it must be {FASTEST:g} to {SLOWEST:g}.")
+        if not least <= factor <= most:
+            raise SalverError(f"The time factor is {factor:g}; it must be {least:g} to {most:g}.")
         return _paced(samples, scenario, factor, options)
     pace = audit_samples(samples, scenario, options).speeds_worst.pace
     if not pace.ok:
         raise SalverError(f"{samples.source}: {pace.sentence}")
-    factor = max(FASTEST, np.ceil(1000 * pace.details["factor"]) / 1000, _slowest_joint(samples, scenario)[0])
+    factor = max(least, np.ceil(1000 * pace.details["factor"]) / 1000, _slowest_joint(samples, scenario)[0])
     first = found = _paced(samples, scenario, factor, options)
-    for _ in range(_TRIES):
-        if found.ok or factor * _STEP > SLOWEST:
+    for _ in range(tries):
+        if found.ok or factor * step > most:
             break
-        factor *= _STEP
+        factor *= step
         found = _paced(samples, scenario, factor, options)
     return found if found.ok else first
 
@@ -166,10 +168,7 @@ def simulate_given(
     parameters: true values by name, in SI units; the others are nominal. options: how the samples are interpreted, as
     in an audit. Raises SalverError for a motion that does not begin at rest, because the engine does.
     """
-    motion = audit_samples(samples, scenario, options).motion.samples
-    # Commands have two samples at every waypoint, one for each side; the interpolation needs distinct instants.
-    kept = np.diff(motion.t, prepend=-np.inf) > _APART
-    motion = motion.only(kept)
+    motion = audit_samples(samples, scenario, options).motion.samples.distinct()
     speed = float(np.linalg.norm(motion.v_S[0]))
     if speed > AT_REST:
         raise SalverError(

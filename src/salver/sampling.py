@@ -22,9 +22,6 @@ if TYPE_CHECKING:
 Method = Literal["uniform", "corners"]
 METHODS: tuple[str, ...] = get_args(Method)
 
-_WITHIN = 0.95  # a random centre of mass is drawn at most this share of the way to the shape's surface
-_TRIES = 1000  # draws for one run before the set is considered impossible
-
 Possible = Callable[[Array], Mask]
 
 
@@ -63,9 +60,19 @@ def _inertia_of(parameter: Parameter, filled: Sequence[Body]) -> bool:
 
 
 def _filled(
-    uncertain: UncertainSet, n: int, seed: int, method: Method, bodies: Sequence[Body], filled: Sequence[Body]
+    uncertain: UncertainSet,
+    n: int,
+    seed: int,
+    method: Method,
+    bodies: Sequence[Body],
+    filled: Sequence[Body],
+    within: float = 0.95,
 ) -> Array:
-    """Samples for bodies with random contents: inertias of random mass distributions, all else by the method."""
+    """Samples for bodies with random contents: inertias of random mass distributions, all else by the method.
+
+    within: share of the way to the shape's surface at which a centre of mass is at most: only a mass concentrated on
+    the surface has its centre of mass there.
+    """
     others = [p for p in uncertain.parameters if not _inertia_of(p, filled)]
     known = [body for body in bodies if body not in filled]
     column = {p: j for j, p in enumerate(uncertain.parameters)}
@@ -77,26 +84,31 @@ def _filled(
         for k in range(n):
             at = np.array([values[k, own[i]] if i in own else nominal[i] for i in range(4)])
             outwards = faces[:, :3] @ at[1:]
-            beyond = outwards > -_WITHIN * faces[:, 3]
-            if beyond.any():  # only a mass concentrated on the surface has its centre of mass there
-                at[1:] *= _WITHIN * float(np.min(-faces[beyond, 3] / outwards[beyond]))
+            beyond = outwards > -within * faces[:, 3]
+            if beyond.any():
+                at[1:] *= within * float(np.min(-faces[beyond, 3] / outwards[beyond]))
             inertia = at[0] * random_inertia(body, at[1:], np.random.default_rng([seed, k, 1]))
             for i, j in own.items():
                 values[k, j] = at[i] if i < 4 else inertia[i - 4]
     return values
 
 
-def _uniform(uncertain: UncertainSet, n: int, seed: int, possible: Possible, first: int = 0) -> Array:
-    """Runs first .. first + n - 1, each from its own generator."""
+def _uniform(
+    uncertain: UncertainSet, n: int, seed: int, possible: Possible, first: int = 0, tries: int = 1000
+) -> Array:
+    """Runs first .. first + n - 1, each from its own generator. tries: draws before the set counts as impossible."""
     values = np.empty((n, uncertain.size))
     for row, k in enumerate(range(first, first + n)):
         rng = np.random.default_rng([seed, k])
-        for _ in range(_TRIES):
+        for _ in range(tries):
             values[row] = _point(uncertain, rng)
             if possible(values[row : row + 1])[0]:
                 break
         else:
-            raise _nothing_possible(uncertain, _TRIES)
+            raise SalverError(
+                f"None of {tries} samples of the uncertain set ({', '.join(uncertain.names)}) is an object that can "
+                "exist; narrow the ranges of inertia and centre of mass, or correct their nominal values."
+            )
     return values
 
 
@@ -194,10 +206,3 @@ def _inertial_test(uncertain: UncertainSet, body: Body) -> Possible:
         return realisable(body, values, within_shape=within_shape)
 
     return test
-
-
-def _nothing_possible(uncertain: UncertainSet, tries: int) -> SalverError:
-    return SalverError(
-        f"None of {tries} samples of the uncertain set ({', '.join(uncertain.names)}) is an object that can exist; "
-        "narrow the ranges of inertia and centre of mass, or correct their nominal values."
-    )

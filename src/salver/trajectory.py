@@ -44,6 +44,11 @@ class MotionSamples:
         """The motion at some of the instants."""
         return MotionSamples(*(getattr(self, each.name)[index] for each in fields(self)))
 
+    def distinct(self, apart: float = 1e-6) -> MotionSamples:
+        """The samples without the second of two within `apart`, s, as a command has at each waypoint, one for each
+        side: interpolation needs distinct instants."""
+        return self.only(np.diff(self.t, prepend=-np.inf) > apart)
+
     def of_frame(self, p_BX: npt.ArrayLike, R_BX: npt.ArrayLike | None = None) -> MotionSamples:
         """The motion of a frame X that is fixed to B."""
         R_BX = np.eye(3) if R_BX is None else np.asarray(R_BX, dtype=float)

@@ -22,7 +22,7 @@ def on(monkeypatch):
 
     def stderr(seen: io.StringIO, after: float = 0.05) -> io.StringIO:
         monkeypatch.setattr(sys, "stderr", seen)
-        monkeypatch.setattr(progress, "AFTER", after)
+        monkeypatch.setattr(progress.Progress, "after", after)
         monkeypatch.setenv("TERM", "xterm")
         return seen
 
@@ -80,7 +80,7 @@ def test_where_nobody_looks_nothing_is_drawn(on):
 
 
 def test_without_a_terminal_a_line_says_what_is_tried_every_few_seconds(on, monkeypatch):
-    monkeypatch.setattr(progress, "EVERY", 0.02)
+    monkeypatch.setattr(progress.Progress, "every", 0.02)
     seen = on(io.StringIO())
     with progress.working("plan"):
         time.sleep(0.1)

@@ -8,12 +8,12 @@ from scipy.integrate import solve_ivp
 from scipy.sparse import diags, identity, kron
 from scipy.sparse.linalg import spsolve
 
-import salver.dynamics.modal_motion as waves_module
 from potential_flow import box, cylinder, rectangle, simulate
 from salver.dynamics.liquid.sloshing import SloshingResponse
 from salver.dynamics.liquid.surface import SurfaceCases, SurfaceMotion
 from salver.dynamics.load_cases import LoadCase
 from salver.dynamics.modal_changes import changed
+from salver.dynamics.modal_motion import ModalMotion
 from salver.dynamics.modal_state import ModalState
 from salver.dynamics.motion_gradients import Unknowns, wrench_by
 from salver.models.tray_motion import at_rest
@@ -73,7 +73,7 @@ def test_derivatives_agree_with_differences(coffee, changes, underway, monkeypat
     """By what the tray felt at all times, and by the duration; to what is interpolated between 201 nodes. Where the
     motion goes on from another the waves are as they are, how high and how fast, and so is the container's turn. What
     the walls of a box that turns take along is iterated to the end here."""
-    monkeypatch.setattr(waves_module, "SETTLED", 1e-9)
+    monkeypatch.setattr(ModalMotion, "settled", 1e-9)
     scenario = coffee.with_changes(**changes) if changes else coffee
     both = [LoadCase(scenario.payload.first, fill, 0.01) for fill in (0.05, 0.06)]
     rng, t, step = np.random.default_rng(1), np.linspace(0, 0.9, 201), 1e-6
@@ -182,7 +182,7 @@ def test_waves_in_a_cup_are_those_of_nonlinear_potential_flow(coffee):
 def test_changes_are_first_order_differences(coffee, shape, monkeypatch):
     """Of all that the tray feels: pushes, what stiffens the waves, turns about every axis. Central differences, to
     what is interpolated between nodes of a wave times a change."""
-    monkeypatch.setattr(waves_module, "SETTLED", 1e-9)
+    monkeypatch.setattr(ModalMotion, "settled", 1e-9)
     made = coffee.with_changes(**BOX) if shape else coffee
     case, t = LoadCase(made.payload.first, 0.05, 0.01), np.linspace(0, 0.9, 101)
     here, step = SurfaceMotion.along((case,), t, shaken(t)), 1e-5

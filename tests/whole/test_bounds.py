@@ -193,7 +193,7 @@ def test_a_bomb_of_entities_is_no_urdf(tmp_path):
 def test_waypoints_are_bounded(tmp_path, monkeypatch):
     path = tmp_path / "w.csv"
     path.write_text("1,2,3,4,5,6,7\n" * 11)
-    monkeypatch.setattr(given, "MOST_WAYPOINTS", 10)
+    monkeypatch.setattr(given, "MOST_SAMPLES", 10)
     with pytest.raises(FileFormatError, match="at most 10 are accepted"):
         given.read_waypoints(path, CUBE)
 

@@ -20,7 +20,6 @@ ENGINES: tuple[str, ...] = get_args(Engine)
 SUMMARY = "campaign.json"
 DEFAULT_FOLDER = "campaign"
 STOPS_FOLDER = "stops"  # default folder of a campaign with stops
-MOST_RUNS = 200_000  # of all plans together, about 5 kB each
 
 
 @dataclass(frozen=True)
@@ -52,14 +51,25 @@ class Definition:
 
 
 def define(
-    directory: Path, stems: Sequence[str], n: int, seed: int, method: str, engine: str, folder: str, stops: bool
+    directory: Path,
+    stems: Sequence[str],
+    n: int,
+    seed: int,
+    method: str,
+    engine: str,
+    folder: str,
+    stops: bool,
+    most: int = 200_000,
 ) -> Definition:
-    """Check and make the definition of a campaign in a run directory. Raises SalverError for a mistake."""
+    """Check and make the definition of a campaign in a run directory. Raises SalverError for a mistake.
+
+    most: runs of all plans together, about 5 kB each.
+    """
     if n < 1:
         raise SalverError(f"The number of runs is {n}; it must be at least 1.")
-    if n * len(stems) > MOST_RUNS:
+    if n * len(stems) > most:
         raise SalverError(
-            f"{n} runs of {len(stems)} plans are more than the {MOST_RUNS} that fit into the memory; use several "
+            f"{n} runs of {len(stems)} plans are more than the {most} that fit into the memory; use several "
             "folders with other seeds."
         )
     if seed < 0:

@@ -35,7 +35,6 @@ if TYPE_CHECKING:
     import pandas
 
 TABLE = "runs.parquet"
-MOST_SERIAL = 4  # batches that run in this process, because loading the engine in others takes as long
 Progress = Callable[[int, int, Counter[tuple[str, str]]], None]
 
 
@@ -80,7 +79,7 @@ def run_campaign(
 
     Args:
         stems: names of the plans to run; default: the first two of "plan", "baseline" and "nominal" that exist.
-        jobs: processes; default: one for each core, or this process for at most `MOST_SERIAL` batches.
+        jobs: processes; default: one for each core, or this process for at most 4 batches.
         folder: in the run directory; default: "campaign", or "stops" with stops.
         progress: called as progress(done, total, counts by (stem, outcome)) after each run.
         stops: stop each run at a random instant by the plan's own stops; only for plans with stops.
@@ -113,7 +112,7 @@ def run_campaign(
         if batches:
             head = {"complete": False, "definition": asdict(definition), "provenance": _provenance(directory)}
             write_json(place / SUMMARY, head)
-        with closing(_results(context, batches, jobs or (_cores() if len(batches) > MOST_SERIAL else 1))) as results:
+        with closing(_results(context, batches, jobs)) as results:
             for records in results:
                 for record in records:
                     journal.append(record)
@@ -197,10 +196,13 @@ def _batches(items: set[Item], stems: Sequence[str], engine: str) -> list[worker
     return [(stems[rank], tuple(sorted(runs))) for (_, rank), runs in sorted(blocks.items())]
 
 
-def _results(context: Context, batches: list[workers.Batch], jobs: int) -> Generator[workers.Records, None, None]:
-    if not batches:
-        return
-    if min(jobs, len(batches)) == 1:
-        yield from workers.serial(context, batches)
+def _results(
+    context: Context, batches: list[workers.Batch], jobs: int | None, few: int = 4
+) -> Generator[workers.Records, None, None]:
+    """Records of batches, as they finish. few: batches up to which this process runs them unless `jobs` are given,
+    because loading the engine in others takes as long."""
+    jobs = min(jobs or (_cores() if len(batches) > few else 1), len(batches))
+    if jobs <= 1:
+        yield from (context.execute(*batch) for batch in batches)
     else:
-        yield from workers.processes(context, batches, min(jobs, len(batches)))
+        yield from workers.processes(context, batches, jobs)

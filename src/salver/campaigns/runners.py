@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 # Runs that the closed-loop engine integrates together. The block of a run is always complete and in the same order,
 # because linear algebra on fewer rows may round differently, and a resumed campaign must give an equal table.
 BLOCK = 16
-SPACING = 0.01  # s between the instants at which the closed-loop engine checks the tube
 
 Scalars = dict[str, float | str | bool | None]
 
@@ -140,10 +139,10 @@ def _closed_loop(plan: Plan, runs: Sequence[int], drawn: Sequence[Mapping[str, f
     return results
 
 
-def _stride(t: Array) -> int:
-    """Number of instants from one check of a rollout to the next, about SPACING; a divisor of len(t) - 1."""
+def _stride(t: Array, spacing: float = 0.01) -> int:
+    """Number of instants from one check of a rollout to the next, about `spacing`, s; a divisor of len(t) - 1."""
     count = len(t) - 1
-    wanted = max(1, int(SPACING / (t[-1] - t[0]) * count))
+    wanted = max(1, int(spacing / (t[-1] - t[0]) * count))
     return next(k for k in range(wanted, 0, -1) if count % k == 0)
 
 

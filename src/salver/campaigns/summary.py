@@ -19,7 +19,6 @@ from salver.statistics import clopper_pearson, mcnemar, quantiles
 DROPPED = ("tips", "lifts", "lost")  # outcomes of a stopped run that count as a loss of the load
 LARGEST_SLIP = 5e-3  # m; a larger slip counts as a loss too
 MAGIC = b"PAR1"  # at both ends of a Parquet file
-TUBE_TOLERANCE = 0.01  # excess, as a share of the largest radius, up to which a run counts as inside its tube
 
 # From best to worst; an outcome that is not listed is worst.
 SEVERITY = ("holds", "leaves cone", "limit", "slides", "swings", "spills", "lifts", "tips", "lost", "error")
@@ -145,10 +144,10 @@ LEFT_TUBES = (
 )
 
 
-def _tube(rows: Sequence[Row]) -> dict[str, Any] | None:
+def _tube(rows: Sequence[Row], tolerance: float = 0.01) -> dict[str, Any] | None:
     """Number of runs with a cone coefficient outside the plan's first-order tube, and the largest excess.
 
-    "left": runs with an excess over TUBE_TOLERANCE of the tube's largest radius.
+    "left": runs with an excess over a share `tolerance` of the tube's largest radius.
     """
     excess = [
         (row["tube_excess_relative"], row["tube_excess"], row["run"])
@@ -159,8 +158,8 @@ def _tube(rows: Sequence[Row]) -> dict[str, Any] | None:
         return None
     relative, absolute, run = max(excess)
     return {
-        "left": clopper_pearson(sum(e > TUBE_TOLERANCE for e, _, _ in excess), len(excess)).as_dict(),
-        "tolerance_relative": TUBE_TOLERANCE,
+        "left": clopper_pearson(sum(e > tolerance for e, _, _ in excess), len(excess)).as_dict(),
+        "tolerance_relative": tolerance,
         "worst_excess": absolute,
         "worst_excess_relative": relative,
         "worst_run": run,

@@ -24,12 +24,6 @@ _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 _context: Context | None = None  # set in the worker processes of a pool
 
 
-def serial(context: Context, batches: Sequence[Batch]) -> Iterator[Records]:
-    """Run batches in this process, in order."""
-    for stem, runs in batches:
-        yield context.execute(stem, runs)
-
-
 def processes(context: Context, batches: Sequence[Batch], jobs: int) -> Iterator[Records]:
     """Run batches in `jobs` processes. Raises SalverError when one of them dies (killed, out of memory)."""
     with _single_threaded():

@@ -13,15 +13,18 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-AFTER = 1.0  # s until the line is shown in a terminal, and between its renewals
-EVERY = 3.0  # s between lines elsewhere
 ERASE = "\r\x1b[2K"  # the line of a terminal
 
 _now: Progress | None = None  # of the running command
 
 
 class Progress:
-    """Progress of a command, told by a thread of its own until its end."""
+    """Progress of a command, told by a thread of its own until its end.
+
+    after: s until the line is shown in a terminal, and between its renewals. every: s between lines elsewhere.
+    """
+
+    after, every = 1.0, 3.0
 
     def __init__(self, name: str) -> None:
         self._name, self._begun, self._stream = name, time.monotonic(), sys.stderr
@@ -47,7 +50,7 @@ class Progress:
         self.hide()
 
     def _tell(self) -> None:
-        while not self._ended.wait(AFTER if self._terminal else EVERY):
+        while not self._ended.wait(self.after if self._terminal else self.every):
             done, total, words = self._done
             line = f"salver {self._name}: {time.monotonic() - self._begun:.0f} s"
             if words:

@@ -13,8 +13,7 @@ too optimistic (see `salver.models.contact_rows`).
 
 from salver.contact_margins.braking import Braking, BrakingOptions, braking
 from salver.contact_margins.interface import InterfaceMargins
-from salver.contact_margins.model import EDGES, MarginModel, margin_model
-from salver.contact_margins.motion import tray_motion
+from salver.contact_margins.model import EDGES, MarginModel, margin_model, tray_motion
 from salver.contact_margins.time_scaling import SafeSpeeds, safe_speeds
 from salver.contact_margins.whole import Margins, margins
 

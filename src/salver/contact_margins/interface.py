@@ -8,14 +8,13 @@ from functools import cached_property
 import numpy as np
 
 from salver.contact_margins.root_finding import zero_between
-from salver.contact_margins.values import RowValues
+from salver.contact_margins.values import TOLERANCE, RowValues
 from salver.geometry import Array
 from salver.models.contact.contact import ContactSet
 from salver.models.contact.wrench_cone import friction_needed, tip_over_margin
 from salver.models.contact_rows import ContactRows, Labels, cone_rows
 from salver.models.interfaces import Interface, needed_at_tray, to_tray
 
-_TOLERANCE = 1e-9  # tolerance of a margin, as a share of the weight
 HIGHEST = 5.0  # friction coefficient beyond which no contact is looked at
 _FINE = 32  # edges of the pyramids of the nominal verdict: at most 0.5 % short of the round cone
 
@@ -134,7 +133,7 @@ class InterfaceMargins:
         It is at least the nominal one, and infinite if no friction suffices.
         """
         whole, least = self.whole, max(0.999 * float(self.friction_needed.max()), 1e-4)
-        if float(self.tipping_worst.min()) < -_TOLERANCE or least >= HIGHEST:
+        if float(self.tipping_worst.min()) < -TOLERANCE or least >= HIGHEST:
             return float("inf")
 
         def beyond(inverse: float) -> float:
@@ -162,10 +161,10 @@ class InterfaceMargins:
     def failure(self, worst: bool) -> tuple[float, int, str, InterfaceMargins] | None:
         """(time, order, code, self) of the first failure, or None."""
         if worst:
-            tips, slides = self.tipping_worst < -_TOLERANCE, self.sliding_worst < -_TOLERANCE
+            tips, slides = self.tipping_worst < -TOLERANCE, self.sliding_worst < -TOLERANCE
             lifts = tips & np.isneginf(self.tip_over_worst)
         else:
-            tips, slides = np.asarray(self.tip_over < 0), self._finely_needed > self.friction * (1 + _TOLERANCE)
+            tips, slides = np.asarray(self.tip_over < 0), self._finely_needed > self.friction * (1 + TOLERANCE)
             lifts = np.isneginf(self.tip_over)
         for k in np.flatnonzero(tips | slides)[:1]:
             code = "lifts" if lifts[k] else "tips" if tips[k] else "slides"

@@ -8,14 +8,16 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from salver.display import Outlined
-from salver.geometry import Array
+from salver.geometry import Array, invert
 from salver.models.contact.contact import ContactSet
 from salver.models.contact.wrench_cone import support_rows
 from salver.models.contact_rows import MOST_GENERATORS, ContactRows, Labels, RowsOf, cone_rows, network_rows
 from salver.models.interfaces import ContactNetwork
 from salver.models.payload import Payload
+from salver.models.tray_motion import frame_map, motion_vector
 from salver.models.uncertain.parameters import NOTHING, Parameter, UncertainSet
 from salver.scenario import Scenario
+from salver.trajectory import MotionSamples
 
 EDGES = 8  # least number of edges of the friction pyramids, which are then at most 8 % inside the round cone
 
@@ -101,3 +103,10 @@ def edge_rows(contacts: ContactSet) -> tuple[Array, Labels]:
     """Rows of the support polygon's edges (label 0), of f_z (1) and of -f_z (2)."""
     edges, normal = support_rows(contacts)
     return np.vstack([edges, normal, -normal]), np.array([0] * len(edges) + [1, 2])
+
+
+def tray_motion(scenario: Scenario, samples: MotionSamples) -> Array:
+    """Motion regressor w (T, 12) of the tray frame E if frame B of the first object moves as `samples`."""
+    first = scenario.payload.first
+    w_B = motion_vector(samples.R_SB, samples.a_S, samples.omega_B, samples.alpha_B)
+    return w_B @ frame_map(*invert(first.p_EB, first.R_EB)).T

@@ -25,6 +25,7 @@ import numpy as np
 
 from salver.contact_margins.model import MarginModel
 from salver.contact_margins.root_finding import zero_between
+from salver.contact_margins.values import TOLERANCE
 from salver.contact_margins.whole import Margins
 from salver.dynamics.payload_response import PayloadResponse
 from salver.errors import Status
@@ -33,14 +34,31 @@ from salver.models.tray_motion import motion_vector
 from salver.trajectory import MotionSamples
 
 TRIED = np.append(0.0, 1.04 ** np.arange(-59.0, 1.0))  # factors that are checked with a liquid or pendulum
-FINEST = 1e-3  # resolution of the limits of the factor with a liquid or pendulum
-FEW = 4  # step through these factors for a quick look
-RIPPLE = 0.02  # share of the limits by which what is left varies at low factors without a resonance
-SLOWEST, FASTEST = 0.01, 5.0  # limits of the search for factors
-_TOLERANCE = 1e-9  # tolerance of a margin, as a share of the weight
 _HAPPENS = {"unsettled": "still sloshes"}
 
 Intervals = tuple[tuple[float, float], ...]
+
+
+@dataclass(frozen=True)
+class SpeedSearch:
+    """Options of the search for speed factors.
+
+    Attributes:
+        slowest: least factor; the time of a load at rest is that at this factor.
+        fastest: largest factor.
+        finest: resolution of the limits of the factor with a liquid or pendulum.
+        few: step through `TRIED` for a quick look.
+        ripple: share of the limits by which what is left varies at low factors without a resonance.
+    """
+
+    slowest: float = 0.01
+    fastest: float = 5.0
+    finest: float = 1e-3
+    few: int = 4
+    ripple: float = 0.02
+
+
+SEARCH = SpeedSearch()
 
 
 @dataclass(frozen=True)
@@ -166,11 +184,11 @@ class TimeScaled:
     def margin(self, squared: float, rate: float = 0.0, at: Indices | slice = slice(None)) -> Array:
         """Least margin (T,) of all contacts, as a share of the weight."""
         margins = Margins(self.model, self.tray.t[at], self.w(squared, rate, at))
-        return (margins.exact_worst if self.worst else margins.exact) + _TOLERANCE
+        return (margins.exact_worst if self.worst else margins.exact) + TOLERANCE
 
     def margins(self, factor: float) -> Margins:
-        """All margins at a constant factor, over the stretched time; for factor 0 over that of `SLOWEST`."""
-        w, t = self.w(factor**2), (self.tray.t - self.tray.t[0]) / (factor or SLOWEST)
+        """All margins at a constant factor, over the stretched time; at factor 0 over that of the slowest one."""
+        w, t = self.w(factor**2), (self.tray.t - self.tray.t[0]) / (factor or SEARCH.slowest)
         return Margins(self.model, t, w, None if self._loads is None else self._loads.elsewhere(t, w))
 
     @cached_property
@@ -184,7 +202,7 @@ class TimeScaled:
         inside = min((float(each.slack.min()) for each in margins.load_verdicts(self.worst)), default=np.inf)
         if inside < 0:
             return inside
-        return min(inside, float((margins.exact_worst if self.worst else margins.exact).min()) + _TOLERANCE)
+        return min(inside, float((margins.exact_worst if self.worst else margins.exact).min()) + TOLERANCE)
 
     def failure(self, intervals: Intervals) -> tuple[float | None, Status | None]:
         """An unsafe factor beside the uppermost interval, and the status there."""
@@ -204,7 +222,7 @@ class TimeScaled:
                 break
         else:  # the verdict has finer pyramids
             factor, status = float(beside[0]), replace(status, code="slides", ok=False)
-        posture = float(status.details["time"]) * (factor or SLOWEST)
+        posture = float(status.details["time"]) * (factor or SEARCH.slowest)
         return factor, replace(status, details={**status.details, "posture_time": posture})
 
 
@@ -214,8 +232,8 @@ def _exact(scaled: TimeScaled) -> tuple[Intervals, float | None]:
     inside = 1.0 if full else 0.0 if still else _between(scaled)
     if inside is None:
         return (), None
-    low, high = _edge(scaled, inside, 0.0), _edge(scaled, inside, 1.0 if inside < 1 else FASTEST**2)
-    if high < SLOWEST**2:
+    low, high = _edge(scaled, inside, 0.0), _edge(scaled, inside, 1.0 if inside < 1 else SEARCH.fastest**2)
+    if high < SEARCH.slowest**2:
         return (), None
     return ((float(np.sqrt(low)), float(np.sqrt(min(high, 1.0)))),) if low <= 1 else (), float(np.sqrt(high))
 
@@ -227,7 +245,7 @@ def _between(scaled: TimeScaled) -> float | None:
 
     found = minimize_scalar(
         lambda squared: -scaled.margin(squared).min(),
-        bounds=(0.0, FASTEST**2),
+        bounds=(0.0, SEARCH.fastest**2),
         method="bounded",
         options={"xatol": 1e-9},
     )
@@ -264,7 +282,7 @@ def _tried(scaled: TimeScaled) -> tuple[Intervals, float | None, int, tuple[floa
             edge = (known[a] < 0) != (known[b] < 0)
             # Between two safe factors another may be unsafe, if their slacks differ by more than what remains.
             near = 0 <= min(known[a], known[b]) < abs(known[a] - known[b])
-            if b - a > (FINEST if edge else 8 * FINEST) and (edge or near):
+            if b - a > (SEARCH.finest if edge else 8 * SEARCH.finest) and (edge or near):
                 between.append(0.5 * (a + b))
         if not between:
             break
@@ -281,15 +299,15 @@ def lacking_of_few(model: MarginModel, tray: MotionSamples) -> tuple[float, ...]
     resonance, where less is left than beside it and than at rest. Of few factors that are tried, and all of `TRIED`
     beside those that fail: that none is found is no proof (see `safe_speeds`).
     """
-    scaled, known = TimeScaled(model, tray, worst=True), dict[int, float]()
+    scaled, known, few = TimeScaled(model, tray, worst=True), dict[int, float](), SEARCH.few
 
     def look(numbers: Iterable[int]) -> None:
         known.update({k: scaled.slack(float(TRIED[k])) for k in numbers})
 
-    look(range(0, len(TRIED), FEW))
+    look(range(0, len(TRIED), few))
     failing = [k for k in known if known[k] < 0]
-    look({j for k in failing for j in range(max(k - FEW, 0), min(k + FEW, len(TRIED)))} - known.keys())
-    most = min(0.0, known[0] - RIPPLE)
+    look({j for k in failing for j in range(max(k - few, 0), min(k + few, len(TRIED)))} - known.keys())
+    most = min(0.0, known[0] - SEARCH.ripple)
     found = {k for k in known if known[k] < min(most, *(known.get(j, np.inf) for j in (k - 1, k + 1)))}
     found |= {k for k in known if known[k] == min(known.values()) < 0}
     return tuple(float(TRIED[k]) for k in sorted(found))
@@ -298,9 +316,9 @@ def lacking_of_few(model: MarginModel, tray: MotionSamples) -> tuple[float, ...]
 def _above(scaled: TimeScaled) -> float:
     """The largest factor above 1 up to which all checked ones are safe, for a load with a liquid or pendulum."""
     low, high = 1.0, 1.04
-    while high < FASTEST and scaled.slack(high) >= 0:
+    while high < SEARCH.fastest and scaled.slack(high) >= 0:
         low, high = high, 1.04 * high
-    while high - low > FINEST and high < FASTEST:
+    while high - low > SEARCH.finest and high < SEARCH.fastest:
         middle = 0.5 * (low + high)
         low, high = (middle, high) if scaled.slack(middle) >= 0 else (low, middle)
     return low

@@ -12,7 +12,7 @@ from salver.geometry import Array
 from salver.models.contact.internal_wrench import internal_wrenches
 from salver.models.contact_rows import ContactRows
 
-AT_ONCE = 256  # instants that are computed at once
+TOLERANCE = 1e-9  # of a margin, as a share of the weight
 
 
 @dataclass(frozen=True)
@@ -41,12 +41,12 @@ class RowValues:
         value = rows.worst(self.w)
         return value if self.loads is None else value + LoadRows.of(rows, self.loads.nominal).values
 
-    def worst_case(self, rows: ContactRows) -> Array:
-        """Worst case of the rows (T, n)."""
+    def worst_case(self, rows: ContactRows, at_once: int = 256) -> Array:
+        """Worst case of the rows (T, n); with loads so many instants at once, to limit the memory for all cases."""
         value = rows.worst(self.w)
-        if self.loads is not None:  # in pieces of time, because all cases at all instants would need too much memory
-            for first in range(0, len(value), AT_ONCE):
-                at = slice(first, first + AT_ONCE)
+        if self.loads is not None:
+            for first in range(0, len(value), at_once):
+                at = slice(first, first + at_once)
                 value[at] += most_added(rows, self.loads.worst, at)
         return value
 

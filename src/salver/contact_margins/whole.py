@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from salver.contact_margins.interface import InterfaceMargins
-from salver.contact_margins.model import margin_model
-from salver.contact_margins.motion import tray_motion
+from salver.contact_margins.model import margin_model, tray_motion
 from salver.contact_margins.values import RowValues
 from salver.display import Shown
 from salver.dynamics.load_limits import LoadVerdict

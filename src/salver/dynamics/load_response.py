@@ -39,6 +39,7 @@ class LoadResponse(ABC):
     """
 
     motion_type: ClassVar[type[ModalMotion]] = ModalMotion
+    least: ClassVar[float] = 1e-6  # m; smaller displacements have no direction
 
     modes: ModalMotion
     wrench: Array

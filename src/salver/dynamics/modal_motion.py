@@ -21,7 +21,6 @@ from salver.linear_filter import LinearFilter
 from salver.models.load_dynamics import LEAST_WEIGHT
 from salver.models.tray_motion import N_MOTION
 
-TURNS, SETTLED = 24, 1e-3  # limit and tolerance of the iteration in which waves along both sides of a box interact
 TURNING = np.zeros(N_MOTION)
 TURNING[[6, 8]] = 1.0  # omega_x^2 + omega_y^2: the same in every frame whose z is the tray's
 
@@ -69,6 +68,8 @@ class ModalMotion:
     """
 
     cases_type: ClassVar[type[ModalCases]] = ModalCases
+    iterations: ClassVar[int] = 24  # largest number, in which waves along both sides of a box interact
+    settled: ClassVar[float] = 1e-3  # largest change, as a share of the waves, after which they end
     cases: ModalCases
     t: Array
     filters: LinearFilter
@@ -162,9 +163,9 @@ class ModalMotion:
             return drive, None
         found, before = drive, np.zeros(1)
         by_rate, by_place, own = (x.transpose(0, 2, 3, 1)[..., None] for x in self.walls)
-        for _ in range(TURNS):
+        for _ in range(self.iterations):
             r, rate = self.filters.respond(found, begin)
-            if np.abs(r - before).max() < SETTLED * np.abs(r).max():
+            if np.abs(r - before).max() < self.settled * np.abs(r).max():
                 return found, (r, rate)
             found = drive + by_rate * rate[:, :, ::-1]
             found += by_place * r[:, :, ::-1]

@@ -19,7 +19,6 @@ from salver.models.load_dynamics import Colour, Drawn, LoadDynamics, Modes
 from salver.models.rigid_body import RigidBody
 
 ROOM = "the room there is"  # group of its limits, in words
-AT_REST = 1e-6  # m; smaller swings have no direction
 CORNERS = np.array(
     [
         [a * np.eye(3)[0], b * np.eye(3)[1], c * np.eye(3)[2]][:: a * b * c]
@@ -47,12 +46,12 @@ class PendulumResponse(LoadResponse):
     def _by(self, case: Indices, node: Indices, unknowns: Unknowns) -> Array:
         r = self.modes.r[case, node]
         return at_node(
-            unknowns, self.planned, case, node, r / np.maximum(np.linalg.norm(r, axis=-1, keepdims=True), AT_REST)
+            unknowns, self.planned, case, node, r / np.maximum(np.linalg.norm(r, axis=-1, keepdims=True), self.least)
         )
 
     def _bends(self, case: Indices, node: Indices, unknowns: Unknowns) -> Array:
         r = self.modes.r[case, node]
-        aside = r[..., ::-1] * [-1.0, 1.0] / np.maximum(np.linalg.norm(r, axis=-1, keepdims=True), AT_REST) ** 1.5
+        aside = r[..., ::-1] * [-1.0, 1.0] / np.maximum(np.linalg.norm(r, axis=-1, keepdims=True), self.least) ** 1.5
         return at_node(unknowns, self.planned, case, node, aside)[:, None]
 
     @property
@@ -76,7 +75,7 @@ class PendulumResponse(LoadResponse):
                 by = (none + axis, none) if order == 0 else (none, speed * axis)
                 found.append(at_node(unknowns, self.planned, case, last, *by))
         end = self._end[case]
-        return np.stack(found, axis=1), (end / np.maximum(np.linalg.norm(end, axis=1, keepdims=True), AT_REST))[
+        return np.stack(found, axis=1), (end / np.maximum(np.linalg.norm(end, axis=1, keepdims=True), self.least))[
             ..., None
         ]
 
@@ -86,7 +85,7 @@ class PendulumResponse(LoadResponse):
 
     def _left_bends(self, case: Indices, unknowns: Unknowns) -> Array:
         by, way = self._end_by(case, unknowns)
-        size = np.maximum(np.linalg.norm(self._end[case], axis=1), AT_REST)[:, None, None]
+        size = np.maximum(np.linalg.norm(self._end[case], axis=1), self.least)[:, None, None]
         return (by - way * (way * by).sum(axis=1, keepdims=True)) / np.sqrt(size)
 
 
@@ -102,10 +101,6 @@ class Pendulum(LoadDynamics):
     damping: tuple[float, float]
     quantity: ClassVar[str] = "length"
     noun: ClassVar[str] = "pendulum"
-
-    @property
-    def value(self) -> float:
-        return self.length
 
     @property
     def response(self) -> type[PendulumResponse]:

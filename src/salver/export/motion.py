@@ -13,43 +13,40 @@ from salver.errors import SalverError
 from salver.files import provenance
 from salver.geometry import Array, interpolated, quat_wxyz_from_matrix
 from salver.motion_files import JointSamples, MotionSeries, TraySamples, read
-from salver.motion_files.samples import reordered
+from salver.motion_files.samples import MOST_SAMPLES, reordered
 from salver.motion_files.units import Units
 from salver.planning.plan import Plan
 from salver.planning.round import MultiLegPlan, load
 from salver.scenario import Scenario
 
-MOST_SAMPLES = 1e6
-PAUSE, LONGEST_PAUSE = 5.0, 3600.0  # s between two legs in a file: unless another is given, and at most
-STILL = 0.01  # s between samples of a pause: an audit takes no recording with gaps of over 20 ms
+PAUSE = 5.0  # s between two legs in a file, unless another is given
 
 
 def read_motion(
-    directory: str | Path, stem: str = "plan", rate: float | None = None, pause: float = PAUSE
+    directory: str | Path, stem: str = "plan", rate: float | None = None, pause: float = PAUSE, still: float = 100.0
 ) -> MotionSeries:
     """The motion `stem` of a run directory, at its own instants or at `rate` samples per second; of a plan of several
     legs all of them, with the arm at rest for `pause` s between two.
 
-    Raises FileFormatError for a directory without such a plan, SalverError for a rate that is not positive.
+    still: samples per second of a pause without a rate; an audit takes no recording with gaps of over 20 ms.
+    Raises FileFormatError for a directory without such a plan, SalverError for a rate or a pause that cannot be.
     """
     if rate is not None and not 0 < rate <= 1e5:
         raise SalverError(
             f"A rate of {rate:g} samples per second was asked for; it must be above 0 and at most 100000."
         )
-    if not 0 <= pause <= LONGEST_PAUSE:
-        raise SalverError(
-            f"A pause of {pause:g} s between two legs was asked for; it must be from 0 to {LONGEST_PAUSE:g} s."
-        )
+    if not 0 <= pause < np.inf:
+        raise SalverError(f"A pause of {pause:g} s between two legs was asked for; it must be a number, 0 or more.")
     plan = load(directory, stem)
     legs = plan.legs if isinstance(plan, MultiLegPlan) else (plan,)
-    seconds = plan.duration + pause * (len(legs) - 1)
-    if rate is not None and rate * seconds > MOST_SAMPLES:
+    count = (plan.duration + pause * (len(legs) - 1)) * (rate or still)
+    if count > MOST_SAMPLES:
         raise SalverError(
-            f"{rate:g} samples per second make {rate * seconds:.2g} samples of this motion; at most "
-            f"{MOST_SAMPLES:.2g} are written."
+            f"{rate or still:g} samples per second make {count:.2g} samples of this motion; at most {MOST_SAMPLES:.2g} "
+            "are written."
         )
     parts = [_series(leg, rate) for leg in legs]
-    motion = MotionSeries.in_turn(parts, pause, STILL if rate is None else 1 / rate) if len(parts) > 1 else parts[0]
+    motion = MotionSeries.in_turn(parts, pause, 1 / (rate or still)) if len(parts) > 1 else parts[0]
     about = {
         "provenance": provenance(plan.scenario),
         "method": plan.method,

@@ -23,8 +23,6 @@ if TYPE_CHECKING:
 
 START = "start"
 MESHES = "meshes"
-# Servo gains: stiff and overdamped, so that what is on the tray stays there while one looks.
-STIFFNESS, DAMPING = 4000.0, 200.0  # N m/rad, N m s/rad
 
 
 def write_scene(directory: str | Path, path: Path, stem: str = "plan", *, unsafe: bool = False) -> list[Path]:
@@ -107,8 +105,11 @@ def _convex_stl(points: Array) -> bytes:
     return bytes(trimesh.convex.convex_hull(points).export(file_type="stl"))
 
 
-def _add_servos(spec: Any, arm: ArmModel) -> None:
-    """A position servo on every joint, within the maker's torque, and weight compensated as in a real arm."""
+def _add_servos(spec: Any, arm: ArmModel, stiffness: float = 4000.0, damping: float = 200.0) -> None:
+    """A position servo on every joint, within the maker's torque, and weight compensated as in a real arm.
+
+    stiffness, damping: N m/rad, N m s/rad; stiff and overdamped, so that what is on the tray stays while one looks.
+    """
     from salver.simulation.scene.elements import ARM_PREFIX, TRAY_BODY
     from salver.simulation.scene.engine import mujoco
 
@@ -117,7 +118,7 @@ def _add_servos(spec: Any, arm: ArmModel) -> None:
             body.gravcomp = 1.0
     for k, name in enumerate(arm.joint_names):
         servo = spec.add_actuator(name=name, target=ARM_PREFIX + name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
-        servo.set_to_position(kp=STIFFNESS, kv=DAMPING)
+        servo.set_to_position(kp=stiffness, kv=damping)
         if np.isfinite(arm.limits.torque[k]):
             servo.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
             servo.forcerange = [-arm.limits.torque[k], arm.limits.torque[k]]

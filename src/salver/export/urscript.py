@@ -16,9 +16,6 @@ from salver.motion_files import MotionSeries
 from salver.motion_files.verdict import one_line, warns
 
 RATES = (500.0, 250.0, 125.0)  # Hz at which controllers take positions: an e-Series all of them, a CB3 the last
-LOOKAHEAD, GAIN = 0.03, 300.0  # s; the shortest lag that servoj takes, its default gain
-NEAR = 0.01  # rad: further from the start no joint may be when the program begins
-STOP = 2.0  # rad/s^2, of stopj; the arm rests by then
 
 HEAD = """\
 # {verdict}
@@ -80,11 +77,22 @@ salver_motion()
 """
 
 
-def program(motion: MotionSeries, rate: float, stop_input: int = 0) -> str:
-    """The program's text; every number with all its digits. stop_input: the standard digital input that stops it.
+def program(
+    motion: MotionSeries,
+    rate: float,
+    stop_input: int = 0,
+    *,
+    lookahead: float = 0.03,
+    gain: float = 300.0,
+    near: float = 0.01,
+    deceleration: float = 2.0,
+) -> str:
+    """The program's text; every number with all its digits.
 
-    Raises SalverError for a motion without the six joints of such an arm, base to wrist, and for a rate at which its
-    controller does not take positions.
+    stop_input: the standard digital input that stops it. lookahead, gain: of servoj; the shortest lag that it takes, s,
+    and its default gain. near: rad; further from the start no joint may be when the program begins. deceleration: of
+    stopj, rad/s^2; the arm rests by then. Raises SalverError for a motion without the six joints of such an arm, base
+    to wrist, and for a rate at which its controller does not take positions.
     """
     if rate not in RATES:
         raise SalverError(
@@ -114,13 +122,13 @@ def program(motion: MotionSeries, rate: float, stop_input: int = 0) -> str:
         samples=len(motion.t),
         rate=rate,
         version=about["provenance"]["salver"],
-        lag=LOOKAHEAD * 1e3,
+        lag=lookahead * 1e3,
         start=_listed(motion.q[0]),
-        near=NEAR,
+        near=near,
         watch=WATCH.format(stop_input=stop_input) if motion.stops else "",
         stops=STOPS.format(stop_input=stop_input, longest=longest) if motion.stops else NO_STOPS,
     )
-    line = f"  servoj({{}}, t={1 / rate!r}, lookahead_time={LOOKAHEAD!r}, gain={GAIN!r})\n"
+    line = f"  servoj({{}}, t={1 / rate!r}, lookahead_time={lookahead!r}, gain={gain!r})\n"
     text = [head]
     # The first instant is where the arm stands; each line then holds for one period.
     for k, q in enumerate(motion.q):
@@ -131,8 +139,8 @@ def program(motion: MotionSeries, rate: float, stop_input: int = 0) -> str:
             stop = motion.stops[n][1]
             assert stop.q is not None
             lines = "".join("  " + line.format(_listed(x)) for x in stop.q[1:])
-            text.append(LEAVE.format(lines=lines, stop=STOP))
-    return "".join(text) + TAIL.format(stop=STOP)
+            text.append(LEAVE.format(lines=lines, stop=deceleration))
+    return "".join(text) + TAIL.format(stop=deceleration)
 
 
 def own_rate(arm: str) -> float:

@@ -155,9 +155,9 @@ class LoadDynamics(ABC):
     damping: tuple[float, float]
 
     @property
-    @abstractmethod
     def value(self) -> float:
         """Nominal value of the quantity, m."""
+        return float(getattr(self, self.quantity))
 
     @property
     @abstractmethod

@@ -14,6 +14,7 @@ from salver.geometry import Array, continuous
 
 FEWEST = 8  # least number of samples of a recording, to separate accelerations from noise
 SHORTEST_STEP = 1e-5  # s
+MOST_SAMPLES = 1_000_000  # of a motion that is written, or waypoints of a path that is timed
 NUMBERED = re.compile(r"(?:q_)?(([qja])_?\[?(\d+)\]?)", re.IGNORECASE)  # names that only number the joints: q1, J1, A1
 AT_REST = 0.02  # m/s or rad/s, below which a motion is at rest between two legs
 

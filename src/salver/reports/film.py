@@ -26,10 +26,8 @@ if TYPE_CHECKING:
     from salver.scenario import Scenario
 
 FILMS = (".mp4", ".mkv", ".webm")  # by ffmpeg
-MOST_PICTURES = 10_000  # a few minutes of film
 STILLS = (".gif", ".webp")  # by pillow
 LABELS = {"plan": "planned", "baseline": "straight line", "nominal": "planned for nominal values"}
-_GAP = 4  # pixels between two pictures
 
 
 @dataclass(frozen=True)
@@ -50,11 +48,13 @@ def write_film(
     speed: float = 1.0,
     width: int = 960,
     height: int = 720,
+    most: int = 10_000,
 ) -> Film:
     """Film of the simulations that a run directory holds; "both" shows plan and comparison side by side. The legs of a
     plan of several follow one another, as far as they were run.
 
     rate: pictures a second. speed: of time in the film; 0.25 shows it four times slower. width, height: of a picture.
+    most: pictures, a few minutes of film.
     Formats by the ending of `path`: mp4, mkv, webm through ffmpeg; gif, webp without it. Raises SalverError for
     what cannot be, MissingDependencyError when there is no encoder or no OpenGL.
     """
@@ -72,10 +72,10 @@ def write_film(
     save = _ffmpeg(path) if path.suffix in FILMS else _pillow(path)
     scenes = _scenes(Path(directory), stem)
     seconds = sum(scene.seconds for scene in scenes)
-    if seconds * rate / speed > MOST_PICTURES:
+    if seconds * rate / speed > most:
         raise SalverError(
             f"{rate:g} pictures a second at {speed:g} times the speed make {seconds * rate / speed:.2g} pictures; at "
-            f"most {MOST_PICTURES} are drawn."
+            f"most {most} are drawn."
         )
     times = [np.arange(0.0, scene.seconds + 1e-9, speed / rate) for scene in scenes]
     save(chain(*(_pictures(*each, width, height) for each in zip(scenes, times, strict=True))), rate)
@@ -150,9 +150,10 @@ def _titled(picture: np.ndarray, title: str) -> np.ndarray:
     return np.asarray(image)
 
 
-def _side_by_side(pictures: list[np.ndarray]) -> np.ndarray:
-    framed = [np.pad(picture, ((0, 0), (0, _GAP), (0, 0)), constant_values=255) for picture in pictures]
-    return np.concatenate(framed, axis=1)[:, :-_GAP]
+def _side_by_side(pictures: list[np.ndarray], gap: int = 4) -> np.ndarray:
+    """One picture of several, with a gap between two, pixels."""
+    framed = [np.pad(picture, ((0, 0), (0, gap), (0, 0)), constant_values=255) for picture in pictures]
+    return np.concatenate(framed, axis=1)[:, :-gap]
 
 
 Save = Callable[[Iterator[np.ndarray], float], None]

@@ -77,6 +77,7 @@ class Physics(Model):
     robot: RobotBehaviour = RobotBehaviour()
     feedback: Literal["joints", "object"] = "joints"
 
-    def steps(self, duration: float) -> float:
-        """Number of steps of the engine, or of the controller, in a run of a motion."""
-        return (duration + self.settle_before + self.settle_after) / min(self.timestep, self.command_period)
+    def steps(self, duration: float | None, usual: float = 5.0) -> float:
+        """Number of steps of the engine, or of the controller, in a run of a motion; `usual`: its duration if that is
+        not given, s."""
+        return ((duration or usual) + self.settle_before + self.settle_after) / min(self.timestep, self.command_period)

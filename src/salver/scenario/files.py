@@ -15,7 +15,6 @@ from salver.wording import listed
 
 SCENARIO_DIR = Path(__file__).parent.parent / "scenarios"
 LONGEST_TEXT = 1_000_000  # bytes of a scenario file
-LONGEST_LINE = 60  # letters of a scenario's line that an error message shows
 
 
 def load(name_or_path: str | Path) -> Scenario:
@@ -58,16 +57,16 @@ def _unknown(name: str) -> str:
     sentence = f'There is no ready-made scenario "{name}"'
     if Path(f"{name}.toml").is_file():
         return f"{sentence}; the file is {name}.toml."
-    near = get_close_matches(name[:LONGEST_LINE].lower().replace("_", "-"), names(), 3, 0.75)
+    near = get_close_matches(name.lower().replace("_", "-"), names(), 3, 0.75)
     meant = f"; did you mean {listed(near, 'or')}? Known" if near else "; known"
     return f"{sentence}{meant} are {', '.join(names())}, or give a .toml file."
 
 
-def _explained(error: Exception, text: str) -> str:
-    """The error message of a TOML parser, with the line that it is about."""
+def _explained(error: Exception, text: str, letters: int = 60) -> str:
+    """The error message of a TOML parser, with so many letters of the line that it is about."""
     said = str(error).replace("Cannot overwrite a value", "The same key is given twice")
     line = re.search(r"at line (\d+)", said)
-    return said if line is None else f"{said}: {text.split(chr(10))[int(line[1]) - 1].strip()[:LONGEST_LINE]}"
+    return said if line is None else f"{said}: {text.split(chr(10))[int(line[1]) - 1].strip()[:letters]}"
 
 
 def _find_files(data: dict[str, Any], folder: Path) -> None:

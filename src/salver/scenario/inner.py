@@ -18,9 +18,9 @@ class InnerDynamics(Model):
     noun: ClassVar[str]
 
     @property
-    @abstractmethod
     def value(self) -> float:
         """Nominal value of the quantity, m."""
+        return float(getattr(self, self.quantity))
 
     @property
     @abstractmethod

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from pydantic import Field
 
 from salver.fields import Model
+from salver.geometry import quat_wxyz_from_matrix
+from salver.models.bodies import Body
 from salver.scenario.objects import CarriedObject
 from salver.scenario.task import Pose
 from salver.wording import listed
-
-if TYPE_CHECKING:
-    from salver.models.bodies import Body
 
 Some = str | Annotated[list[str], Field(min_length=1, max_length=20)]
 _NAMES = "the name of an object, or a list of names"
@@ -92,8 +91,6 @@ def loads(objects: Sequence[CarriedObject], legs: Sequence[Leg]) -> list[list[Ca
 
 def fixed_to_tray(pose: Pose, at: Body, body: Body) -> Pose:
     """The pose of a body's frame B when the frame B of the body `at`, fixed to the same tray, is at `pose`."""
-    from salver.geometry import quat_wxyz_from_matrix
-
     if body.p_EB.tolist() == at.p_EB.tolist() and body.R_EB.tolist() == at.R_EB.tolist():
         return pose
     R_SE = pose.rotation @ at.R_EB.T

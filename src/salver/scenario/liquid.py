@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
+from salver.dynamics.liquid.liquid import FLUIDS, SHALLOWEST, damping_of, damping_range
 from salver.fields import Metres, Number
+from salver.models.load_dynamics import THICKEST
 from salver.scenario.inner import InnerDynamics
 
 if TYPE_CHECKING:
@@ -42,8 +44,6 @@ class LiquidIn(InnerDynamics):
 
     @model_validator(mode="after")
     def _possible(self) -> LiquidIn:
-        from salver.models.load_dynamics import THICKEST
-
         if (self.radius is None) == (self.size is None):
             raise ValueError("liquid needs the inside of its container: radius of a cylinder, or size of a box")
         if self.settled_within > 0 and self.settled_wave is None:
@@ -53,7 +53,7 @@ class LiquidIn(InnerDynamics):
             )
         if self.damping is not None and self.damping[0] > self.damping[1]:
             raise ValueError(f"liquid.damping = {list(self.damping)}; give the smaller share of critical damping first")
-        least, most = self.damping_range
+        least, most = self._damping_range
         damping = f"liquid.damping = {list(self.damping or ())} of critical"
         if self.damping is None:
             damping = (
@@ -77,23 +77,12 @@ class LiquidIn(InnerDynamics):
 
     @property
     def _viscosity(self) -> float:
-        from salver.dynamics.liquid.liquid import FLUIDS
-
         return FLUIDS[self.kind].viscosity if self.viscosity is None else self.viscosity
 
     @property
-    def damping_range(self) -> tuple[float, float]:
-        """Least and largest damping, share of critical; a viscosity determines it only to within a factor."""
-        from salver.dynamics.liquid.liquid import MOST_OF_WATER, UNKNOWN_DAMPING, damping_of
-
-        if self.damping is not None:
-            return self.damping
-        clean = damping_of(self.inside, self.fill, self._viscosity)
-        return UNKNOWN_DAMPING[0] * clean, max(UNKNOWN_DAMPING[1] * clean, MOST_OF_WATER)
-
-    @property
-    def value(self) -> float:
-        return self.fill
+    def _damping_range(self) -> tuple[float, float]:
+        """Least and largest damping, share of critical."""
+        return self.damping or damping_range(damping_of(self.inside, self.fill, self._viscosity))
 
     @property
     def assumed(self) -> float:
@@ -101,8 +90,6 @@ class LiquidIn(InnerDynamics):
         return min(0.1 * self.fill, 0.5 * (self.brim - self.fill))
 
     def check(self, name: str, outside: tuple[float, ...], height: float, half_range: float) -> None:
-        from salver.dynamics.liquid.liquid import SHALLOWEST
-
         here = f"liquid of {name}"
         if len(outside) != len(self.inside):
             raise ValueError(
@@ -131,7 +118,6 @@ class LiquidIn(InnerDynamics):
             )
 
     def dynamics(self, height: float) -> Liquid:
-        from salver.dynamics.liquid.liquid import FLUIDS
         from salver.dynamics.liquid.sloshing import Liquid
 
         known = FLUIDS[self.kind]
@@ -141,7 +127,7 @@ class LiquidIn(InnerDynamics):
             fill=self.fill,
             brim=self.brim,
             density=known.density if self.density is None else self.density,
-            damping=self.damping_range,
+            damping=self._damping_range,
             margin=self.margin,
             highest=np.inf if self.highest_wave is None else self.highest_wave,
             sealed=self.sealed,

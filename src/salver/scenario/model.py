@@ -10,7 +10,7 @@ from copy import deepcopy
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Self
+from typing import Annotated, Any, Self
 
 import numpy as np
 from pydantic import Field, ValidationError, model_validator
@@ -20,23 +20,16 @@ from salver.errors import ScenarioError
 from salver.fields import Model, Text, Whole
 from salver.geometry import lean
 from salver.models.arm.tables import Arm
+from salver.models.bodies import Body, bodies
+from salver.models.contact_rows import MOST_GENERATORS
 from salver.models.described import Floor, Obstacle, Tray
+from salver.models.payload import Payload
+from salver.models.uncertain.parameters import UncertainSet
 from salver.scenario.cell import Physics, Surroundings
 from salver.scenario.legs import Leg, fixed_to_tray, loads
 from salver.scenario.objects import CarriedObject, UncertaintySet
 from salver.scenario.task import Contact, Control, Motion, Planning, Pose, SensitivityWeighting
 from salver.validation import sentences
-
-if TYPE_CHECKING:
-    from salver.models.bodies import Body
-    from salver.models.payload import Payload
-    from salver.models.uncertain.parameters import UncertainSet
-
-MOST_COEFFICIENTS = 256  # cone coefficients of one object
-MOST_VALUES = 5e7  # numbers in the largest array of a plan: 0.4 GB
-CHECKED = 10  # instants of the check for each node
-MOST_STEPS = 1e6  # engine steps of one run: minutes
-LONGEST = 5.0  # s, duration that the checks assume if the scenario gives none
 
 
 class Scenario(Shown, Model):
@@ -163,30 +156,34 @@ class Scenario(Shown, Model):
                         f"by {1e3 * away:.3g} mm even at rest; it has room for {1e3 * inner.room(most):.3g} mm"
                     )
 
-    def _bounded(self) -> None:
-        """Raise ValueError when a plan or a run would take excessive memory or time."""
+    def _bounded(self, most_values: float = 5e7, most_steps: float = 1e6, checks: int = 10) -> None:
+        """Raise ValueError when a plan or a run would take excessive memory or time.
+
+        most_values: numbers in the largest array of a plan, 0.4 GB, which has so many checks for each node. most_steps:
+        engine steps of one run, minutes.
+        """
         for item, body in zip(self.objects, self.payload.bodies, strict=True):
             count = body.contacts.count * self.contact.edges
-            if count > MOST_COEFFICIENTS:
+            if count > MOST_GENERATORS:
                 raise ValueError(
                     f"{item.name} has {body.contacts.count} contact points with contact.edges = {self.contact.edges} "
-                    f"each, which makes {count} cone coefficients; at most {MOST_COEFFICIENTS} are accepted"
+                    f"each, which makes {count} cone coefficients; at most {MOST_GENERATORS} are accepted"
                 )
-            values = CHECKED * self.motion.nodes * count * (2 + self.payload.uncertain.size)
-            if values > MOST_VALUES:
+            values = checks * self.motion.nodes * count * (2 + self.payload.uncertain.size)
+            if values > most_values:
                 raise ValueError(
                     f"motion.nodes = {self.motion.nodes} with {count} cone coefficients and "
                     f"{self.payload.uncertain.size} uncertain parameters makes {values:.2g} numbers; at most "
-                    f"{MOST_VALUES:.2g} are accepted: give fewer nodes or contact.edges"
+                    f"{most_values:.2g} are accepted: give fewer nodes or contact.edges"
                 )
         if self.arm is not None:
             self.control.check_held(self.physics.command_period)
             self.physics.robot.check_held(self.physics.command_period)
-        steps = self.physics.steps(self.motion.duration or LONGEST)
-        if steps > MOST_STEPS:
+        steps = self.physics.steps(self.motion.duration)
+        if steps > most_steps:
             raise ValueError(
                 f"physics.timestep = {self.physics.timestep:g} s makes {steps:.2g} steps of a run; at most "
-                f"{MOST_STEPS:.2g} are accepted: give a longer one, or a shorter motion"
+                f"{most_steps:.2g} are accepted: give a longer one, or a shorter motion"
             )
 
     @cached_property
@@ -269,9 +266,6 @@ class Scenario(Shown, Model):
     def payload(self) -> Payload:
         """The load: bodies, their contacts, their uncertain parameters. Raises ScenarioError for a task of several
         legs, because each leg has its own load."""
-        from salver.models.bodies import bodies
-        from salver.models.payload import Payload
-
         if self.legs:
             self.check_one_leg("this")
         loose = [item.loose() for item in self.objects]

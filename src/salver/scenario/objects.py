@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import BeforeValidator, Field, SerializerFunctionWrapHandler, model_serializer, model_validator
@@ -22,14 +22,22 @@ from salver.fields import (
     Scale,
     Whole,
 )  # fmt: skip
+from salver.models.bodies import LooseObject, check
+from salver.models.rigid_body import RigidBody, inertia_matrix
+from salver.models.shapes import shapes
+from salver.models.shapes.shapes import Solid
+from salver.models.uncertain.contents import inertia_ranges
+from salver.models.uncertain.parameters import (
+    TILT,
+    Parameter,
+    UncertainSet,
+    Vibration,
+    inertial_vector,
+    parameters_of,
+)
 from salver.scenario.inner import InnerDynamics
 from salver.scenario.liquid import LiquidIn
 from salver.scenario.pendulum import PendulumIn
-
-if TYPE_CHECKING:
-    from salver.models.bodies import LooseObject
-    from salver.models.shapes.shapes import Solid
-    from salver.models.uncertain.parameters import Parameter, UncertainSet, Vibration
 
 
 class Box(Model):
@@ -37,8 +45,6 @@ class Box(Model):
     size: tuple[Metres, Metres, Metres]
 
     def solid(self) -> Solid:
-        from salver.models.shapes import shapes
-
         return shapes.box(self.size)
 
 
@@ -49,8 +55,6 @@ class Cylinder(Model):
     support_points: Annotated[Whole, Field(ge=3, le=64)] = 8
 
     def solid(self) -> Solid:
-        from salver.models.shapes import shapes
-
         return shapes.cylinder(self.radius, self.height, self.support_points)
 
 
@@ -73,8 +77,6 @@ class Prism(Model):
         return self
 
     def solid(self) -> Solid:
-        from salver.models.shapes import shapes
-
         return shapes.prism(np.array(self.polygon), self.height)
 
 
@@ -84,8 +86,6 @@ class Mesh(Model):
     scale: Scale = 1.0
 
     def solid(self) -> Solid:
-        from salver.models.shapes import shapes
-
         return shapes.mesh(self.file, self.scale)
 
 
@@ -102,8 +102,6 @@ class Composite(Model):
     parts: Annotated[list[Part], Field(min_length=1, max_length=50)]
 
     def solid(self) -> Solid:
-        from salver.models.shapes import shapes
-
         return shapes.composite([(part.shape.solid(), np.array(part.position), part.mass) for part in self.parts])
 
 
@@ -177,8 +175,6 @@ class Uncertainty(Model):
 
         lone: whether it is the only object, so that its parameters need no prefix.
         """
-        from salver.models.uncertain.parameters import inertial_vector, parameters_of
-
         inertial, inner = inertial_vector(item.own), item.inner
         half = {
             "mass": [_absolute(self.mass, inertial[0])],
@@ -188,8 +184,6 @@ class Uncertainty(Model):
             "position": self.position,
         }
         if item.any_contents:
-            from salver.models.uncertain.contents import inertia_ranges
-
             points = item.solid.bounding_points_G - item.com_G
             heaviest = item.inertial.mass + _absolute(self.mass, inertial[0])
             half["inertia"] = inertia_ranges(points, np.array(self.com or 3 * [0.0]), heaviest, inertial[4:]).tolist()
@@ -273,11 +267,9 @@ class CarriedObject(Model):
 
     @model_validator(mode="after")
     def _physical(self) -> CarriedObject:
-        from salver.models import bodies
-
         self._check_inner()
         loose = self.loose()
-        bodies.check(loose)
+        check(loose)
         away = loose.solid.bounding_points_G - loose.solid.centroid_G - self.com
         # Four times the inertia of the whole mass in the furthest corner; the paper's own value is 1.1 times that.
         most = 4 * self.mass * float(np.sum(away**2, axis=1).max())
@@ -302,9 +294,6 @@ class CarriedObject(Model):
 
         solid: replaces the shape's own, for example with a finer polygon for a round base.
         """
-        from salver.models.bodies import LooseObject
-        from salver.models.rigid_body import RigidBody, inertia_matrix
-
         solid = self.shape.solid() if solid is None else solid
         inner = None if self.inner is None else self.inner.dynamics(solid.height)
         com, unit = np.asarray(self.com), solid.unit_inertia
@@ -382,8 +371,6 @@ class Shake(Model):
 
     @property
     def vibration(self) -> Vibration:
-        from salver.models.uncertain.parameters import Vibration
-
         return Vibration(self.amplitude, float(np.deg2rad(self.tilt_deg)), self.frequency)
 
 
@@ -408,8 +395,6 @@ class UncertaintySet(Model):
 
         Raises ValueError when the correlation matrix is not positive definite or names a parameter without a range.
         """
-        from salver.models.uncertain.parameters import TILT, UncertainSet
-
         lone = len(objects) == 1
         found = [r for item, it in zip(objects, loose, strict=True) for r in item.uncertainty.ranges(it, lone)]
         for parameter, degrees in zip(TILT, self.tilt_deg or (), strict=False):

@@ -32,10 +32,6 @@ class PendulumIn(InnerDynamics):
     damping: tuple[Damped, Damped] = (0.0, 0.02)
 
     @property
-    def value(self) -> float:
-        return self.length
-
-    @property
     def assumed(self) -> float:
         """Half-range of the length, m: 2 %."""
         return 0.02 * self.length

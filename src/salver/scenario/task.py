@@ -9,6 +9,7 @@ import numpy as np
 from pydantic import ConfigDict, Field, model_validator
 
 from salver.fields import Degrees, Model, Number, Point, Turns, Whole
+from salver.geometry import matrix_from_quat_wxyz, matrix_from_rpy
 
 
 class Pose(Model):
@@ -28,8 +29,6 @@ class Pose(Model):
 
     @cached_property
     def rotation(self) -> np.ndarray:
-        from salver.geometry import matrix_from_quat_wxyz, matrix_from_rpy
-
         if self.quat_wxyz is not None:
             return matrix_from_quat_wxyz(self.quat_wxyz)
         return matrix_from_rpy(np.deg2rad(self.rpy_deg if self.rpy_deg is not None else (0.0, 0.0, 0.0)))

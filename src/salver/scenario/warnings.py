@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,10 +16,25 @@ from salver.scenario.objects import assumed
 if TYPE_CHECKING:
     from salver.models.arm.arm import ArmModel
 
-HIGHEST_FRICTION = 1.2  # about that of dry rubber on a dry tray; few materials have more
-LIGHTEST = 1e-3  # kg
-DENSITIES = (5.0, 20e3)  # kg/m^3: below foam and empty cartons, above gold
-LEAST_TILT = 2.0  # degrees; a smaller bound of the tilt is probably in radians
+
+@dataclass(frozen=True)
+class Plausible:
+    """Values beyond which a scenario probably has a mistake.
+
+    Attributes:
+        friction: about that of dry rubber on a dry tray; few materials have more.
+        mass: kg; a lighter object.
+        densities: kg/m^3, below foam and empty cartons, and above gold.
+        tilt: degrees; a smaller bound of the tilt is probably in radians.
+    """
+
+    friction: float = 1.2
+    mass: float = 1e-3
+    densities: tuple[float, float] = (5.0, 20e3)
+    tilt: float = 2.0
+
+
+PLAUSIBLE = Plausible()
 
 
 def warnings_of(scenario: Scenario) -> tuple[str, ...]:
@@ -75,16 +91,16 @@ def _of_payload(scenario: Scenario, arm: ArmModel) -> Iterator[str]:
 
 def _of_objects(scenario: Scenario) -> Iterator[str]:
     for item in scenario.objects:
-        if item.friction > HIGHEST_FRICTION:
-            yield f"friction = {item.friction:g} of {item.name}: few materials have more than {HIGHEST_FRICTION:g}."
+        if item.friction > PLAUSIBLE.friction:
+            yield f"friction = {item.friction:g} of {item.name}: few materials have more than {PLAUSIBLE.friction:g}."
         loose = item.loose()
         density = loose.inertial.mass / float(
             np.prod(np.ptp(loose.solid.bounding_points_G, axis=0))
         )  # kg/m^3, from the volume of its bounding box
-        if item.mass <= LIGHTEST:
+        if item.mass <= PLAUSIBLE.mass:
             yield f"mass = {item.mass:g} of {item.name} is {1e3 * item.mass:.3g} g; masses are in kg."
-        elif not DENSITIES[0] <= density <= DENSITIES[1]:
-            like = "lighter than foam" if density < DENSITIES[0] else "heavier than gold"
+        elif not PLAUSIBLE.densities[0] <= density <= PLAUSIBLE.densities[1]:
+            like = "lighter than foam" if density < PLAUSIBLE.densities[0] else "heavier than gold"
             yield (
                 f"mass = {item.mass:g} of {item.name} makes {density:.3g} kg/m^3 of its shape, {like}; masses are in "
                 "kg, lengths in m."
@@ -104,7 +120,7 @@ def _of_angles(table: Any, where: str = "") -> Iterator[str]:
 
 def _in_radians(angles: Array, key: str) -> bool:
     if key == "max_tilt_deg":
-        return bool(angles[0] < LEAST_TILT)
+        return bool(angles[0] < PLAUSIBLE.tilt)
     parts = np.abs(angles) * 12 / np.pi
     near = (np.abs(parts - np.round(parts)) < 0.02) & (np.round(parts) > 0) & (np.abs(angles) < 6.3)
     rounded = np.abs(angles * 10 - np.round(angles * 10)) < 1e-9  # one decimal, as 2.1: probably meant as degrees

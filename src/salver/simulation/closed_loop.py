@@ -25,10 +25,6 @@ from salver.trajectory import MotionSamples, Reference
 if TYPE_CHECKING:
     from salver.planning.plan import Plan
 
-# Longest step times the fastest rate of the error dynamics, with an error below 1e-6 of the deviation, usually below
-# 1e-7 (benchmarks/rollouts.py).
-STEP_TIMES_RATE = 0.625
-
 
 @dataclass(frozen=True)
 class Rollout:
@@ -52,6 +48,7 @@ def rollout(
     t: npt.ArrayLike,
     initial_deviation: npt.ArrayLike | None = None,
     max_step: float | None = None,
+    step_times_rate: float = 0.625,
 ) -> Rollout:
     """Simulate the closed loop (18), (19) from t = 0 for n true bodies.
 
@@ -63,6 +60,8 @@ def rollout(
         initial_deviation: (12,) or (n, 12) from the reference at t = 0, as `Rollout.deviation`; default zero.
         max_step: longest step, s; default from the gains (25 ms at the paper's). For a fast reference that is only
             piecewise smooth, give the spacing of its knots.
+        step_times_rate: that default times the fastest rate of the error dynamics, with an error below 1e-6 of the
+            deviation, usually below 1e-7 (benchmarks/rollouts.py).
 
     Raises:
         ValueError: t does not increase from a value >= 0.
@@ -75,7 +74,7 @@ def rollout(
     inverse_inertia = np.asarray(np.linalg.inv(spatial_inertia(phi)), dtype=float)
     loop = _Loop(gains, body.phi, grasp_map, grasp_inverse, phi, inverse_inertia)
     if max_step is None:
-        max_step = STEP_TIMES_RATE / max(*gains.kd, *np.sqrt(gains.kp))
+        max_step = step_times_rate / max(*gains.kd, *np.sqrt(gains.kp))
     wanted = reference.sample(t)
     start = _from_deviation(initial_deviation, len(phi), reference.sample(0.0))
 

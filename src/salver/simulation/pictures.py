@@ -20,7 +20,6 @@ from salver.simulation.scene.engine import mujoco
 from salver.simulation.scene.loads import true_world
 from salver.simulation.scene.scene import Scene, build
 
-EDGE_RADIUS = 0.0012  # m, of the ring that shows the brim or the pendulum's limit
 _BACKENDS = ("egl", "osmesa", "glfw")  # the first two need no display
 
 
@@ -140,8 +139,8 @@ def _add(scene: Any, kind: Any, size: Array, at: Array, axes: Array, rgba: Seque
         scene.ngeom += 1
 
 
-def _add_inside(scene: Any, inside: Drawn, record: SimulationRecord, j: int, k: int) -> None:
-    """Add the liquid or pendulum inside object j at sample k, and the edge that it must not exceed."""
+def _add_inside(scene: Any, inside: Drawn, record: SimulationRecord, j: int, k: int, thickness: float = 0.0012) -> None:
+    """Add the liquid or pendulum inside object j at sample k, and the edge that it must not exceed, m thick."""
     p, R = record.p_SB[k, j], matrix_from_quat_wxyz(record.quat_SB_wxyz[k, j])
     for a, b, c in p + inside.triangles_B(k) @ R.T:
         across = np.cross(b - a, c - a)
@@ -151,4 +150,4 @@ def _add_inside(scene: Any, inside: Drawn, record: SimulationRecord, j: int, k: 
     colour = (*inside.edge_colour(record.t[k]), 1)
     for a, b in zip(edge, np.roll(edge, -1, axis=0), strict=True):
         _add(scene, mujoco.mjtGeom.mjGEOM_CAPSULE, np.ones(3), a, np.eye(3), colour)
-        mujoco.mjv_connector(scene.geoms[scene.ngeom - 1], mujoco.mjtGeom.mjGEOM_CAPSULE, EDGE_RADIUS, a, b)
+        mujoco.mjv_connector(scene.geoms[scene.ngeom - 1], mujoco.mjtGeom.mjGEOM_CAPSULE, thickness, a, b)

@@ -35,7 +35,6 @@ QUESTIONS = {
     ),
 }
 MAY_BE_LEFT_OUT = ("liquid", "tray", "obstacles")
-WALL = 0.003  # m, wall thickness of a container that is assumed; the file says so
 
 
 def new(
@@ -253,21 +252,25 @@ def written(
     arm: tuple[str, str | None],
     path: tuple[list[float], list[float]],
     obstacles: list[str],
+    wall: float = 0.003,
 ) -> str:
-    """The text of a scenario file, with comments on the keys that users often change."""
+    """The text of a scenario file, with comments on the keys that users often change.
+
+    wall: m, thickness of a container's wall and bottom that is assumed; the file says so.
+    """
     model, flange = (_quoted(word) if word is not None else None for word in arm)
     carrier = f"flange = {flange}          # the link that carries the tray" if flange else ""
     box = len(load) == 3
     shape = f'type = "box", size = {load}' if box else f'type = "cylinder", radius = {load[0]}, height = {load[1]}'
     contents, fill = "", ""
     if liquid is not None:
-        inside = [round(x - (2 if box else 1) * WALL, 6) for x in load[:-1]]
+        inside = [round(x - (2 if box else 1) * wall, 6) for x in load[:-1]]
         contents = f"""
-[objects.liquid]                # walls and bottom of {1e3 * WALL:g} mm are assumed: measure yours
+[objects.liquid]                # walls and bottom of {1e3 * wall:g} mm are assumed: measure yours
 kind = {_quoted(liquid[0])}
 {f"size = {inside}" if box else f"radius = {inside[0]}"}
 fill = {liquid[1]}              # heights over the bottom inside
-brim = {round(load[-1] - WALL, 6)}
+brim = {round(load[-1] - wall, 6)}
 """
         fill = f"\nfill = {_quoted(liquid[2])}"
     return (

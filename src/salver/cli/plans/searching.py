@@ -22,12 +22,14 @@ if TYPE_CHECKING:
 
 Planned = TypeVar("Planned", bound="Plan | MultiLegPlan")
 
-ONCE = 0.3  # s within which signals count as one, because some shells send them to a process and to its group
-
 
 @contextmanager
-def searching(time_limit: float | None = None) -> Iterator[Watch]:
-    """The watch of a search; a second Ctrl-C ends the command. time_limit: s, or None."""
+def searching(time_limit: float | None = None, once: float = 0.3) -> Iterator[Watch]:
+    """The watch of a search; a second Ctrl-C ends the command.
+
+    time_limit: s, or None. once: s within which signals count as one, because some shells send them to a process and to
+    its group.
+    """
     from salver.planning.trajopt.watch import Watch
 
     def tell(watch: Watch) -> None:
@@ -44,7 +46,7 @@ def searching(time_limit: float | None = None) -> Iterator[Watch]:
 
     def interrupted(number: int, frame: FrameType | None) -> None:
         nonlocal first
-        if time.monotonic() - first > ONCE and callable(before):
+        if time.monotonic() - first > once and callable(before):
             before(number, frame)
         if not watch.ended:
             first = time.monotonic()

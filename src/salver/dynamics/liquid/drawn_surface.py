@@ -13,15 +13,15 @@ from salver.geometry import Array
 from salver.models.bodies import Body
 from salver.models.load_dynamics import Colour, Drawn
 
-ROUND = 32  # corners of a round wall
 COLOURS: Mapping[str, Colour] = {"coffee": (0.36, 0.23, 0.12), "oil": (0.78, 0.64, 0.08), "water": (0.29, 0.56, 0.77)}
 
 
-def wall(body: Body) -> Array:
-    """Corners (n, 2) of the container's inner wall, counter-clockwise, relative to its axis, m."""
+def wall(body: Body, corners: int = 32) -> Array:
+    """Corners (n, 2) of the container's inner wall, `corners` if it is round, counter-clockwise, relative to its axis,
+    m."""
     liquid = cast(Container, body.inner)
     if liquid.round:
-        angle = np.linspace(0, 2 * np.pi, ROUND, endpoint=False)
+        angle = np.linspace(0, 2 * np.pi, corners, endpoint=False)
         return np.asarray(liquid.size[0] * np.stack([np.cos(angle), np.sin(angle)], axis=1))
     return np.asarray(liquid.half * np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]))
 

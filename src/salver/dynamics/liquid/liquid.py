@@ -35,8 +35,6 @@ STEEPEST = 0.3  # largest amplitude of a free wave over R that was validated (do
 # Largest height of the whole surface at the wall over R, its inclination included. Beyond it the linear model is wrong:
 # with 0.5 a random load spills in the physics engine (docs/liquids.md, `--only leaning`).
 LEANING = 0.45
-UNKNOWN_DAMPING = (0.5, 2.0)  # range of the damping, relative to that of the viscosity in a clean container
-MOST_OF_WATER = 0.03  # damping ratio: a dirty surface and the contact line at the wall damp small waves of water too
 LEFT_OVER = 1.8  # residual waves beyond linear theory, relative to peak^3 / R^2, in nonlinear flow
 TILTING = 1.3  # rise by fast tilting, relative to Omega^2 R^2 / g, in nonlinear potential flow
 _ROOTS = np.array([1.8411837813, 5.3314427735, 8.5363163663, 11.7060049026])  # of J1'
@@ -123,10 +121,6 @@ class Container(LoadDynamics):
     outcome: ClassVar[str] = "spills"
     chart: ClassVar[tuple[str, str, str]] = ("Highest point of", "over its level at rest, mm", "brim, fullest")
 
-    @property
-    def value(self) -> float:
-        return self.fill
-
     def origin(self, base: float, value: float) -> float:
         """Height of the centre of the still surface, m."""
         return base + self.floor + value
@@ -188,6 +182,14 @@ def damping_of(size: tuple[float, ...], fill: float, viscosity: float) -> float:
     depth = 1.84 * fill / R
     shallow = 0.318 / np.sinh(depth) * (1 + (1 - fill / R) / np.cosh(depth))
     return float(0.79 * np.sqrt(viscosity / np.sqrt(GRAVITY * R**3)) * (1 + shallow))
+
+
+def damping_range(clean: float, factor: float = 2.0, dirty: float = 0.03) -> tuple[float, float]:
+    """Least and largest damping ratio where that in a clean container is `clean`, which is known to within a factor.
+
+    dirty: the largest is at least this: a dirty surface and the contact line at the wall damp small waves of water too.
+    """
+    return clean / factor, max(factor * clean, dirty)
 
 
 def hollow(solid: Solid, liquid: Container) -> tuple[Array, Array]:

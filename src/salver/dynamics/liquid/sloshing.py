@@ -23,7 +23,6 @@ from salver.geometry import GRAVITY, Array, Indices
 from salver.models.load_dynamics import Drawn
 
 LESS = STEEPEST / LEANING
-LEAST_SIZE = 1e-4  # m; smaller waves have no direction
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +34,7 @@ class SloshingResponse(LoadResponse):
     """
 
     motion_type: ClassVar[type[ModalMotion]] = SurfaceMotion
+    least: ClassVar[float] = 1e-4
     more: ClassVar[tuple[str, ...]] = ("higher", "more_left", "freer")
 
     modes: SurfaceMotion
@@ -174,7 +174,7 @@ class SloshingResponse(LoadResponse):
         """The part of the second derivatives from the changing direction of waves eta (m, 2) in a round container."""
         if not self.modes.cases.round:
             return np.zeros((len(case), 0, unknowns.felt.shape[2]))
-        size = np.maximum(np.linalg.norm(eta, axis=1), LEAST_SIZE)[:, None]
+        size = np.maximum(np.linalg.norm(eta, axis=1), self.least)[:, None]
         aside = np.stack([-eta[:, 1], eta[:, 0]], axis=1) / size**1.5
         nothing = np.zeros_like(aside)
         by = (nothing, aside) if free else (aside, nothing)
@@ -227,7 +227,7 @@ class SloshingResponse(LoadResponse):
         last = np.full(len(case), len(waves.t) - 1)
         to_speed = np.sqrt(GRAVITY / waves.upward[case, -1])[:, None, None] / which.omega[case]
         away, speed = (x[case] for x in waves.ending)
-        size = np.maximum(np.hypot(away, speed), LEAST_SIZE)
+        size = np.maximum(np.hypot(away, speed), self.least)
         gain = fading * which.gain[case]
         turning = np.sqrt(gain * np.maximum(by_amplitude, 0.0)[:, None] / size) / size
         found = []
@@ -242,7 +242,7 @@ class SloshingResponse(LoadResponse):
             one[:, :, axis] = gain[:, :, axis] / size[:, :, axis]
             larger.append(at_node(unknowns, self.planned, case, last, one * away, one * speed * to_speed))
         if which.round:
-            height = np.maximum(np.linalg.norm(stands, axis=1), LEAST_SIZE)[:, None]
+            height = np.maximum(np.linalg.norm(stands, axis=1), self.least)[:, None]
             aside = stands[:, ::-1] * [-1.0, 1.0] / height**1.5
             found.append(aside[:, :1] * larger[0] + aside[:, 1:] * larger[1])
         return found, larger

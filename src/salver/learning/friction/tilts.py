@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from salver.contact_margins.motion import tray_motion
+from salver.contact_margins.model import tray_motion
 from salver.errors import ScenarioError, Status
 from salver.geometry import Array, exp
 from salver.learning.friction.friction import METHOD, OPTIONS, leaning

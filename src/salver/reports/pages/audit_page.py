@@ -108,9 +108,7 @@ def _run(audit: Audit) -> tuple[ReportedRun, ArmModel | None]:
     scenario = audit.scenario
     first = scenario.payload.first
     samples = audit.motion.samples.of_frame(first.p_EB, first.R_EB)
-    keep = spread(len(samples.t), 4001)
-    keep = keep[np.diff(samples.t[keep], prepend=-np.inf) > 1e-6]
-    thinned = samples.only(keep)
+    thinned = samples.only(spread(len(samples.t), 4001)).distinct()
     plan = Plan(scenario, "given", SampledReference(thinned), Status("given", audit.source, True))
     arrays: dict[str, Array] = dict(plan.arrays())
     arm, joints = None, audit.joints
@@ -120,7 +118,7 @@ def _run(audit: Audit) -> tuple[ReportedRun, ArmModel | None]:
         arm = load_arm(scenario.arm, scenario.tray)
         q = reordered(joints, arm.joint_names).q
         arrays["q"] = interpolated(joints.t, q, arrays["t"])
-    summary: Mapping[str, Any] = {"ok": audit.ok, "method": "given", "thinned": len(keep) < len(samples.t)}
+    summary: Mapping[str, Any] = {"ok": audit.ok, "method": "given", "thinned": len(thinned.t) < len(samples.t)}
     motion = ReportedMotion("plan", arrays, dict(summary))
     curves = {"plan": curves_of(audit.margins, audit.margins.exact_worst)}
     return ReportedRun(Path(audit.source), scenario, [motion], margins=curves), arm

@@ -18,9 +18,6 @@ if TYPE_CHECKING:
     from salver.models.arm.arm import ArmModel
     from salver.scenario import Obstacle
 
-# Below this many triangles a link of the Panda visibly loses its shape; above it only the file grows.
-TRIANGLES_PER_LINK = 2200
-
 
 @dataclass(frozen=True)
 class LinkMesh:
@@ -37,8 +34,8 @@ class LinkMesh:
     colour: Sequence[float]
 
 
-def link_meshes(arm: ArmModel, target: int = TRIANGLES_PER_LINK) -> list[LinkMesh]:
-    """Meshes of the links from base to flange, about `target` triangles each."""
+def link_meshes(arm: ArmModel) -> list[LinkMesh]:
+    """Meshes of the links from base to flange, each `decimate`d."""
     import pinocchio as pin
     from scipy.spatial import cKDTree
 
@@ -48,7 +45,7 @@ def link_meshes(arm: ArmModel, target: int = TRIANGLES_PER_LINK) -> list[LinkMes
     for link, parts in arm_meshes(arm).items():
         frame = arm.pin_model.frames[arm.pin_model.getFrameId(link, pin.FrameType.BODY)]
         fine = merge_vertices(*joined((part.vertices, part.faces) for part in parts))
-        vertices, triangles = decimate(*fine, target)  # all colours together, so that no seam opens
+        vertices, triangles = decimate(*fine)  # all colours together, so that no seam opens
         colours = [part.colour for part in parts]
         which = np.repeat(np.arange(len(parts)), [len(part.faces) for part in parts])
         middles = np.vstack([part.vertices[part.faces].mean(axis=1) for part in parts])
@@ -67,7 +64,7 @@ def obstacle_meshes(obstacles: Iterable[Obstacle]) -> list[LinkMesh]:
     meshes = []
     for obstacle in obstacles:
         pieces = [surface(shape, placement) for shape, placement in obstacle_shapes(obstacle)]
-        vertices, triangles = decimate(*joined(pieces), TRIANGLES_PER_LINK)
+        vertices, triangles = decimate(*joined(pieces))
         meshes.append(LinkMesh(obstacle.name, 0, vertices, triangles, rgb(OBSTACLE_COLOUR)))
     return meshes
 
@@ -90,8 +87,9 @@ def merge_vertices(vertices: Array, triangles: np.ndarray) -> tuple[Array, np.nd
     return vertices[first], triangles[(a != b) & (b != c) & (c != a)]
 
 
-def decimate(vertices: Array, triangles: np.ndarray, target: int) -> tuple[Array, np.ndarray]:
-    """At most about `target` triangles, by quadric edge collapse."""
+def decimate(vertices: Array, triangles: np.ndarray, target: int = 2200) -> tuple[Array, np.ndarray]:
+    """At most about `target` triangles, by quadric edge collapse. With fewer a link of the Panda visibly loses its
+    shape; with more only the file grows."""
     import fast_simplification
 
     if len(triangles) <= target:
