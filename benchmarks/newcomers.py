@@ -3,6 +3,8 @@
     python benchmarks/newcomers.py -n 60 -o out/newcomers.jsonl      plan those that the file does not hold yet
     ... --corners 4                                                  and run each plan in the engine
     ... --urdf arm.urdf tool0 --package-dir packages                 with other arms beside those by name
+    ... --urdfs folder --package-dir packages                        with the URDFs of a folder alone
+    ... --reachable                                                  files at whose ends some posture of 60 is free
     python benchmarks/newcomers.py --table -o out/newcomers.jsonl    print only what the file holds
 
 Each file follows from its number. Every other one gives a duration (2 s) too, and is planned by the default method, the
@@ -20,32 +22,73 @@ import json
 import time
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 
 from salver import scenario
 from salver.errors import SalverError
 from salver.models.arm.arm import ArmModel, load_arm
+from salver.models.arm.arm_geometry import ArmGeometry, arm_geometry
+from salver.models.bodies import Body
 from salver.planning.make import make_plan
 from salver.planning.plan import Plan
+from salver.planning.postures import REACHED, PoseTarget, posture_at
 from salver.simulation.physics import Experiment
 from salver.simulation.scene.meshes import arm_meshes
 from survey import ARMS, read
 
 SEED, STEP, DURATION = 20261125, 0.01, 2.0
 SPEEDS = (1.0, 0.5)
+GUESSES, DRAWS, APART = 60, 300, 0.35
+IMPOSSIBLE = ("UnreachableError", "unreachable", "collision", "falls")  # what a plan says of an end
 Arms = list[tuple[str, float, dict[str, Any]]]
 
 
-def task(number: int, arms: Arms) -> tuple[str, scenario.Scenario]:
-    """The arm's name and the scenario of a number."""
+def task(number: int, arms: Arms, reachable: bool = False) -> tuple[str, scenario.Scenario]:
+    """The arm's name and the scenario of a number; the arms take turns where the ends must be reachable."""
     rng = np.random.default_rng([SEED, number])
+    if not reachable:
+        return _drawn(number, arms, rng)
+    chosen = arms[number % len(arms)]
+    name, case = _drawn(number, [chosen], rng)
+    assert case.arm is not None
+    arm, ends = load_arm(case.arm, case.tray), list[np.ndarray]()
+    parts = arm_geometry(arm, case.payload.bodies, case.around)
+    for _ in range(DRAWS):
+        at = _place(rng, chosen[1], 1, most=1.2)[0]
+        far = all(np.linalg.norm(at - end) >= APART * chosen[1] for end in ends)
+        if far and stands(parts, case.payload.first, at):
+            ends.append(at)
+        if len(ends) == 2:
+            start, goal = (end.tolist() for end in ends)
+            return name, case.with_changes(motion__start__position=start, motion__goal__position=goal)
+    raise SalverError(f"Of {DRAWS} places for {name} no two are within its reach and apart.")
+
+
+def stands(parts: ArmGeometry, load: Body, at: np.ndarray) -> bool:
+    """Whether one of `GUESSES` random postures leads to one in which the load is at a place and nothing touches."""
+    arm, target = parts.arm, PoseTarget(at, np.eye(3), load.p_EB, load.R_EB)
+    low, high = np.maximum(arm.limits.q_min, -np.pi), np.minimum(arm.limits.q_max, np.pi)
+    for guess in np.random.default_rng(0).uniform(low, high, (GUESSES, arm.n)):
+        q, error = posture_at(arm, target, guess, limits=arm.limits, iterations=30)
+        if error < REACHED and parts.first_touch(q[None]) is None:
+            return True
+    return False
+
+
+def _place(rng: np.random.Generator, reach: float, count: int, most: float = 0.75) -> np.ndarray:
+    """Places (count, 3), m, in front of an arm, up to `most` of its reach away."""
+    angle, radius = rng.uniform(-1.2, 1.2, count), rng.uniform(0.45, most, count) * reach
+    height = rng.uniform(0.3, most - 0.05, count) * reach
+    return np.stack([radius * np.cos(angle), radius * np.sin(angle), height], axis=1)
+
+
+def _drawn(number: int, arms: Arms, rng: np.random.Generator) -> tuple[str, scenario.Scenario]:
     name, reach, keys = arms[int(rng.integers(len(arms)))]
-    ends: list[np.ndarray] = []
-    while len(ends) < 2 or np.linalg.norm(ends[1] - ends[0]) < 0.35 * reach:
-        angle, radius = rng.uniform(-1.2, 1.2, 2), rng.uniform(0.45, 0.75, 2) * reach
-        height = rng.uniform(0.3, 0.7, 2) * reach
-        ends = list(np.stack([radius * np.cos(angle), radius * np.sin(angle), height], axis=1))
+    ends = _place(rng, reach, 2)
+    while np.linalg.norm(ends[1] - ends[0]) < APART * reach:
+        ends = _place(rng, reach, 2)
     tall, wide = float(rng.uniform(0.06, 0.22)), float(rng.uniform(0.05, 0.09))
     shape = {"type": "cylinder", "radius": wide / 2, "height": tall}
     if rng.random() < 0.5:
@@ -86,8 +129,9 @@ def attempt(case: scenario.Scenario, method: str | None, count: int, rng: np.ran
     try:
         plan = make_plan(case, method)
     except SalverError as error:
-        return {"ok": False, "says": str(error), "cpu": time.process_time() - began}
-    found: dict[str, Any] = {"ok": plan.ok, "says": plan.verdict, "cpu": time.process_time() - began}
+        return {"ok": False, "code": type(error).__name__, "says": str(error), "cpu": time.process_time() - began}
+    found: dict[str, Any] = {"ok": plan.ok, "code": plan.status.code, "says": plan.verdict}
+    found["cpu"] = time.process_time() - began
     if not plan.ok or plan.joint is None:
         return found
     assert case.arm is not None
@@ -104,17 +148,33 @@ def attempt(case: scenario.Scenario, method: str | None, count: int, rng: np.ran
 def table(records: list[dict[str, Any]]) -> str:
     """Markdown: one row for each method."""
     rows = [
-        "| planned as | files | planned | lowest link, m | below the base | runs | not held |",
-        "|---|---|---|---|---|---|---|",
+        "| planned as | files | an end is impossible | planned | lowest link, m | below the base | runs | not held |",
+        "|---|---|---|---|---|---|---|---|",
     ]
     for method in ("default", "fastest"):
         tried = [record[method] for record in records if method in record]
         ok = [found for found in tried if "lowest" in found]
         runs = [outcome for found in ok for speed in SPEEDS for outcome, _ in found.get(f"at {speed:g}", ())]
         low = [found["lowest"] for found in ok]
-        cells = [method, len(tried), len(ok), f"{min(low, default=np.nan):.3f}", sum(x < 0 for x in low), len(runs)]
+        impossible = sum(found.get("code") in IMPOSSIBLE for found in tried)
+        cells = [
+            method,
+            len(tried),
+            impossible,
+            len(ok),
+            f"{min(low, default=np.nan):.3f}",
+            sum(x < 0 for x in low),
+            len(runs),
+        ]
         rows.append(f"| {' | '.join(map(str, [*cells, sum(outcome != 'holds' for outcome in runs)]))} |")
     return "\n".join(rows)
+
+
+def in_folder(folder: Path) -> list[tuple[str, str]]:
+    """The URDFs of a folder, each with the link tool0 or else its last one, as the flange."""
+    files = sorted(folder.glob("*.urdf"))
+    links = [[link.get("name", "") for link in ElementTree.parse(file).getroot().iter("link")] for file in files]
+    return [(str(file), "tool0" if "tool0" in names else names[-1]) for file, names in zip(files, links, strict=True)]
 
 
 def own(urdf: str, flange: str, packages: list[str]) -> tuple[str, float, dict[str, Any]]:
@@ -134,15 +194,22 @@ def main() -> None:
     parser.add_argument("-o", "--out", type=Path, default=Path("out/newcomers.jsonl"))
     parser.add_argument("--corners", type=int, default=0, help="objects beside the nominal one in the engine")
     parser.add_argument("--urdf", nargs=2, action="append", default=[], metavar=("FILE", "FLANGE"))
+    parser.add_argument("--urdfs", type=Path, help="folder of URDFs, which are the only arms")
+    parser.add_argument("--reachable", action="store_true", help="only files whose ends can be reached")
     parser.add_argument("--package-dir", action="append", default=[], help="folder of packages whose meshes URDFs name")
     parser.add_argument("--table", action="store_true", help="only print the table")
     given = parser.parse_args()
-    arms: Arms = [arm for arm in ARMS if "flange" not in arm[2]]
-    arms += [own(urdf, flange, given.package_dir) for urdf, flange in given.urdf]
+    arms: Arms = [arm for arm in ARMS if "flange" not in arm[2] and given.urdfs is None]
+    urdfs = [*given.urdf, *(() if given.urdfs is None else in_folder(given.urdfs))]
+    arms += [own(urdf, flange, given.package_dir) for urdf, flange in urdfs]
     done = {record["number"] for record in read(given.out)}
     given.out.parent.mkdir(parents=True, exist_ok=True)
     for number in [] if given.table else sorted(set(range(given.first, given.n)) - done):
-        name, case = task(number, arms)
+        try:
+            name, case = task(number, arms, given.reachable)
+        except SalverError as error:
+            print(number, error, flush=True)
+            continue
         rng, record = np.random.default_rng([SEED, number, 1]), {"number": number, "arm": name}
         for key, method in (("default", None), ("fastest", "fastest"))[: 2 if case.motion.duration else 1]:
             record[key] = attempt(case, method, given.corners, rng)

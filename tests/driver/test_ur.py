@@ -312,7 +312,7 @@ def test_an_arm_is_recognised_wherever_it_stands_and_however_its_base_is_turned(
     ones it is not."""
     controller(q=np.array([0.3, -1.2, 1.5, -0.4, 0.8, 2.0]))
     driven = ur.URRobot("127.0.0.1", 1.0, np.zeros(3))
-    arm = plan.scenario.arm.model_copy(update={"base_position": (0.5, -2.0, 0.8), "base_yaw_deg": 40.0})  # type: ignore[union-attr]
+    arm = plan.scenario.arm.model_copy(update={"base_position": (0.5, -2.0, 0.8), "base_rpy_deg": (35.0, -70.0, 40.0)})  # type: ignore[union-attr]
     moved = load_arm(arm, plan.scenario.tray)
     driven.recognise(moved)
     text = moved.urdf_path.read_text()

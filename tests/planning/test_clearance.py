@@ -19,7 +19,7 @@ from salver.planning.fastest import FastestOptions, fastest, transport_problem
 from salver.planning.follow.clearance import sweep
 from salver.planning.follow.limits import verdict
 from salver.planning.make import make_plan
-from salver.planning.seeds.blocked import why_blocked
+from salver.planning.seeds.blocked import why_blocked, why_unreached
 from salver.planning.trajopt.ends import AtPose
 from salver.reports.pages import charts
 from salver.reports.pages.meshes import obstacle_meshes
@@ -306,6 +306,16 @@ def test_a_load_that_does_not_stay_even_at_rest_is_told_at_once() -> None:
         if falls:
             told = "At the start bottle cannot stay even at rest: in the worst case contact lacks "
             assert fastest(problem).status.sentence.startswith(told)
+
+
+def test_an_end_that_no_posture_reaches_without_a_collision_is_told_where_no_pair_of_postures_was_found() -> None:
+    """A ball under the tray at the goal, where the arm's last link must be; start and goal alone are within reach."""
+    cube = scenario.load("panda-cube").with_changes(motion__goal_yaw="fixed", arm__start_posture=None)
+    x, y, z = cube.motion.goal.position
+    ball = {"type": "sphere", "name": "ball", "radius": 0.07, "position": (x, y, z - 0.13)}
+    why = why_unreached(transport_problem(cube.with_changes(obstacles=[ball])))
+    told = r"No posture was found at the goal in which nothing touches: panda_\w+ and ball do in the best"
+    assert re.match(told, why.sentence)
 
 
 @pytest.mark.slow

@@ -74,6 +74,18 @@ def test_where_the_floor_is() -> None:
         cube.with_changes(surroundings__floor="table")
 
 
+def test_a_base_that_is_not_upright_stands_on_no_floor() -> None:
+    """Turned about the vertical it does; on a wall, from a ceiling and on a slant the floor must be given."""
+    cube = scenario.load("panda-cube")
+    assert cube.with_changes(arm__base_rpy_deg=(0.0, 0.0, 70.0)).floor == 0.0
+    for turn, tilt in (((0.0, 90.0, 0.0), "90"), ((180.0, 0.0, 20.0), "180"), ((-30.0, 0.0, 0.0), "30")):
+        told = rf"tilts the base by {tilt} deg, .*; give surroundings.floor, the floor's height in S, m, or \"none\""
+        with pytest.raises(ScenarioError, match=told):
+            cube.with_changes(arm__base_rpy_deg=turn)
+        assert cube.with_changes(arm__base_rpy_deg=turn, surroundings__floor=-0.8).floor == -0.8
+        assert cube.with_changes(arm__base_rpy_deg=turn, surroundings__floor="none").floor is None
+
+
 @pytest.mark.parametrize("height", [0.0, -0.25])
 def test_distances_from_the_floor_are_heights(height: float) -> None:
     """Of every link the height of the lowest corner of its hull; only what the arm stands on is not compared."""

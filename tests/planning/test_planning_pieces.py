@@ -79,7 +79,7 @@ def test_where_an_end_is_out_of_reach_the_heading_is_told_in_which_it_is_not(pan
     for turn in (40.0, -70.0):
         away = AtPose(PoseTarget(p, R @ exp(np.array([0.0, 0.0, -np.deg2rad(turn)]))))
         problem: Any = SimpleNamespace(arm=panda, limits=None, n=7, start=away, goal=away)
-        monkeypatch.setattr(blocked, "_nearest", lambda problem, target: (POSTURE, 0.0 if target.yaw_free else 1.0))
+        monkeypatch.setattr(blocked, "_sought", lambda problem, target: [(POSTURE, 0.0 if target.yaw_free else 1.0)])
         told = blocked.why_unreached(problem).sentence
         assert told.endswith(
             f"reaches the start: the nearest found misses it by {0:.3g} mm and {abs(turn):.3g} deg. "

@@ -449,7 +449,9 @@ def test_the_simulated_arm_stands_at_the_start_in_the_world(tmp_path: Path, monk
     live = sv.Live(scenario)
     assert given == dict(zip(live.problem.arm.joint_names, live.command(0.0)[0], strict=True))
     q = np.array(list(given.values()))
-    elsewhere = scenario.with_changes(arm__base_position=(0.3, -0.2, 0.1), arm__base_yaw_deg=40.0)
+    elsewhere = scenario.with_changes(
+        arm__base_position=(0.3, -0.2, 0.1), arm__base_rpy_deg=(35.0, -70.0, 40.0), surroundings__floor="none"
+    )
     arm = load_arm(elsewhere.arm, scenario.tray)
     model = pin.buildModelFromXML(mock.robot_description(arm, q))
     data = model.createData()

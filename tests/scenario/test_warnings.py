@@ -48,7 +48,7 @@ def test_ready_made_scenarios_have_none(name: str) -> None:
         ),
         ({"motion__max_tilt_deg": 0.3}, "motion.max_tilt_deg = 0.3 looks like radians; keys that end in _deg are in "),
         ({"motion__goal__rpy_deg": [0, 0, 1.5708]}, "motion.goal.rpy_deg = (0.0, 0.0, 1.5708) looks like radians; "),
-        ({"arm__base_yaw_deg": -0.785}, "arm.base_yaw_deg = -0.785 looks like radians; "),
+        ({"arm__base_rpy_deg": [0, 0, -0.785]}, "arm.base_rpy_deg = (0.0, 0.0, -0.785) looks like radians; "),
         (
             {"objects__0__uncertainty": {}},
             "No parameter is uncertain; a plan is safe for exactly these values only.",
@@ -81,7 +81,7 @@ def test_what_is_assumed_is_said_and_exact_values_are_called_so() -> None:
         {"objects__0__friction": 1.2},
         {"motion__max_tilt_deg": 2.0},
         {"motion__goal__rpy_deg": [0, 0, 2.1]},  # so typed it is no number of radians
-        {"arm__base_yaw_deg": 45.0},
+        {"arm__base_rpy_deg": [0, 0, 45.0]},
     ],
 )
 def test_what_is_meant_is_not_warned_of(changes: dict[str, Any]) -> None:

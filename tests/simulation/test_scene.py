@@ -41,7 +41,13 @@ def arm_scene(changes, parameters=None):
 
 @pytest.fixture(scope="module")
 def moved_base():
-    return arm_scene({"arm__base_position": [0.3, -0.2, 0.1], "arm__base_yaw_deg": 40.0})
+    return arm_scene(
+        {
+            "arm__base_position": [0.3, -0.2, 0.1],
+            "arm__base_rpy_deg": [35.0, -70.0, 40.0],
+            "surroundings__floor": "none",
+        }
+    )
 
 
 def random_states(arm, count=20):
@@ -90,7 +96,7 @@ def test_tray_pose_jacobian_and_its_rate_equal_pinocchio(moved_base):
 
 def test_base_pose_by_hand():
     """Panda at q = 0 without its base moved: flange at x = 0.088 m, z = 0.333 + 0.316 + 0.384 - 0.107 m, z down."""
-    scene, _, data = arm_scene({"arm__base_position": [1.0, 2.0, 3.0], "arm__base_yaw_deg": 90.0})
+    scene, _, data = arm_scene({"arm__base_position": [1.0, 2.0, 3.0], "arm__base_rpy_deg": [0.0, 0.0, 90.0]})
     set_state(scene, data, np.zeros(7), np.zeros(7))
     p, R = scene.tray_pose(data)
     np.testing.assert_allclose(p, [1.0, 2.088, 3.0 + 0.926 - 0.05], atol=1e-9)

@@ -8,6 +8,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
+from pinocchio.rpy import matrixToRpy
 
 import salver as sv
 from salver.errors import SalverError
@@ -33,8 +34,8 @@ def robot_description(arm: ArmModel, q: np.ndarray, world: str = "world") -> str
     base = ElementTree.SubElement(robot, "joint", name="salver_base", type="fixed")
     ElementTree.SubElement(base, "parent", link=world)
     ElementTree.SubElement(base, "child", link=str(root))
-    place = " ".join(repr(float(x)) for x in arm.base_position)
-    ElementTree.SubElement(base, "origin", xyz=place, rpy=f"0 0 {arm.base_yaw!r}")
+    place, turn = (" ".join(repr(float(x)) for x in row) for row in (arm.base_position, matrixToRpy(arm.R_base)))
+    ElementTree.SubElement(base, "origin", xyz=place, rpy=turn)
     system = ElementTree.SubElement(robot, "ros2_control", name="salver_mock", type="system")
     hardware = ElementTree.SubElement(system, "hardware")
     ElementTree.SubElement(hardware, "plugin").text = "mock_components/GenericSystem"

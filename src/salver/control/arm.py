@@ -21,7 +21,7 @@ from scipy.linalg.lapack import dposv
 from salver.control.object import Gains
 from salver.errors import ScenarioError
 from salver.geometry import GRAVITY_S, Array
-from salver.models.arm.arm import ArmModel, load_arm, with_load
+from salver.models.arm.arm import ArmModel, load_arm, with_load, with_stand_ins
 from salver.models.bodies import Body
 from salver.scenario import Scenario
 from salver.trajectory import JointMotion, Reference
@@ -106,7 +106,7 @@ class ArmController:
     """Computed-torque controller that moves the first of `bodies` along `reference`; the others stick to the tray.
 
     Args:
-        arm: the arm with its tray.
+        arm: the arm with its tray; links without mass have `STAND_IN`, as in the physics engine.
         bodies: the nominal load; the controller uses no other parameters of it.
         joint: joint motion that follows the reference: the posture in the null space, or with space = "joint" the only
             reference. With space = "joint" it may be a `Course`, which is not known in advance.
@@ -147,7 +147,8 @@ class ArmController:
         self._turn, self._turning, self._carried = pin.SE3.Identity(), pin.Motion.Zero(), pin.Motion.Zero()
         self._kp, self._kd = np.repeat(gains.kp, 3), np.repeat(gains.kd, 3)
         self._posture_gains = posture_gains if space == "object" else (gains.kp[0], gains.kd[0])
-        self._model = _with_object_frame(with_load(arm, bodies if space == "joint" else bodies[1:]), body)
+        fixed = bodies if space == "joint" else bodies[1:]
+        self._model = _with_object_frame(with_load(with_stand_ins(arm), fixed), body)
         self._data = self._model.createData()
         self._frame = self._model.getFrameId(OBJECT_FRAME)
         self._torque_limit = arm.limits.torque if limit_torque else np.full(arm.n, np.inf)

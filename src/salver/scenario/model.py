@@ -118,6 +118,7 @@ class Scenario(Shown, Model):
 
     def _consistent_leg(self) -> Scenario:
         self._bounded()
+        self._check_floor()
         self.payload.check()
         self._check_inner_limits()
         for key, pose in (("start", self.motion.start), ("goal", self.motion.goal)):
@@ -131,6 +132,15 @@ class Scenario(Shown, Model):
                         f"its least friction of {least:.4g} holds it up to {holds:.4g} deg"
                     )
         return self
+
+    def _check_floor(self) -> None:
+        """Raise ValueError when the floor is to be that of a base which is not upright."""
+        if self.arm is not None and self.surroundings.floor == "base" and any(self.arm.base_rpy_deg[:2]):
+            tilt = np.rad2deg(lean(self.arm.R_base))
+            raise ValueError(
+                f"arm.base_rpy_deg = {list(self.arm.base_rpy_deg)} tilts the base by {tilt:.4g} deg, and the floor is "
+                'no longer the plane through it; give surroundings.floor, the floor\'s height in S, m, or "none"'
+            )
 
     def _check_inner_limits(self) -> None:
         """Raise ValueError when a liquid or pendulum exceeds its limit even at rest, or its model does not apply."""

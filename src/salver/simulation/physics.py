@@ -101,6 +101,7 @@ class Experiment:
             "with_arm": True,
             "seed": seed,
             "arm": _arm_summary(self.arm.limits, trace, self.controller.saturation),
+            "stand_ins": list(self.arm.weightless),
         }
         record = measure(run, trace, summary, began)
         if self.stop_at is None:

@@ -26,7 +26,7 @@ def random_state(arm, rng):
 
 @pytest.fixture(params=ARMS)
 def arm(request):
-    return make(request.param, base_position=(0.1, -0.2, 0.3), base_yaw_deg=30)
+    return make(request.param, base_position=(0.1, -0.2, 0.3), base_rpy_deg=(0, 0, 30))
 
 
 # ---- kinematics by hand ---------------------------------------------------------------------------------------
@@ -67,9 +67,22 @@ def test_paper_start_posture_puts_the_cube_where_the_paper_says():
 def test_base_pose_moves_everything():
     q = np.array([0.3, -0.4, 0.5, -1.2, 0.7, 1.5, -0.2])
     p0, R0 = make().tray_pose(q)
-    p, rotation = make(base_position=(1, 2, 3), base_yaw_deg=90).tray_pose(q)
+    p, rotation = make(base_position=(1, 2, 3), base_rpy_deg=(0, 0, 90)).tray_pose(q)
     assert p == pytest.approx([1 - p0[1], 2 + p0[0], 3 + p0[2]], abs=1e-12)
     assert rotation == pytest.approx(exp(np.array([0, 0, np.pi / 2])) @ R0, abs=1e-12)
+
+
+def test_an_arm_on_a_wall_and_one_that_hangs():
+    """Out of a wall along x, turned by 90 degrees about y, the arm's z is the room's x and its x points down; from a
+    ceiling, rolled by 180 degrees about x, its y and z are reversed."""
+    q = np.array([0.3, -0.4, 0.5, -1.2, 0.7, 1.5, -0.2])
+    (x, y, z), R0 = make().tray_pose(q)
+    p, rotation = make(base_position=(1, 2, 3), base_rpy_deg=(0, 90, 0)).tray_pose(q)
+    assert p == pytest.approx([1 + z, 2 + y, 3 - x], abs=1e-12)
+    assert rotation == pytest.approx(np.array([[0, 0, 1], [0, 1, 0], [-1, 0, 0]]) @ R0, abs=1e-12)
+    p, rotation = make(base_position=(1, 2, 3), base_rpy_deg=(180, 0, 0)).tray_pose(q)
+    assert p == pytest.approx([1 + x, 2 - y, 3 - z], abs=1e-12)
+    assert rotation == pytest.approx(np.diag([1, -1, -1]) @ R0, abs=1e-12)
 
 
 # ---- derivatives ----------------------------------------------------------------------------------------------

@@ -33,7 +33,7 @@ def test_clearance_by_hand(tmp_path: Path) -> None:
     """Two cubes of 0.1 m, 0.3 m apart between centres: 0.2 m; turned by 45 degrees one shows its edge,
     0.1 sqrt(2) / 2 from its centre. The tray, 0.5 m above the hook, is 0.445 m above the base's top."""
     tray = scenario.Tray(height=0.5, thickness=0.01, size=(0.2, 0.2))
-    parts = arm_geometry(crane(tmp_path, tray, base_position=(1, 2, 3), base_yaw_deg=20))
+    parts = arm_geometry(crane(tmp_path, tray, base_position=(1, 2, 3), base_rpy_deg=(0, 0, 20)))
     assert parts.names == ("base", "hook", "tray")
     assert parts.pairs == ((0, 1), (0, 2))
     q = np.array([[0.0, 0.3], [np.pi / 4, 0.3], [0.0, 0.06]])

@@ -11,12 +11,17 @@ import pytest
 
 from odd_arms import LINK, cell, gantry, joint, loaded
 from salver import scenario
+from salver.cli.checks.simulate import sentences
 from salver.errors import ScenarioError
 from salver.models.arm import urdf
-from salver.models.arm.arm import load_arm
+from salver.models.arm.arm import ArmModel, load_arm, with_stand_ins
 from salver.models.arm.arm_geometry import arm_geometry
 from salver.models.arm.urdf import find_mesh
 from salver.planning.follow.limits import unchecked, verdict
+from salver.planning.make import make_plan
+from salver.scenario import Scenario
+from salver.scenario.warnings import warnings_of
+from salver.simulation.physics import Experiment
 from salver.simulation.scene.loads import true_world
 from salver.simulation.scene.scene import build
 from salver.trajectory import JointMotion
@@ -137,6 +142,10 @@ FIXED_CAMERA = '<link name="camera"/>' + joint("mount", "fixed", "head", "camera
 def test_what_is_fixed_to_a_link_moves_with_it(tmp_path: Path, change) -> None:
     """Whatever the URDF says of it alone. The engine's mass matrix is Pinocchio's, an independent code."""
     case, arm = cell(tmp_path, change(gantry())), loaded(tmp_path, change(gantry()))
+    assert_same_masses(case, arm, arm)
+
+
+def assert_same_masses(case: Scenario, arm: ArmModel, known: ArmModel) -> None:
     scene = build(case, true_world(case), arm)
     data, q = mujoco.MjData(scene.model), np.linspace(-0.2, 0.3, arm.n)
     data.qpos[: arm.n] = q
@@ -146,19 +155,17 @@ def test_what_is_fixed_to_a_link_moves_with_it(tmp_path: Path, change) -> None:
         column = np.zeros(scene.model.nv)
         mujoco.mj_mulM(scene.model, data, column, unit)
         columns.append(column[: arm.n])
-    assert np.array(columns) == pytest.approx(arm.mass_matrix(q), abs=1e-9)
+    assert np.array(columns) == pytest.approx(known.mass_matrix(q), abs=1e-9)
 
 
 @pytest.mark.parametrize(
     ("change", "link"),
     [
-        (lambda t: without_inertial(t, "pitch"), "pitch"),
-        (lambda t: t.replace('<mass value="4"', '<mass value="0"'), "beam"),
         (lambda t: t.replace('ixx="0.02"', 'ixx="0"').replace('iyy="0.02" izz="0.02"', 'iyy="0" izz="0"'), "beam"),
         (lambda t: t.replace('ixx="0.02"', 'ixx="0.1"', 2), "beam"),
         (lambda t: t.replace('ixx="0.02"', 'ixx="-0.1"', 2), "beam"),
     ],
-    ids=["no inertial", "no mass", "no inertia", "triangle inequality", "negative inertia"],
+    ids=["no inertia", "triangle inequality", "negative inertia"],
 )
 def test_a_moving_link_that_the_engine_cannot_move_is_named(tmp_path: Path, change, link: str) -> None:
     case, arm = cell(tmp_path, change(gantry())), loaded(tmp_path, change(gantry()))
@@ -170,6 +177,30 @@ def test_a_moving_link_that_the_engine_cannot_move_is_named(tmp_path: Path, chan
     assert "\n" not in message
 
 
+def without_masses(text: str) -> str:
+    return re.sub("<inertial>.*?</inertial>", "", text, flags=re.DOTALL)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [lambda t: without_inertial(t, "pitch"), lambda t: t.replace('<mass value="4"', '<mass value="0"'), without_masses],
+    ids=["one link without <inertial>", "one of 0 kg", "no link with a mass"],
+)
+def test_the_controller_knows_what_the_engine_moves_in_place_of_links_without_mass(tmp_path: Path, change) -> None:
+    case, arm = cell(tmp_path, change(gantry())), loaded(tmp_path, change(gantry()))
+    assert_same_masses(case, arm, with_stand_ins(arm))
+
+
+def test_an_arm_without_masses_follows_in_the_engine_as_under_position_control(tmp_path: Path) -> None:
+    """The tray is off its reference by a tenth of a millimetre, as that of the arm with masses is."""
+    run = Experiment(make_plan(cell(tmp_path, without_masses(gantry())))).run()
+    assert run.outcome == "holds"
+    assert run.summary["tray_e_p_peak"] < 2e-4
+    assert run.summary["stand_ins"] == ["beam", "post", "head", "yaw", "pitch", "roll"]
+    told = "The URDF gives beam, post, head, yaw, pitch and roll no mass: each has 10 kg in the physics engine, and the"
+    assert any(sentence.startswith(told) for sentence in sentences(run))
+
+
 @pytest.mark.parametrize("link", ["pitch", "roll"])
 def test_that_a_link_has_no_mass_is_said_before_torques_are_said_to_hold(tmp_path: Path, link: str) -> None:
     """Also of the flange, with which the tray moves; whatever torques the joints have, none is called kept."""
@@ -179,6 +210,7 @@ def test_that_a_link_has_no_mass_is_said_before_torques_are_said_to_hold(tmp_pat
     assert f" gives {link} no mass: it is planned as one that follows exactly, under position control); " in told
     assert "torque of all joints" not in told
     assert np.isinf(arm.limits.torque).all()
+    assert not any("torque" in told for told in warnings_of(cell(tmp_path, without_inertial(gantry(), link))))
     assert "no mass" not in "".join(unchecked(loaded(tmp_path, gantry()), arm_geometry(arm)))
 
 

@@ -55,6 +55,26 @@ def pair(behind_a_post: TransportProblem) -> Ends:
     return ends(behind_a_post, np.random.default_rng(0))[0]
 
 
+def test_between_two_ends_no_joint_turns_by_more_than_half_a_turn_if_its_range_has_a_shorter_way() -> None:
+    """A UR5e on a wall whose tray passes below the base's axis: 2.3 rad of its first joint, or 4 rad the other way, on
+    which nothing was found. Only its elbow, which ends at half a turn, may turn by more."""
+    shape = {"type": "cylinder", "radius": 0.03, "height": 0.14}
+    data = {
+        "name": "wall",
+        "motion": {"start": {"position": [0.55, -0.25, 1.0]}, "goal": {"position": [0.55, 0.25, 1.0]}},
+        "objects": [{"shape": shape, "mass": 0.3, "friction": 0.4, "uncertainty": "none"}],
+        "arm": {"model": "ur5e", "base_position": [0.0, 0.0, 1.0], "base_rpy_deg": [0.0, 90.0, 0.0]},
+        "surroundings": {"floor": "none"},
+    }
+    problem = transport_problem(scenario.parse(data, "wall"))
+    found = ends(problem, np.random.default_rng(0), few=4)
+    assert len(found) >= 4
+    for pair in found:
+        assert pair.free
+        assert np.all(np.abs(np.delete(pair.goal - pair.start, 2)) < np.pi)
+        assert np.all((pair.goal > problem.limits.q_min) & (pair.goal < problem.limits.q_max))
+
+
 def test_whole_turns_bring_an_arm_nowhere_and_rails_do() -> None:
     problem: Any = SimpleNamespace(arm=SimpleNamespace(linear=np.array([False, False, True])))
     q, turn = np.array([0.4, -0.3, 0.1]), 2 * np.pi

@@ -304,6 +304,9 @@ def _pose(position: float, angle: float) -> str:
 
 def sentences(record: SimulationRecord) -> list[str]:
     """Sentences about the outcome of a run."""
+    from salver.models.arm.arm import STAND_IN
+    from salver.wording import listed
+
     summary: Any = record.summary
     found = []
     for item in summary["objects"]:
@@ -314,6 +317,11 @@ def sentences(record: SimulationRecord) -> list[str]:
     if arm is None:
         found.append("No arm was simulated: the tray was moved exactly along the reference.")
         return found
+    if summary.get("stand_ins"):
+        found.append(
+            f"The URDF gives {listed(summary['stand_ins'])} no mass: each has {STAND_IN.mass:g} kg in the physics "
+            "engine, and the arm follows its command as under position control."
+        )
     if arm["torque_cut"] > 0:
         found.append(
             f"The arm's torque saturated: up to {100 * arm['torque_share_peak']:.0f} % of its limit was commanded, and "

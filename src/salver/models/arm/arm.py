@@ -30,6 +30,9 @@ if TYPE_CHECKING:
 
 TRAY_FRAME = "salver_tray"
 OWN = ("the URDF", "the maker of")  # beginnings of the sources of the arm's own limits
+# Of a moving link to which the URDF gives no mass, in the physics engine: 10 kg, 0.1 kg m^2. It is heavy, so that the
+# load hardly moves the arm, as it does not move one under position control.
+STAND_IN = pin.Inertia(10.0, np.zeros(3), 0.1 * np.eye(3))
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,9 +51,9 @@ class ArmModel:
     geometry: "meshes" (refuse), "capsules" (fit some), "unchecked" (leave them out). disabled_pairs: (first, second),
     sorted: links that the SRDF excludes from comparison. weightless: moving links to which, with everything fixed to
     them, the URDF gives no mass. If there are any, torques are unknown: the arm has no torque limits, and counts as
-    position-controlled. base_position, base_yaw: pose of the URDF's root in S, m and rad. p_FE, R_FE: (3,) m and (3,
-    3), pose in F of the middle of the tray's top surface. tray_com_E: (3,) the tray's centre of mass in E. tray_size:
-    its edges along x and y of E, m.
+    position-controlled. base_position, R_base: (3,) m and (3, 3), pose of the URDF's root in S. p_FE, R_FE: (3,) m and
+    (3, 3), pose in F of the middle of the tray's top surface. tray_com_E: (3,) the tray's centre of mass in E.
+    tray_size: its edges along x and y of E, m.
     """
 
     name: str
@@ -72,7 +75,7 @@ class ArmModel:
     disabled_pairs: frozenset[tuple[str, str]]
     weightless: tuple[str, ...]
     base_position: Array
-    base_yaw: float
+    R_base: Array
     p_FE: Array
     R_FE: Array
     tray_com_E: Array
@@ -165,9 +168,11 @@ def load_arm(arm: Arm, tray: Tray) -> ArmModel:
         raise ScenarioError(f"arm.flange is missing; with the URDF {path} it must name the link that carries the tray.")
     chain = read_chain(path, flange, _folders(arm.package_dirs))
     model = _build(chain.urdf, path)
-    weightless = tuple(link for j, link in moved_links(model).items() if not model.inertias[j].mass > 0)
-    yaw = float(np.deg2rad(arm.base_yaw_deg))
-    _move_base(model, np.array(arm.base_position), yaw)
+    massless = {j: link for j, link in moved_links(model).items() if not model.inertias[j].mass > 0}
+    for j in massless:
+        model.inertias[j] = pin.Inertia.Zero()
+    weightless = tuple(massless.values())
+    _move_base(model, np.array(arm.base_position), arm.R_base)
     p_FE, R_FE = np.array(tray.p_FE), matrix_from_rpy(np.deg2rad(tray.rpy_deg))
     com_E = np.array([0.0, 0.0, -0.5 * tray.thickness])
     tray_id = _attach_tray(model, flange, tray, pin.SE3(R_FE, p_FE), com_E)
@@ -185,7 +190,7 @@ def load_arm(arm: Arm, tray: Tray) -> ArmModel:
         given.append(("", dict.fromkeys(("torque", "torque_rate"), np.full(model.nv, np.inf))))
     limits, sources = joint_limits(model.nv, given)
     limits = replace(limits, velocity_by_position=by_position)
-    own_limits = joint_limits(model.nv, [one for one in given if one[0].startswith(OWN)])[0]
+    own_limits = joint_limits(model.nv, [one for one in given if one[0].startswith(OWN) or not one[0]])[0]
     for joint, low, high in zip(names, limits.q_min, limits.q_max, strict=True):
         if low >= high:
             raise ScenarioError(
@@ -212,7 +217,7 @@ def load_arm(arm: Arm, tray: Tray) -> ArmModel:
         disabled_pairs=frozenset() if arm.srdf is None else read_disabled_pairs(Path(arm.srdf), chain.all_links),
         weightless=weightless,
         base_position=np.array(arm.base_position),
-        base_yaw=yaw,
+        R_base=arm.R_base,
         p_FE=p_FE,
         R_FE=R_FE,
         tray_com_E=com_E,
@@ -227,6 +232,17 @@ def with_load(arm: ArmModel, bodies: Sequence[Body]) -> ArmModel:
     for body in bodies:
         inertia = pin.Inertia(body.inertial.mass, body.inertial.com_B, body.inertial.inertia_com)
         model.appendBodyToJoint(frame.parentJoint, inertia, frame.placement * pin.SE3(body.R_EB, body.p_EB))
+    return replace(arm, pin_model=model, data=model.createData())
+
+
+def with_stand_ins(arm: ArmModel) -> ArmModel:
+    """The arm with `STAND_IN` in place of each moving link without mass, as the physics engine moves it."""
+    if not arm.weightless:
+        return arm
+    model = arm.pin_model.copy()
+    for joint, link in moved_links(model).items():
+        if link in arm.weightless:
+            model.appendBodyToJoint(joint, STAND_IN, pin.SE3.Identity())
     return replace(arm, pin_model=model, data=model.createData())
 
 
@@ -285,9 +301,9 @@ def _build(text: str, path: Path) -> Any:
     return model
 
 
-def _move_base(model: Any, position: Array, yaw: float) -> None:
+def _move_base(model: Any, position: Array, rotation: Array) -> None:
     """Put the URDF's root at a pose of the world."""
-    base = pin.SE3(pin.utils.rotate("z", yaw), position)
+    base = pin.SE3(rotation, position)
     for i in range(1, model.njoints):
         if model.parents[i] == 0:
             model.jointPlacements[i] = base * model.jointPlacements[i]

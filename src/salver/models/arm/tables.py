@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
+import numpy as np
 from pydantic import Field
 
-from salver.fields import Degrees, File, Model, Name, Number, Point, Share
+from salver.fields import File, Model, Name, Number, Point, Share, Turns
+from salver.geometry import Array, matrix_from_rpy
 from salver.models.arm.arm_limits import PLANNING_SHARES
 from salver.models.arm.urdf import MOST_JOINTS
 
@@ -36,7 +38,8 @@ class Arm(Model):
     """The arm: a known name (see `salver.models.arm.arm`) or a URDF file with the frame that carries the tray.
 
     package_dirs: folders of the packages whose meshes the URDF names. collisions: how links whose geometry cannot be
-    read are treated: refused, replaced by capsules, or not checked.
+    read are treated: refused, replaced by capsules, or not checked. base_position, base_rpy_deg: pose of the URDF's
+    root in S; an arm that hangs from a ceiling has a roll of 180.
     """
 
     model: File = Field(default="panda", description="a known arm, or the path of a URDF")
@@ -47,12 +50,17 @@ class Arm(Model):
     limits: ArmLimits = ArmLimits()
     joint_limits: File | None = None
     base_position: Point = (0.0, 0.0, 0.0)
-    base_yaw_deg: Degrees = 0.0
+    base_rpy_deg: Turns = (0.0, 0.0, 0.0)
     start_posture: Annotated[list[Angle], Field(max_length=MOST_JOINTS)] | None = None
     velocity_scale: Share = PLANNING_SHARES["velocity"]
     acceleration_scale: Share = PLANNING_SHARES["acceleration"]
     jerk_scale: Share = PLANNING_SHARES["jerk"]
     torque_scale: Share = PLANNING_SHARES["torque"]
+
+    @property
+    def R_base(self) -> Array:
+        """(3, 3) orientation of the URDF's root in S."""
+        return matrix_from_rpy(np.deg2rad(self.base_rpy_deg))
 
     @property
     def given_limits(self) -> dict[str, float | list[float]]:

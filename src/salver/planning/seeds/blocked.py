@@ -64,18 +64,23 @@ def _falling(problem: TransportProblem) -> Status | None:
 
 def why_unreached(problem: TransportProblem) -> Status:
     """Status that names the end that no posture reaches, the error of the nearest posture, and another heading that can
-    be reached, if there is one."""
+    be reached, if there is one; or the end that no posture reaches without a collision."""
     told = "No posture within the joint limits was found at the goal that goes with one at the start."
     for name, end in (("start", problem.start), ("goal", problem.goal)):
         if not isinstance(end, AtPose):
             continue
-        q, missed = _nearest(problem, end.target)
-        if missed < REACHED:
+        found = list(_sought(problem, end.target))
+        reached = [q for q, missed in found if missed < REACHED]
+        if reached:
+            touching = _touching(problem, name, np.stack(reached))
+            if touching is not None:
+                return touching
             continue
+        q, _ = min(found, key=_missed)
         error = end.target.residual(problem.arm, q)[0]
         by = f"{1e3 * np.linalg.norm(error[:3]):.3g} mm and {np.rad2deg(np.linalg.norm(error[3:])):.3g} deg"
         told = f"No posture within the joint limits reaches the {name}: the nearest found misses it by {by}."
-        q, missed = _nearest(problem, replace(end.target, yaw_free=True))
+        q, missed = min(_sought(problem, replace(end.target, yaw_free=True)), key=_missed)
         if missed < REACHED and not end.target.yaw_free:
             turn = np.rad2deg(end.target.residual(problem.arm, q)[0][5])
             told += f" Turned by {-turn:.0f} deg about its vertical it is reached."
@@ -83,21 +88,15 @@ def why_unreached(problem: TransportProblem) -> Status:
     return Status("unreachable", told, False)
 
 
-def _nearest(problem: TransportProblem, target: PoseTarget) -> tuple[Array, float]:
-    """The best posture found for a target, and its pose error (m, rad)."""
-    best = (np.zeros(problem.n), np.inf)
-    for found in _sought(problem, target):
-        best = min(best, found, key=lambda pair: pair[1])
-        if best[1] < REACHED:
-            break
-    return best
-
-
 def _sought(problem: TransportProblem, target: PoseTarget) -> Iterator[tuple[Array, float]]:
     """Postures from many guesses, each with its pose error (m, rad): enough of them to call the target out of reach."""
     rng = np.random.default_rng(0)
     for attempt in range(48):
         yield posture_at(problem.arm, target, guess(problem, rng, attempt), limits=problem.limits)
+
+
+def _missed(found: tuple[Array, float]) -> float:
+    return found[1]
 
 
 def why_touching(problem: TransportProblem, pairs: list[Ends]) -> Status | None:
@@ -109,10 +108,18 @@ def why_touching(problem: TransportProblem, pairs: list[Ends]) -> Status | None:
     depth = np.array([-parts.clearance(np.stack([pair.start, pair.goal])).min(axis=1) for pair in pairs])
     least = int(depth.max(axis=1).argmin())
     end = int(depth[least].argmax())
-    touch = parts.first_touch(np.stack([pairs[least].start, pairs[least].goal])[end : end + 1])
+    return _touching(problem, ("start", "goal")[end], np.stack([pairs[least].start, pairs[least].goal])[end : end + 1])
+
+
+def _touching(problem: TransportProblem, where: str, postures: Array) -> Status | None:
+    """Status that names what touches in the best of postures (N, n) at an end; None if nothing does in one of them."""
+    if problem.keep_out is None:
+        return None
+    parts = problem.keep_out.parts
+    best_of = int(parts.clearance(postures).min(axis=1).argmax())
+    touch = parts.first_touch(postures[best_of : best_of + 1])
     if touch is None:
         return None
-    where = ("start", "goal")[end]
     best = f"{touch.first} and {touch.second} do in the best"
     told = f"No posture was found at the {where} in which nothing touches: {best}{_higher(problem, where)}."
     return Status(COLLISION, told, False)

@@ -11,6 +11,7 @@ import numpy as np
 
 from salver.geometry import GRAVITY_S, Array, interpolated
 from salver.models.arm.arm_limits import POSITION
+from salver.planning.postures import INSIDE
 from salver.planning.seeds.around import way_around
 from salver.planning.trajopt.bound import least_duration, least_time
 from salver.planning.trajopt.constraints.constraints import strayed
@@ -180,6 +181,7 @@ def _sought(
         starts.append(start)
         goal = problem.goal.nearest(arm, limits, start)
         if goal is not None:
+            goal = _nearer(problem, start, goal)
             found.append((_cost(problem, start, goal, options), start, goal))
     found.sort(key=lambda pair: pair[0])
     shapes = [np.stack([_shape(problem, q) for q in pair[1:]]) for pair in found]
@@ -234,6 +236,7 @@ class _Found:
         goal = None if goal is None else _slid_free(problem, problem.goal, goal, self.options)
         if goal is None:
             return
+        goal = _nearer(problem, start, goal)
         if problem.start_posture is None:
             start, goal = _unwound(problem, start, goal)
         others = (_apart(problem, goal, e.goal) + _apart(problem, start, e.start) for e in self.pairs)
@@ -300,6 +303,15 @@ def standing_at(problem: TransportProblem, end: End, rng: np.random.Generator) -
     known = [] if middle is None else [middle, _slid_free(problem, end, middle)]
     yield from known
     yield from _free_postures(problem, end, known[1:], rng)
+
+
+def _nearer(problem: TransportProblem, start: Array, goal: Array) -> Array:
+    """The goal posture shifted by whole turns towards the start posture, where the joint limits allow that."""
+    limits = problem.limits
+    turns = np.where(problem.arm.linear, 0.0, np.round((goal - start) / (2 * np.pi)))
+    shifted = goal - 2 * np.pi * turns
+    inside = (shifted >= limits.q_min + INSIDE) & (shifted <= limits.q_max - INSIDE)
+    return np.where(inside, shifted, goal)
 
 
 def _unwound(problem: TransportProblem, start: Array, goal: Array) -> tuple[Array, Array]:

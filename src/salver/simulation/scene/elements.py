@@ -18,7 +18,7 @@ import numpy as np
 import pinocchio as pin
 
 from salver.geometry import Array, matrix_from_rpy, quat_wxyz_from_matrix
-from salver.models.arm.arm import ArmModel, moved_links
+from salver.models.arm.arm import STAND_IN, ArmModel, moved_links
 from salver.models.bodies import TRAY
 from salver.models.load_dynamics import Rod
 from salver.models.rigid_body import RigidBody
@@ -95,6 +95,9 @@ def add_arm(spec: Any, arm: ArmModel, friction: Array, visual: bool) -> Any:
             for element in link.findall(tag):
                 link.remove(element)
     _merge_fixed_links(root)
+    for link in root.iter("link"):
+        if link.get("name") in arm.weightless:
+            _set_inertial(link, STAND_IN)
     extension = ElementTree.SubElement(root, "mujoco")
     ElementTree.SubElement(extension, "compiler", fusestatic="false", discardvisual="false", balanceinertia="false")
     robot = mujoco.MjSpec.from_string(ElementTree.tostring(root, encoding="unicode"))
@@ -107,8 +110,7 @@ def add_arm(spec: Any, arm: ArmModel, friction: Array, visual: bool) -> Any:
         joint.actfrclimited = mujoco.mjtLimited.mjLIMITED_FALSE
         joint.damping = np.zeros(3)  # joint friction comes from the scenario; eq (20) has no damping
         joint.frictionloss = friction[k]
-    half = 0.5 * arm.base_yaw
-    base = spec.worldbody.add_frame(pos=arm.base_position, quat=[np.cos(half), 0, 0, np.sin(half)])
+    base = spec.worldbody.add_frame(pos=arm.base_position, quat=quat_wxyz_from_matrix(arm.R_base))
     spec.attach(robot, frame=base, prefix=ARM_PREFIX)
     if visual:
         _add_meshes(spec, arm)
