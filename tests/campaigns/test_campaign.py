@@ -253,11 +253,11 @@ def test_a_campaign_one_of_whose_workers_died_goes_on_and_gives_the_table_of_one
     thread = threading.Thread(target=kill_one)
     thread.start()
     with pytest.raises(SalverError, match=r"died .* repeat the command"):
-        run_campaign(run_dir, n=10 * N, engine="closed-loop", jobs=2)
+        run_campaign(run_dir, n=5 * N, engine="closed-loop", jobs=2)
     thread.join()
-    assert 0 < killed[0] < 20 * N
-    run_campaign(run_dir, n=10 * N, engine="closed-loop", jobs=2)
-    alone = run_campaign(run_dir, n=10 * N, engine="closed-loop", jobs=1, folder="alone")
+    assert 0 < killed[0] < 10 * N
+    run_campaign(run_dir, n=5 * N, engine="closed-loop", jobs=1)
+    alone = run_campaign(run_dir, n=5 * N, engine="closed-loop", jobs=1, folder="alone")
     assert parquet(run_dir) == (alone.folder / "runs.parquet").read_bytes()
 
 
