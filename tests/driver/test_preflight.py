@@ -253,7 +253,7 @@ def test_a_thin_wall_between_two_samples_is_seen(arm: ArmModel) -> None:
 
 
 @pytest.mark.slow
-@settings(max_examples=25, deadline=None, derandomize=True)
+@settings(max_examples=12, deadline=None, derandomize=True)
 @given(seed=st.integers(0, 10**6))
 def test_nothing_touches_where_the_sweep_says_so(seed: int) -> None:
     """Random motions of few samples among random obstacles, looked at 1500 times as an independent check."""

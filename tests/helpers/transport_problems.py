@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from salver.geometry import Array
-from salver.planning.fastest import FastestOptions, Objective, Point, QuadraticModel
+from salver.planning.fastest import EFFORTS, FastestOptions, Objective, Point, QuadraticModel
 from salver.planning.seeds.starts import ends, straight
 from salver.planning.trajopt.curves import Curve
 from salver.planning.trajopt.problem import TransportProblem
 from salver.planning.trajopt.spline import RestSpline, SplineMotion
 from salver.scenario import Scenario, load, parse
 from salver.trajectory import smooth_step
+
+ROUGH = replace(EFFORTS["quick"], spans=10)  # half the time, where a claim is not that no motion is faster
 
 
 def cube(friction: float = 0.4, **changes: object) -> Scenario:

@@ -15,6 +15,7 @@ from salver.dynamics.load_rows import LoadRows
 from salver.errors import ScenarioError
 from salver.models.contact.wrench_cone import facets
 from salver.models.uncertain.parameters import Parameter
+from salver.planning.fastest import plan_fastest
 from salver.planning.fastest.found import EFFORTS, object_motion
 from salver.planning.fastest.retiming import plan_retimed
 from salver.planning.fastest.safest import plan_safest
@@ -27,6 +28,7 @@ from salver.sensitivity.arm.compliance import LoadResponses, of_cases
 from salver.simulation.physics import simulate, simulate_tray
 from salver.trajectory import MotionSamples, SampledReference, min_jerk_line
 from shaken_loads import BOX
+from transport_problems import ROUGH
 
 LEVEL = {"motion__orientation": "fixed", "motion__goal_yaw": "fixed"}
 
@@ -208,7 +210,7 @@ def test_waves_that_a_hasty_stop_leaves_are_not_steeper_than_is_known():
         },
         "hasty",
     )
-    plan = sv.plan(scenario, "fastest")
+    plan = plan_fastest(scenario, options=ROUGH)
     assert plan.ok, plan.told
     (spill,) = plan.margins.load_verdicts()
     assert 0.7 < spill.steep[-1] <= 1  # the arm that settles makes them steeper
@@ -247,7 +249,7 @@ def test_a_beaker_is_still_when_it_should_be():
     """Half a second after the arm stands no wave of the engine is higher than was asked for, at either end of the
     fill; two kinds of condition, of the motion and of what comes after it, on another arm."""
     made = sv.load_scenario("ur10-beaker", physics__settle_after=0.9, motion__speeds="full")
-    plan, liquid = sv.fastest(made), made.payload.first.inner
+    plan, liquid = plan_fastest(made, options=ROUGH), made.payload.first.inner
     assert plan.ok, plan.verification.sentence
     for fill in (0.0385, 0.0715):
         record = sv.simulate(plan, parameters={"fill": fill, "damping": liquid.damping[0], "mass": 0.09})
@@ -345,7 +347,8 @@ def test_waves_that_an_arm_with_a_known_load_feels_are_nearly_those_that_were_pl
 
 def to_a_goal_that_leans(coffee, degrees):
     motion = {"motion__goal__rpy_deg": [degrees, 0, 0], "motion__speeds": "full"}
-    return sv.fastest(coffee.with_changes(**motion, objects__0__friction=0.3, objects__0__liquid__fill=0.035))
+    made = coffee.with_changes(**motion, objects__0__friction=0.3, objects__0__liquid__fill=0.035)
+    return plan_fastest(made, options=ROUGH)
 
 
 @pytest.mark.slow

@@ -25,6 +25,7 @@ from salver.planning.seeds.starts import (
     _shape,
     _slid_free,
     _sought,
+    _stray_at_rest,
     _unwound,
     between,
     braking_time,
@@ -33,11 +34,13 @@ from salver.planning.seeds.starts import (
     straight,
     touches,
 )
+from salver.planning.trajopt.constraints.constraints import strayed
 from salver.planning.trajopt.constraints.obstacles import CLEARANCE, KeepOut
 from salver.planning.trajopt.ends import AtPose, AtPosture
 from salver.planning.trajopt.problem import TransportProblem
 from salver.planning.trajopt.spline import RestSpline
 from salver.planning.trajopt.watch import Watch
+from salver.scenario import Scenario
 
 SOUGHT = EndOptions()
 
@@ -288,3 +291,13 @@ def test_the_shortest_safe_motion_is_kept_and_what_brings_nothing_is_given_up(pl
     assert len(rough_s) == 4 + FastestOptions().patience * 4
     assert shares == sorted(shares)
     assert shares[-1] == pytest.approx((60 + 3) / (60 + 4))  # when the last refinement began, of 60 different paths
+
+
+def test_an_arm_at_rest_strays_as_far_as_a_load_pulls_in_which_nothing_sloshes(coffee: Scenario) -> None:
+    """In a posture that leans, in which a liquid that were level would slosh and push it further."""
+    problem = transport_problem(coffee)
+    z = np.zeros((4, 5, problem.n))
+    z[0] = problem.start_posture + 0.2 * np.random.default_rng(0).normal(size=(2, problem.n))[1]
+    away = strayed(*problem.at(np.linspace(0, 1, 5), z, 1.0, imposed=False).tray_radius())
+    assert away.max() > 1.005 * away[0]
+    assert _stray_at_rest(problem, z[0, 0]) == pytest.approx(away[0], rel=1e-9)

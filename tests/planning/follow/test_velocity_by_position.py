@@ -17,11 +17,11 @@ from salver.driver.robots.franka import check_franka
 from salver.errors import ScenarioError
 from salver.geometry import Array
 from salver.models.arm.arm import load_arm
-from salver.planning.fastest import transport_problem
+from salver.planning.fastest import EFFORTS, transport_problem
 from salver.planning.follow.limits import verdict
 from salver.planning.make import make_plan
 from salver.planning.plan import Plan
-from salver.planning.stops import with_stops
+from salver.planning.stops import plan_stops, stop_problem
 from salver.planning.trajopt.constraints.constraints import JointLimit
 from salver.planning.verdict.judged import PLANNED, Judged
 from salver.planning.verdict.verify import verify
@@ -253,9 +253,9 @@ def test_an_element_that_cannot_be_is_refused(tmp_path: Path, wrong: str) -> Non
 @pytest.mark.slow
 def test_safest_retimed_and_stopped_motions_keep_them_too(fastest: Plan) -> None:
     assert fastest.joint is not None
-    safest = make_plan(cube(motion__duration=1.0), "safest")
+    safest = make_plan(cube(motion__duration=1.0), "safest", options=EFFORTS["quick"])
     retimed = sv.retime(fastest.joint.q[::20], cube())  # type: ignore[union-attr]
-    stopping = with_stops(fastest)
+    stopping = replace(fastest, stops=plan_stops(stop_problem(fastest), fastest.joint, every=0.3, space=fastest.space))
     for plan in (safest, retimed, stopping):
         assert plan.ok, plan.verdict
         assert largest_share(plan.joint) <= 0.985
