@@ -16,7 +16,7 @@ from salver.dynamics.load_limits import LIGHT, LIGHTEST, LoadLimit, LoadVerdict
 from salver.dynamics.modal_changes import Change, changed
 from salver.dynamics.modal_motion import ModalMotion
 from salver.dynamics.modal_state import ModalState
-from salver.dynamics.motion_gradients import Unknowns
+from salver.dynamics.motion_gradients import Unknowns, at_node
 from salver.geometry import GRAVITY, Array, Indices
 
 
@@ -106,6 +106,13 @@ class LoadResponse(ABC):
         """The response if positions of the masses are uncertain by `away` (K, T, n_modes, 2), m, and the slope of the
         force by `inclined` (K, T, 1)."""
         return replace(self, higher=away.max(axis=(2, 3)), more_left=away[:, -1].max(axis=(1, 2)))
+
+    def ending_by(self, case: Indices, unknowns: Unknowns, by_place: Array, by_speed: Array) -> Array:
+        """Derivatives (m, c) of rows that are functions of `ModalMotion.ending`, from those by its two parts, (m,
+        n_modes, 2) each; changes of the tray's final posture are neglected."""
+        modes, last = self.modes, np.full(len(case), len(self.modes.t) - 1)
+        to_speed = np.sqrt(GRAVITY / modes.upward[case, -1])[:, None, None] / modes.cases.omega[case]
+        return at_node(unknowns, self.planned, case, last, by_place, by_speed * to_speed)
 
     @cached_property
     def lightness(self) -> Array:

@@ -67,14 +67,10 @@ class PendulumResponse(LoadResponse):
 
     def _end_by(self, case: Indices, unknowns: Unknowns) -> tuple[Array, Array]:
         """Derivatives (m, 4, c) of `_end`, and its direction (m, 4, 1)."""
-        last, omega = np.full(len(case), len(self.modes.t) - 1), self.modes.cases.omega[case]
-        speed = np.sqrt(GRAVITY / self.modes.upward[case, -1])[:, None, None] / omega
-        none, found = np.zeros_like(omega), []
-        for order in range(2):
-            for axis in np.eye(2):
-                by = (none + axis, none) if order == 0 else (none, speed * axis)
-                found.append(at_node(unknowns, self.planned, case, last, *by))
-        end = self._end[case]
+        end, none = self._end[case], np.zeros((len(case), 1, 2))
+        axes = [none + axis for axis in np.eye(2)]
+        found = [self.ending_by(case, unknowns, axis, none) for axis in axes]
+        found += [self.ending_by(case, unknowns, none, axis) for axis in axes]
         return np.stack(found, axis=1), (end / np.maximum(np.linalg.norm(end, axis=1, keepdims=True), self.least))[
             ..., None
         ]

@@ -14,7 +14,6 @@ from salver.scenario.model import Scenario, parse
 from salver.wording import listed
 
 SCENARIO_DIR = Path(__file__).parent.parent / "scenarios"
-LONGEST_TEXT = 1_000_000  # bytes of a scenario file
 
 
 def load(name_or_path: str | Path) -> Scenario:
@@ -26,15 +25,19 @@ def load(name_or_path: str | Path) -> Scenario:
         if found is None:
             raise ScenarioError(_unknown(str(name_or_path)))
         path = found
+    return read(text_of(path), str(path), path.parent)
+
+
+def text_of(path: Path, most: int = 1_000_000) -> str:
+    """The text of a scenario file of at most so many bytes. Raises ScenarioError."""
     try:
-        if path.stat().st_size > LONGEST_TEXT:
-            raise ScenarioError(f"{path} is larger than {LONGEST_TEXT // 1000} kB; a scenario is a .toml file.")
-        text = path.read_text(encoding="utf-8")
+        if path.stat().st_size > most:
+            raise ScenarioError(f"{path} is larger than {most // 1000} kB; a scenario is a .toml file.")
+        return path.read_text(encoding="utf-8")
     except UnicodeDecodeError:
         raise ScenarioError(f"{path} is not a text file in UTF-8; a scenario is a .toml file.") from None
     except (OSError, ValueError) as error:
         raise ScenarioError(f"{path} cannot be read ({reason(error)}); a scenario is a .toml file.") from None
-    return read(text, str(path), path.parent)
 
 
 def read(text: str, where: str, folder: Path) -> Scenario:

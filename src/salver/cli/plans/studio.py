@@ -62,8 +62,8 @@ def begun(scenario: str | None) -> tuple[str, Path, Path, bool]:
     A file may have mistakes, which the page shows; a ready-made scenario is saved in the working directory.
     """
     from salver.cli.plans.new import usual
-    from salver.errors import ScenarioError, reason
-    from salver.scenario import SCENARIO_DIR, load
+    from salver.errors import ScenarioError
+    from salver.scenario.files import SCENARIO_DIR, load, text_of
     from salver.studio.text import LONGEST
 
     place = Path(scenario or "scenario.toml")
@@ -75,11 +75,4 @@ def begun(scenario: str | None) -> tuple[str, Path, Path, bool]:
         return ready_made.read_text(encoding="utf-8"), Path(ready_made.name), SCENARIO_DIR, False
     if not place.exists():
         return usual(place.stem), place, place.parent, False
-    try:
-        if place.stat().st_size > LONGEST:
-            raise ScenarioError(f"{place} has more than {LONGEST // 1000} kB; the studio edits no longer text.")
-        return place.read_text(encoding="utf-8"), place, place.parent, True
-    except UnicodeDecodeError:
-        raise ScenarioError(f"{place} is not a text file in UTF-8; a scenario is a .toml file.") from None
-    except OSError as error:
-        raise ScenarioError(f"{place} cannot be read ({reason(error)}); a scenario is a .toml file.") from None
+    return text_of(place, LONGEST), place, place.parent, True

@@ -18,7 +18,7 @@ from salver.dynamics.load_limits import LIGHT, LoadLimit, of_end
 from salver.dynamics.load_response import LoadResponse, slacks
 from salver.dynamics.modal_changes import Change
 from salver.dynamics.modal_motion import ModalMotion
-from salver.dynamics.motion_gradients import Unknowns, at_node
+from salver.dynamics.motion_gradients import Unknowns
 from salver.geometry import GRAVITY, Array, Indices
 from salver.models.load_dynamics import Drawn
 
@@ -144,7 +144,7 @@ class SloshingResponse(LoadResponse):
         waves, leans = self.modes, self._leans(case, node)
         by_free = (1 - leans) * waves.cases.steepest_by(waves.free[case, node])
         by_eta = LESS * leans * waves.cases.steepest_by(waves.eta[case, node])
-        return surface_by(self.planned, unknowns, case, node, by_eta, by_free, 0.0)
+        return surface_by(self.planned, unknowns, case, node, by_eta, by_free)
 
     # Factors (m, k, c) whose squares, summed over k, are the convex part of the second derivatives of rows; the waves
     # are almost linear in the unknowns.
@@ -163,7 +163,8 @@ class SloshingResponse(LoadResponse):
         which = self.modes.cases
         turns = self._turns(case, node, unknowns, self.modes.eta[case, node], free=False)
         peaking = np.sqrt(2 * which.peaking[case] / which.half[case])
-        return np.concatenate([turns, self._axes(case, node, unknowns, peaking, free=True)], axis=1)
+        both = [surface_by(self.planned, unknowns, case, node, by_free=peaking * axis) for axis in np.eye(2)]
+        return np.concatenate([turns, np.stack(both, axis=1)], axis=1)
 
     def _leans(self, case: Indices, node: Indices) -> Array:
         """(m, 1) 1 where `free_height` is that of the whole surface, else 0."""
@@ -176,23 +177,11 @@ class SloshingResponse(LoadResponse):
             return np.zeros((len(case), 0, unknowns.felt.shape[2]))
         size = np.maximum(np.linalg.norm(eta, axis=1), self.least)[:, None]
         aside = np.stack([-eta[:, 1], eta[:, 0]], axis=1) / size**1.5
-        nothing = np.zeros_like(aside)
-        by = (nothing, aside) if free else (aside, nothing)
-        return surface_by(self.planned, unknowns, case, node, *by, 0.0)[:, None]
-
-    def _axes(self, case: Indices, node: Indices, unknowns: Unknowns, weight: Array, free: bool) -> Array:
-        """Derivatives of waves along both axes, times weights (m, 2)."""
-        both = []
-        for axis in range(2):
-            by = np.zeros_like(weight)
-            by[:, axis] = weight[:, axis]
-            pair = (np.zeros_like(by), by) if free else (by, np.zeros_like(by))
-            both.append(surface_by(self.planned, unknowns, case, node, *pair, 0.0))
-        return np.stack(both, axis=1)
+        return surface_by(self.planned, unknowns, case, node, **{"by_free" if free else "by_eta": aside})[:, None]
 
     def left_bends(self, case: Indices, unknowns: Unknowns, seconds: float | None = None) -> Array:
         """Second derivatives of the residual sloshing."""
-        waves, which, m = self.modes, self.modes.cases, len(case)
+        waves, which = self.modes, self.modes.cases
         more = np.broadcast_to(self.more_left, len(which.each))[case]
         fading, half = waves.fading(seconds or 0.0)[case], which.half[case]
         amplitude = waves.amplitude(seconds or 0.0, self.more_left)[case]
@@ -205,7 +194,7 @@ class SloshingResponse(LoadResponse):
         drifted = LEFT_OVER * (peak + more) / half.min(axis=1) ** 2
         drifted = drifted * waves.peaks_now[case]
         highest = which.steepest_by(waves.eta[case, k]) * np.sqrt(6 * drifted)[:, None]
-        found.append(surface_by(self.planned, unknowns, case, k, highest, np.zeros((m, 2)), 0.0))
+        found.append(surface_by(self.planned, unknowns, case, k, highest))
         turns = np.sqrt(3 * drifted * (peak + more))[:, None, None]
         return np.concatenate(
             [np.stack(found, axis=1), turns * self._turns(case, k, unknowns, waves.eta[case, k], free=False)], axis=1
@@ -223,10 +212,7 @@ class SloshingResponse(LoadResponse):
         """Second derivatives of amplitudes with derivatives by_amplitude (m, 2) and static heights stands (m, 2), from
         the rotation between position and velocity of each mode, and between both axes; then the derivatives (m, c) of
         the amplitudes along both axes."""
-        waves, which = self.modes, self.modes.cases
-        last = np.full(len(case), len(waves.t) - 1)
-        to_speed = np.sqrt(GRAVITY / waves.upward[case, -1])[:, None, None] / which.omega[case]
-        away, speed = (x[case] for x in waves.ending)
+        which, (away, speed) = self.modes.cases, (x[case] for x in self.modes.ending)
         size = np.maximum(np.hypot(away, speed), self.least)
         gain = fading * which.gain[case]
         turning = np.sqrt(gain * np.maximum(by_amplitude, 0.0)[:, None] / size) / size
@@ -235,12 +221,12 @@ class SloshingResponse(LoadResponse):
             for axis in range(2):
                 one = np.zeros_like(away)
                 one[:, mode, axis] = turning[:, mode, axis]
-                found.append(at_node(unknowns, self.planned, case, last, -one * speed, one * away * to_speed))
+                found.append(self.ending_by(case, unknowns, -one * speed, one * away))
         larger = []
         for axis in range(2):
             one = np.zeros_like(away)
             one[:, :, axis] = gain[:, :, axis] / size[:, :, axis]
-            larger.append(at_node(unknowns, self.planned, case, last, one * away, one * speed * to_speed))
+            larger.append(self.ending_by(case, unknowns, one * away, one * speed))
         if which.round:
             height = np.maximum(np.linalg.norm(stands, axis=1), self.least)[:, None]
             aside = stands[:, ::-1] * [-1.0, 1.0] / height**1.5
@@ -249,7 +235,7 @@ class SloshingResponse(LoadResponse):
 
     def left_by(self, case: Indices, unknowns: Unknowns, seconds: float | None = None) -> Array:
         """Derivatives of the residual sloshing, for a fixed final posture of the tray."""
-        waves, which, m = self.modes, self.modes.cases, len(case)
+        waves, which = self.modes, self.modes.cases
         more = np.broadcast_to(self.more_left, len(which.each))[case]
         fading, half = waves.fading(seconds or 0.0)[case], which.half[case]
         amplitude = waves.amplitude(seconds or 0.0, self.more_left)[case]
@@ -259,7 +245,7 @@ class SloshingResponse(LoadResponse):
         k, peak = waves.peak[0][case], waves.peak[1][case]
         steep = 3 * LEFT_OVER * (peak + more) ** 2 / half.min(axis=1) ** 2 * waves.peaks_now[case]
         highest = which.steepest_by(waves.eta[case, k]) * steep[:, None]
-        return ending + surface_by(self.planned, unknowns, case, k, highest, np.zeros((m, 2)), 0.0)
+        return ending + surface_by(self.planned, unknowns, case, k, highest)
 
     def free_left_by(self, case: Indices, unknowns: Unknowns) -> Array:
         """Derivatives of the residual free wave, for a fixed final posture of the tray."""
@@ -268,12 +254,10 @@ class SloshingResponse(LoadResponse):
 
     def _amplitude_by(self, case: Indices, unknowns: Unknowns, fading: Array | float, by_amplitude: Array) -> Array:
         """Derivatives of a function of the final amplitudes with derivatives by_amplitude (m, 2)."""
-        waves, which = self.modes, self.modes.cases
-        last = np.full(len(case), len(waves.t) - 1)
-        to_speed = np.sqrt(GRAVITY / waves.upward[case, -1])[:, None, None] / which.omega[case]
-        away, speed = (x[case] for x in waves.ending)
-        by_size = fading * which.gain[case] * by_amplitude[:, None] / np.maximum(np.hypot(away, speed), 1e-12)
-        return at_node(unknowns, self.planned, case, last, by_size * away, by_size * speed * to_speed)
+        away, speed = (x[case] for x in self.modes.ending)
+        by_size = fading * self.modes.cases.gain[case] * by_amplitude[:, None]
+        by_size = by_size / np.maximum(np.hypot(away, speed), 1e-12)
+        return self.ending_by(case, unknowns, by_size * away, by_size * speed)
 
 
 @dataclass(frozen=True)

@@ -154,14 +154,14 @@ def surface_by(
     unknowns: Unknowns,
     case: Indices,
     node: Indices,
-    by_eta: Array,
-    by_free: Array,
-    thrown: Array | float,
+    by_eta: Array | float = 0.0,
+    by_free: Array | float = 0.0,
+    thrown: Array | float = 0.0,
 ) -> Array:
     """Derivatives of by_eta . eta + by_free . free, (m, 2) each, plus `thrown` (m,) times the squared rate of
     tilting."""
     which = waves.cases
-    both, up = by_eta + by_free, waves.upward[case, node]
+    both, up = np.asarray(by_eta + by_free), waves.upward[case, node]
     by_slope = (by_free * which.half[case] - both * which.rest_rise[case]) / up[:, None]
     lateral = turned(by_slope, -waves.spin[case, node])
     by_force = np.column_stack([lateral, -(by_slope * waves.slope[case, node]).sum(axis=1)])
