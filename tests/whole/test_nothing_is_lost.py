@@ -106,7 +106,7 @@ def test_the_command_plan_says_where_the_earlier_plan_is(tmp_path):
 
 
 def test_a_directory_of_another_scenario_is_left_alone_and_the_plan_is_kept_beside_it(run, tmp_path):
-    from salver.cli.common import WRONG_USE, save_plans
+    from salver.cli.common import ExitCode, save_plans
 
     before = contents(run)
     faster = plan_baseline(CASE.with_changes(motion__duration=2.0, name="another"))
@@ -116,7 +116,7 @@ def test_a_directory_of_another_scenario_is_left_alone_and_the_plan_is_kept_besi
 
     with pytest.raises(typer.Exit) as ended:
         save_plans(run, {"plan": faster})
-    assert ended.value.exit_code == WRONG_USE
+    assert ended.value.exit_code == ExitCode.WRONG_USE
     assert contents(run) == before
     assert (tmp_path / "run-1" / "plan.npz").is_file()
 

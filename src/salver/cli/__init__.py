@@ -16,7 +16,7 @@ from typing import Annotated
 import typer
 
 from salver import __version__
-from salver.cli.common import INTERRUPTED, handled
+from salver.cli.common import ExitCode, handled
 
 # Commands in the order of use, each with its folder; module and function have the command's name.
 COMMANDS = {
@@ -101,4 +101,4 @@ def main() -> None:
 
         sys.exit(lost(error))
     except KeyboardInterrupt:  # while the command is being loaded; commands handle this themselves
-        sys.exit(INTERRUPTED)
+        sys.exit(ExitCode.INTERRUPTED)

@@ -10,6 +10,7 @@ import shlex
 import sys
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import nullcontext
+from enum import IntEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
@@ -26,12 +27,17 @@ if TYPE_CHECKING:
     from salver.planning.round import MultiLegPlan
     from salver.scenario import Scenario
 
-ACHIEVED = 0
-NOT_ACHIEVED = 1
-WRONG_USE = 2
-NO_SAFE_PLAN = 3
-DEFECT = 70  # EX_SOFTWARE of sysexits.h
-INTERRUPTED = 130  # 128 + SIGINT
+
+class ExitCode(IntEnum):
+    """How a command ends. NO_SAFE_PLAN also stands for what an audit or motion capture cannot tell."""
+
+    ACHIEVED = 0
+    NOT_ACHIEVED = 1
+    WRONG_USE = 2
+    NO_SAFE_PLAN = 3
+    DEFECT = 70  # EX_SOFTWARE of sysexits.h
+    INTERRUPTED = 130  # 128 + SIGINT
+
 
 Json = Annotated[bool, typer.Option("--json", help="Print the result as one JSON document on standard output.")]
 ScenarioName = Annotated[
@@ -78,32 +84,34 @@ def handled(command: Command) -> Command:
             say(f"salver: {error}")
             if kwargs.get("json"):
                 print_json({"error": str(error)})
-            raise typer.Exit(NO_SAFE_PLAN if isinstance(error, UnreachableError | UnsafeError) else WRONG_USE) from None
+            raise typer.Exit(
+                ExitCode.NO_SAFE_PLAN if isinstance(error, UnreachableError | UnsafeError) else ExitCode.WRONG_USE
+            ) from None
         except KeyboardInterrupt:
             say("salver: interrupted; files that were written before are complete.")
-            raise typer.Exit(INTERRUPTED) from None
+            raise typer.Exit(ExitCode.INTERRUPTED) from None
         except BrokenPipeError:  # the reader of the output, such as `head`, has closed it
             sys.stderr.close()
-            raise typer.Exit(ACHIEVED) from None
+            raise typer.Exit(ExitCode.ACHIEVED) from None
         except (typer.Exit, typer.Abort, typer.BadParameter):
             raise
         except OSError as error:
             raise typer.Exit(lost(error)) from None
         except MemoryError:
             say("salver: out of memory; files that were written before are complete.")
-            raise typer.Exit(WRONG_USE) from None
+            raise typer.Exit(ExitCode.WRONG_USE) from None
         except Exception as error:
             cause = error.__cause__ or error.__context__
             if isinstance(cause, KeyboardInterrupt):  # while a library was being imported, which says it in its own way
                 say("salver: interrupted; files that were written before are complete.")
-                raise typer.Exit(INTERRUPTED) from None
+                raise typer.Exit(ExitCode.INTERRUPTED) from None
             lacking = _LIBRARY.match(str(error)) if isinstance(error, ImportError) else None
             if lacking is not None:
                 package = lacking[1].replace(".so.", "").lower()
                 say(f"salver: this machine lacks {lacking[1]}; on Debian and Ubuntu: apt-get install {package}.")
-                raise typer.Exit(WRONG_USE) from None
+                raise typer.Exit(ExitCode.WRONG_USE) from None
             say(f"salver: {_defect(error)}")
-            raise typer.Exit(DEFECT) from None
+            raise typer.Exit(ExitCode.DEFECT) from None
 
     return wrapper  # type: ignore[return-value]
 
@@ -118,7 +126,7 @@ def lost(error: OSError) -> int:
         sys.stdout.flush()
     except OSError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    return WRONG_USE
+    return ExitCode.WRONG_USE
 
 
 # The loader's message about a missing system library that a package needs.
@@ -194,7 +202,7 @@ def save_plans(directory: Path, plans: Mapping[str, Plan | MultiLegPlan], force:
             plan.save(beside, stem)
         say(f"salver: {error}")
         say(f"salver: the new plans are in {beside}.")
-        raise typer.Exit(WRONG_USE) from None
+        raise typer.Exit(ExitCode.WRONG_USE) from None
     for path in sorted(set(directory.glob(f"{EARLIER}/*")) - before):
         say(f"salver: the earlier plan in {directory} and its results are now in {path}.")
 

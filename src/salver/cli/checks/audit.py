@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from salver.cli.common import NO_SAFE_PLAN, Json, print_json, result_console
+from salver.cli.common import ExitCode, Json, print_json, result_console
 from salver.wording import listed, millimetres, number
 
 if TYPE_CHECKING:
@@ -88,7 +88,7 @@ def audit(
         options = "".join(f" --{name} {quote(str(value))}" for name, value in given.items() if value is not None)
         _show(results[0], f"{quote(str(trajectory))} -s {quote(scenario)}", options)
     if not all(result.ok for result in results):
-        raise typer.Exit(NO_SAFE_PLAN)
+        raise typer.Exit(ExitCode.NO_SAFE_PLAN)
 
 
 def _show(result: Audit, given: str = "", options: str = "") -> None:

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from salver.cli.common import NOT_ACHIEVED, Json, print_json, print_table, result_console, say
+from salver.cli.common import ExitCode, Json, print_json, print_table, result_console, say
 from salver.cli.progress import step
 
 
@@ -55,14 +55,14 @@ def campaign(
         result = run_campaign(directory, n, seed, method, stem, engine, jobs, folder, show_progress, stops=stops)
     except KeyboardInterrupt:
         say("salver: stopped; finished runs are kept: repeat the command to continue.")
-        raise typer.Exit(130) from None
+        raise typer.Exit(ExitCode.INTERRUPTED) from None
     if json:
         print_json(result.summary)
     else:
         show(result.summary)
         result_console().print(f"Runs: {result.folder / 'runs.parquet'}, summary: {result.folder / 'campaign.json'}")
     if any("error" in plan["outcomes"] for plan in result.summary["plans"].values()):
-        raise typer.Exit(NOT_ACHIEVED)
+        raise typer.Exit(ExitCode.NOT_ACHIEVED)
 
 
 def show_progress(done: int, total: int, counts: Counter[tuple[str, str]]) -> None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from salver.cli.common import NO_SAFE_PLAN, Json, check_new_toml, print_json, print_table, save_scenario, say
+from salver.cli.common import ExitCode, Json, check_new_toml, print_json, print_table, save_scenario, say
 
 if TYPE_CHECKING:
     from salver.learning.trips import Trip
@@ -56,7 +56,7 @@ def learn(
     if out is not None and out.exists():
         say(f"Written to {out}; next: salver plan {quote(str(out))} --fastest.")
     if any(trip.lost for trip in made):
-        raise typer.Exit(NO_SAFE_PLAN)
+        raise typer.Exit(ExitCode.NO_SAFE_PLAN)
 
 
 def _record(trip: Trip) -> dict[str, Any]:

@@ -9,7 +9,7 @@ import numpy as np
 import typer
 
 from salver.cli.checks.audit import Topic
-from salver.cli.common import NO_SAFE_PLAN, Json, headed, print_json, print_table, result_console
+from salver.cli.common import ExitCode, Json, headed, print_json, print_table, result_console
 
 if TYPE_CHECKING:
     from salver.learning.tracking.track import Tracking
@@ -50,7 +50,7 @@ def track(
     else:
         _show(found)
     if not found.ok:
-        raise typer.Exit(NO_SAFE_PLAN)
+        raise typer.Exit(ExitCode.NO_SAFE_PLAN)
 
 
 def unseen(found: Tracking) -> str:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from salver.cli.common import NO_SAFE_PLAN, Json, numbers, print_json, result_console, say
+from salver.cli.common import ExitCode, Json, numbers, print_json, result_console, say
 from salver.errors import SalverError, ScenarioError
 
 if TYPE_CHECKING:
@@ -106,7 +106,7 @@ def new(
             else helps
         )
     if not plan.ok:
-        raise typer.Exit(NO_SAFE_PLAN)
+        raise typer.Exit(ExitCode.NO_SAFE_PLAN)
 
 
 def usual(name: str) -> str:

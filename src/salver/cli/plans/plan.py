@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from salver.cli.common import (
-    NO_SAFE_PLAN,
+    ExitCode,
     Json,
     ScenarioName,
     Stops,
@@ -136,7 +136,7 @@ def plan(
     else:
         _tell(directory, plans)
     if not plans["plan"].ok:
-        raise typer.Exit(NO_SAFE_PLAN)
+        raise typer.Exit(ExitCode.NO_SAFE_PLAN)
 
 
 def _method(scenario: Scenario, arm: bool, asked: list[str]) -> str:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from salver.cli.checks.audit import Gap, Highest, Noise, Topic, Units
-from salver.cli.common import NO_SAFE_PLAN, Json, Stops, Unsafe, print_json, result_console, save_plans, say
+from salver.cli.common import ExitCode, Json, Stops, Unsafe, print_json, result_console, save_plans, say
 from salver.cli.plans.plan import checked
 from salver.cli.plans.searching import stopping
 from salver.errors import ScenarioError, UnsafeError
@@ -132,7 +132,7 @@ def retime(
         for file in write_motion(read_motion(directory), write, unsafe=unsafe):
             say(f"Wrote {file}")
     if not plan.ok:
-        raise typer.Exit(NO_SAFE_PLAN)
+        raise typer.Exit(ExitCode.NO_SAFE_PLAN)
 
 
 def _share(reserve: str) -> float:
@@ -220,4 +220,4 @@ def _at_pace(
     if refused is not None:
         raise refused
     if not found.ok:
-        raise typer.Exit(NO_SAFE_PLAN)
+        raise typer.Exit(ExitCode.NO_SAFE_PLAN)

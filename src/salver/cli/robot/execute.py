@@ -7,10 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from salver.cli.common import NOT_ACHIEVED, Json, numbers, print_json, result_console, say
+from salver.cli.common import ExitCode, Json, numbers, print_json, result_console, say
 from salver.errors import SalverError
-
-CANNOT_TELL = 3  # exit code, as for an audit
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -128,7 +126,8 @@ def execute(
     else:
         _tell(result)
     if not result.achieved:
-        raise typer.Exit(CANNOT_TELL if result.summary["outcome"] == "cannot_tell" else NOT_ACHIEVED)
+        unknown = result.summary["outcome"] == "cannot_tell"
+        raise typer.Exit(ExitCode.NO_SAFE_PLAN if unknown else ExitCode.NOT_ACHIEVED)
 
 
 def _told(
