@@ -148,6 +148,15 @@ def cube_run(cube_plans: Path) -> Path:
 
 
 @pytest.fixture(scope="session")
+def arch(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run directory of three objects of which one stands on the others, along the straight line, without an arm."""
+    from salver import scenario
+    from salver.planning.make import make_plan
+
+    return make_plan(scenario.load("upright-arch"), "baseline").save(tmp_path_factory.mktemp("arch") / "run", "plan")
+
+
+@pytest.fixture(scope="session")
 def behind_a_post() -> TransportProblem:
     """The paper's cube, known exactly, which a post hinders from going straight."""
     from salver import scenario

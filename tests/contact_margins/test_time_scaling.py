@@ -126,6 +126,7 @@ def test_a_liquid_at_a_part_of_the_speed_is_that_of_the_slower_motion(coffee, fa
     assert scaled.slack(factor) != pytest.approx(scaled.slack(1.0), rel=0.05)
 
 
+@pytest.mark.slow
 def test_of_few_speeds_the_worst_is_found_and_each_resonance_that_fails(coffee_plan, coffee):
     """Of a plan for full speed only; at other speeds with contact as at rest and at full speed, or less."""
     tray, model = coffee_plan._tray, margin_model(coffee_plan.scenario)
@@ -233,7 +234,10 @@ def test_the_margin_is_zero_at_the_edges_that_are_told_and_below_it_just_beyond(
 
 @pytest.mark.parametrize(
     ("duration", "contents"),
-    [(0.5, {}), (0.8, {}), (2.0, {}), (0.8, {"contents": "any", "com": [0.004, 0.003, 0.005]})],
+    [
+        *((x, {}) for x in (0.5, 0.8, 2.0)),
+        pytest.param(0.8, {"contents": "any", "com": [0.004, 0.003, 0.005]}, marks=pytest.mark.slow),
+    ],
 )
 def test_few_instants_decide_the_edges_as_all_do(duration, contents):
     """Of the whole motion, which turns as well, the least margin is 0 there."""

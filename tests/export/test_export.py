@@ -169,11 +169,10 @@ def test_mujoco_scene_opens_elsewhere_and_holds_still(directory: Path, tmp_path:
 
 
 @pytest.mark.slow
-def test_mujoco_scene_of_a_stack_without_an_arm_stands(tmp_path: Path) -> None:
+def test_mujoco_scene_of_a_stack_without_an_arm_stands(arch: Path, tmp_path: Path) -> None:
     import mujoco
 
-    make_plan(scenario.load("upright-arch"), "baseline").save(tmp_path / "run", "plan")
-    write_export(tmp_path / "run", "mujoco", tmp_path / "scene")
+    write_export(arch, "mujoco", tmp_path / "scene")
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "scene" / "scene.xml"))
     assert np.array_equal(model.opt.gravity, [0, 0, -9.81])
     data = mujoco.MjData(model)
@@ -182,7 +181,7 @@ def test_mujoco_scene_of_a_stack_without_an_arm_stands(tmp_path: Path) -> None:
     for _ in range(1000):
         mujoco.mj_step(model, data)
     assert np.abs(data.qpos - before).max() < 1e-4
-    weight = sum(item.mass for item in load_plan(tmp_path / "run").scenario.objects) * 9.81
+    weight = sum(item.mass for item in load_plan(arch).scenario.objects) * 9.81
     normal = [
         data.efc_force[c.efc_address] for c in data.contact if model.body("salver:tray").id in model.geom_bodyid[c.geom]
     ]

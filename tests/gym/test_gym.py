@@ -44,7 +44,8 @@ def test_it_is_an_environment_as_gymnasium_checks_it(options: dict[str, Any]) ->
 
 
 @pytest.mark.parametrize(
-    "options", [{}, {"shield": True}, pytest.param({"shield": True, "actions": "joints"}, marks=pytest.mark.slow)]
+    "options",
+    [{}, *(pytest.param({"shield": True, **more}, marks=pytest.mark.slow) for more in ({}, {"actions": "joints"}))],
 )
 def test_the_same_seed_gives_the_same_episode_and_another_another(options: dict[str, Any]) -> None:
     env = gym.Carry("panda-tall-bottle", **options)

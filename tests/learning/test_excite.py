@@ -28,7 +28,7 @@ WIDE = {"mass": "50%", "com": [0.015, 0.015, 0.015], "friction": "10%"}
 
 @pytest.fixture(scope="module")
 def plan() -> Plan:
-    return plan_excite(load("panda-tall-bottle").with_changes(objects__0__uncertainty=WIDE), 1.5)
+    return plan_excite(load("panda-tall-bottle").with_changes(objects__0__uncertainty=WIDE, motion__speeds="full"), 1.5)
 
 
 def test_slope_of_what_is_told_agrees_with_differences() -> None:

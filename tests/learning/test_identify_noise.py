@@ -69,7 +69,8 @@ def test_what_a_slow_effect_is_found_to_be_is_off_by_as_much_as_is_told(samples:
 
 
 def bottle() -> Scenario:
-    return load("panda-tall-bottle").with_changes(objects__0__uncertainty=WIDE, objects__0__friction=0.4)
+    changes = {"objects__0__uncertainty": WIDE, "objects__0__friction": 0.4, "motion__speeds": "full"}
+    return load("panda-tall-bottle").with_changes(**changes)
 
 
 @pytest.fixture(scope="module")
@@ -99,13 +100,13 @@ def test_over_long_blocks_of_a_quick_motion_the_load_comes_out_without_errors(ex
 def test_of_a_quick_trip_and_an_excitation_trajectory_joint_torques_say_nothing_false(
     excitation: Plan,
 ) -> None:
-    """A claim of 95 %, as 160 ranges of mass and centre of mass can show it (deviation: 1.7 %); those to plan with
+    """A claim of 95 %, as 80 ranges of mass and centre of mass can show it (deviation: 2.4 %); those to plan with
     should miss hardly ever."""
     plans, inside = [plan_fastest(bottle()), excitation], []
-    for seed in range(40):
+    for seed in range(20):
         values, runs = drawn(excitation, seed), []
         for k, plan in enumerate(plans):
-            arm = SensedArm(plan, 40 * k + seed, FAST, wrist=False)
+            arm = SensedArm(plan, 20 * k + seed, FAST, wrist=False)
             runs.append(LoggedRun(plan, arm.log(values), arm.log(None)))
         ranges = identify_runs(plans[0].scenario, runs).ranges
         found = [(r.likely, (r.low, r.high)) for r in (ranges[name] for name in NAMES)]

@@ -235,7 +235,7 @@ def test_an_inertia_that_the_scenario_or_the_shape_does_not_allow_is_told(plan: 
     nominal = inertial_vector(plan.scenario.payload.first.inertial)
     for times, more, said in (
         (1.3, {}, "inertia_.*with no range: give uncertainty.inertia"),
-        (1.3, {"inertia": "10%"}, "The logs put inertia_"),
+        (1.3, {"inertia": "10%"}, r"The logs put inertia_.* kg m\^2, the scenario between"),
         (6.0, {}, "distribution of mass inside bottle"),
     ):
         true = nominal.copy()

@@ -98,6 +98,7 @@ def test_a_planner_that_fails_or_dies_leaves_what_is_committed(cube, monkeypatch
     monkeypatch.setattr(type(live._planner._replanner), "to", broken)
     live.goto((0.5, -0.3, 0.4))
     assert "The planner failed (ArithmeticError: lost)" in live.plan(60.0).refused
+    assert live.state.requests[-1].why == "the planner failed (ArithmeticError)"
     more = drive(live, 1.5, every=None, begins=0.4)
     assert live.committed is goal
     check(live, in_turn(states, more))

@@ -290,6 +290,7 @@ def test_a_factor_never_leaves_the_range_between_its_ends():
             profile = SpeedProfile(path, 5.0, 0.2, 0.5, rate, to, 1.2)
             t = np.linspace(0.0, 2.0, 400)
             u, factor, slope = profile.along(t)
+            assert profile.settled == (5.0 if to == 0.5 and not rate else 6.2)
             np.testing.assert_allclose(np.gradient(u, t)[1:-1], factor[1:-1], atol=1e-4)
             np.testing.assert_allclose(np.gradient(factor, t)[1:-1], slope[1:-1], atol=1.5e-2)
             inside = min(0.5, to) - 1e-9 <= factor.min() and factor.max() <= max(0.5, to) + 1e-9

@@ -99,6 +99,7 @@ def test_shapes_are_in_their_frames_and_the_cube_stands_on_the_tray(planned: dic
     assert {f"panda_link{k}" for k in range(1, 8)} < set(corners)
 
 
+@pytest.mark.slow
 def test_a_run_is_as_the_engine_saw_it(cube_run: Path, recording: Path) -> None:
     found = content(recording)
     arrays, _ = read_result(cube_run / "simulation" / "plan.npz", ("t",))
@@ -111,6 +112,7 @@ def test_a_run_is_as_the_engine_saw_it(cube_run: Path, recording: Path) -> None:
         assert np.array_equal(state.effort, arrays["tau"][k])
 
 
+@pytest.mark.slow
 def test_its_joints_are_read_as_a_motion(cube_run: Path, recording: Path) -> None:
     """By `salver audit` and `report` too."""
     arrays, _ = read_result(cube_run / "simulation" / "plan.npz", ("t",))

@@ -195,15 +195,14 @@ def test_the_worst_case_is_the_plans_own_and_of_contact_alone(tmp_path: Path) ->
     )
 
 
-def test_several_objects_are_spoken_of_together(tmp_path: Path) -> None:
-    case = scenario.load("upright-arch")
-    make_plan(case, "baseline").save(tmp_path, "plan")
-    run = read_run(tmp_path)
+def test_several_objects_are_spoken_of_together(arch: Path, tmp_path: Path) -> None:
+    folder = Path(shutil.copytree(arch, tmp_path / "run"))
+    run = read_run(folder)
     assert run.load == "the 3 objects"
     assert run.contact["plan"].coefficient is None
-    text = write_report(tmp_path).read_text()
+    text = write_report(folder).read_text()
     assert "friction of lintel ±0.042 (10 %)" in text
-    assert len(data_of(tmp_path / "report.html")["replay"]["objects"]) == 3
+    assert len(data_of(folder / "report.html")["replay"]["objects"]) == 3
 
 
 def test_parameters_that_hardly_matter_are_named_not_drawn(tmp_path: Path) -> None:

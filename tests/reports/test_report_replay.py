@@ -140,13 +140,13 @@ def test_a_carried_mesh_is_drawn_as_it_is_not_as_its_hull(tmp_path: Path) -> Non
     import trimesh
 
     waist = [[0, 0], [0.03, 0], [0.01, 0.05], [0.03, 0.1], [0, 0.1]]
-    trimesh.creation.revolve(np.array(waist), sections=32).export(tmp_path / "vase.stl")
+    trimesh.creation.revolve(np.array(waist), sections=12).export(tmp_path / "vase.stl")
     shape = {"type": "mesh", "file": str(tmp_path / "vase.stl")}
     item = {"name": "vase", "shape": shape, "mass": 0.3, "friction": 0.5}
     pose = {"position": [0.5, 0.0, 0.4]}
     way = {"start": pose, "goal": {"position": [0.5, 0.1, 0.4]}, "duration": 2.0}
     vase = scenario.parse({"name": "vase", "motion": way, "objects": [item]}, "vase")
-    make_plan(vase).save(tmp_path / "run")
+    make_plan(vase, "baseline").save(tmp_path / "run")
     drawn = data_of(write_report(tmp_path / "run"))["replay"]["objects"][0]
     points = np.array(drawn["points"])
     radius, middle = np.hypot(points[:, 0], points[:, 1]), np.ptp(points[:, 2]) / 2 + points[:, 2].min()

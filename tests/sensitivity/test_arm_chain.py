@@ -342,6 +342,7 @@ def test_where_the_jerk_jumps_the_least_slack_is_that_of_a_fine_grid(panda):
     assert even.least_slack().min() > least.min() + 1e-3
 
 
+@pytest.mark.slow
 def test_a_chain_with_a_liquid_says_no_slack(coffee_plan):
     """As a solid the coffee of a safe plan would seem to slide: what its waves take off is not in the chain."""
     plan = coffee_plan

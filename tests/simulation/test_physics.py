@@ -171,15 +171,16 @@ def test_sampled_runs_are_reproducible(fast):
     assert first.outcome == other.outcome == "holds"
 
 
-def test_noise_of_the_sensors_is_as_large_as_asked_for_and_of_the_seed(fast):
+@pytest.mark.parametrize(("of_q", "of_dq"), [(1e-4, 0.0), (0.0, 1e-2)])
+def test_noise_of_the_sensors_is_as_large_as_asked_for_and_of_the_seed(fast, of_q, of_dq):
     """The first command by the controller itself, on joints and speeds off by numbers drawn from the seed."""
     changes = {"physics__settle_before": 0.0, "physics__settle_after": 0.0}
-    changes |= {"physics__position_noise": 1e-4, "physics__velocity_noise": 1e-2}
+    changes |= {"physics__position_noise": of_q, "physics__velocity_noise": of_dq}
     noisy = replace(fast, scenario=fast.scenario.with_changes(**changes))
     record = simulate(noisy, seed=5)
     rng, q = np.random.default_rng(5), fast.joint.sample(0.0)[0][0]
     controller = controller_for(noisy.scenario, fast.joint, fast.reference)
-    seen = ArmState(q + 1e-4 * rng.standard_normal(7), 1e-2 * rng.standard_normal(7))
+    seen = ArmState(q + of_q * rng.standard_normal(7), of_dq * rng.standard_normal(7))
     np.testing.assert_allclose(record.tau[0], controller.step(seen, 0.0), atol=1e-9)
     np.testing.assert_allclose(record.q[0], q, atol=1e-12)  # what is recorded is the truth
 

@@ -197,6 +197,7 @@ def test_an_end_that_is_too_near_keeps_what_it_can(behind_a_post, pair):
     )
 
 
+@pytest.mark.slow
 def test_nodes_ask_of_an_end_no_more_than_the_tracking_error_leaves_there() -> None:
     """Forearm and tray are 6.7 mm apart at the goal, of which the uncertain load takes 1.2: 1 mm for the motion between
     nodes beside 5 mm was more than is left. All other rows then were violated as much, and a detour of 2.6 s won."""

@@ -259,6 +259,7 @@ def test_a_timing_that_is_a_hair_too_fast_is_slowed_and_its_sentence_says_the_ti
     assert f"{found[-1]:.4f}" not in plan.status.sentence
 
 
+@pytest.mark.slow
 def test_a_path_that_passes_nearer_than_the_arm_may_stray_is_unsafe(problem):
     """3.3 mm at the goal, with this load; the ball ahead of the cube's tray is 2 mm from it, and 4 mm."""
     uncertainty = {"mass": "40%", "com": [0.01, 0.01, 0.01], "friction": "20%"}

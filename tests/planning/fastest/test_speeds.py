@@ -91,7 +91,10 @@ def test_an_audit_of_the_planned_motion_says_the_same(run: Path, tmp_path: Path,
     assert audit.summary()["speeds"]["worst_case"]["sentence"] == audit.speeds_worst.sentence
 
 
-@pytest.mark.parametrize("file_format", [name for name in FORMATS if name != "urscript"])
+@pytest.mark.parametrize(
+    "file_format",
+    [pytest.param(x, marks=pytest.mark.slow) if x == "mujoco" else x for x in FORMATS if x != "urscript"],
+)
 def test_every_format_says_it_in_its_heading(run: Path, tmp_path: Path, file_format: str) -> None:
     files = write_export(run, file_format, tmp_path / f"carry{FORMATS[file_format]}")
     heads = [file.read_text()[:1000] for file in files if file.suffix in (".csv", ".json", ".yaml", ".xml")]
@@ -159,13 +162,15 @@ def test_the_page_of_a_plan_shows_the_bar(run: Path) -> None:
     assert load_plan(run).speeds.verdict in sv.report(run).html.split('class="speeds"')[1]
 
 
-def test_what_a_planner_looked_at_at_other_speeds_is_not_said_to_be_unchecked(
-    plan: Plan, level: Plan, coffee_plan: Plan
-) -> None:
-    """It allows for an arm that strays at every speed that was asked for; not for sloshing while the speed changes."""
+def test_what_a_planner_looked_at_at_other_speeds_is_not_said_to_be_unchecked(plan: Plan, level: Plan) -> None:
+    """It allows for an arm that strays at every speed that was asked for."""
     assert level.speeds.sentence == "Holds at every speed from 0 to 100 %."
     nominal = plan_fastest(level.scenario, robust=False)
     assert nominal.speeds.unchecked == plan.speeds.unchecked == "how far the arm strays from the motion"
+
+
+@pytest.mark.slow
+def test_sloshing_while_the_speed_changes_is_said_to_be_unchecked(coffee_plan: Plan) -> None:
     assert coffee_plan.speeds.unchecked.endswith("how loads swing inside while the speed changes")
 
 

@@ -230,6 +230,7 @@ def test_a_urdf_with_the_makers_element_has_the_same_limits(tmp_path: Path) -> N
 ELEMENT = '<position_based_velocity_limits velocity_offset="0.2" deceleration_limit="2.0"/>'
 
 
+@pytest.mark.slow
 def test_of_a_urdf_some_joints_may_have_them(tmp_path: Path) -> None:
     """One of six joints: the others are limited as before, though nobody gives one of them a velocity."""
     text = gantry(turn="revolute", more=ELEMENT).replace('velocity="2.0"', 'velocity="0"', 1)
