@@ -156,3 +156,17 @@ def test_an_arm_that_is_elsewhere_is_not_drawn_back_but_goes_the_same_way_beside
         assert np.all(np.sign(difference) == np.sign(faster))
         assert np.all(np.abs(difference) < np.abs(faster) * 0.15)
     assert np.abs(beside.reference(beside.duration)[1]).max() < 1e-9
+
+
+def test_a_controlled_stop_that_began_blindly_begins_again_when_the_arm_is_seen_elsewhere(safe: Rig) -> None:
+    """A joint is not seen while a fault of its drive turns it away: its stop goes on from where it is, not from where
+    it was commanded to be."""
+    outcome = one(
+        safe,
+        Fault("planned", 600, 1, "no planned stop", error=RuntimeError),
+        Fault("read", 600, 150, "no speed of a joint", change=spoilt("dq", NAN)),
+        Fault("motor", 600, 140, "a drive that pushes", change=lambda torque: torque + 40.0 * np.eye(7)[3]),
+    )
+    words = outcome.result.summary["stopped"]
+    assert words.count("panda_joint4") == 2
+    assert "off its reference" in words

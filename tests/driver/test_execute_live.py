@@ -224,7 +224,8 @@ def test_what_the_research_3_does_not_do_is_said():
         ("[1, 2]", "it is no object of JSON"),
         (
             '{"t": 1}',
-            "it has none of goto, posture, twist, chunk, stop, resume, override, hold, release; a line has one of them",
+            "it has none of goto, posture, twist, jog, chunk, stop, resume, override, hold, release, put, remove; "
+            "a line has one of them",
         ),
         ('{"stop": true, "goto": [1, 2, 3]}', "it has goto and stop of"),
         ('{"stop": false}', "stop is false; it must be true"),
@@ -285,6 +286,11 @@ def test_wishes_are_said_at_their_times_and_a_twist_as_long_as_it_lasts():
                 {"t": 0.03, "twist": [0.1, 0.2, 0.3, 0.4], "for": 0.1},
                 {"t": 0.2, "chunk": [0.1, 0.2], "postures": [[0.0] * 7] * 2},
                 {"t": 0.25, "stop": True},
+                {"t": 0.3, "twist": [0.1, 0.2, 0.3], "frame": "tray"},
+                {"t": 0.31, "jog": [0.1, 0.2]},
+                {"t": 0.32, "put": {"name": "crate", "type": "sphere", "position": [0, 0, 1], "radius": 0.1}},
+                {"t": 0.33, "remove": "crate"},
+                {"t": 0.34, "put": {"name": "crate", "type": "sphere", "velocity": [0, 0, 1]}},
             ),
             "wishes",
         )
@@ -294,12 +300,19 @@ def test_wishes_are_said_at_their_times_and_a_twist_as_long_as_it_lasts():
         prompter.period(k * 1e-3)
         assert len(heard.told) <= before + 1
     names = [name for name, *_ in heard.told]
-    assert names == ["goto", "goto"] + ["twist"] * 6 + ["chunk", "stop"]
+    assert names == ["goto", "goto"] + ["twist"] * 6 + ["chunk", "stop", "twist", "jog", "put", "remove"]
+    assert heard.told[10] == ("twist", ([0.1, 0.2, 0.3], (0.0, 0.0, 0.0)), {"frame": "tray", "source": "operator"})
+    assert heard.told[11] == ("jog", ([0.1, 0.2],), {"source": "operator"})
+    crate = heard.told[12][1][0]
+    assert (crate.name, crate.type, crate.position, crate.radius) == ("crate", "sphere", [0, 0, 1], 0.1)
+    assert "an obstacle has a name, a type and some of length, position, radius" in prompter.notes[-1]["answer"]
     assert heard.told[0] == ("goto", ([0.4, 0.0, 0.5],), {"queued": False, "source": "policy"})
     assert heard.told[1] == ("goto", (), {"q": [0.0] * 7, "queued": True, "source": "operator"})
     assert heard.told[2][1] == ([0.1, 0.2, 0.3], (0.0, 0.0, 0.4))
     assert prompter.over
-    assert [note["t"] for note in prompter.notes] == pytest.approx([0.01, 0.011, 0.03, 0.2, 0.25])
+    assert [note["t"] for note in prompter.notes] == pytest.approx(
+        [0.01, 0.011, 0.03, 0.2, 0.25, 0.3, 0.31, 0.32, 0.33, 0.34]
+    )
 
 
 def heard_in(prompter, heard, periods):
@@ -402,6 +415,19 @@ def test_commands_that_cannot_be(tmp_path):
         (["panda-cube", "--live", "-", "--address", "arm"], "give --yes"),
         (["ur10-bottle", "--live", str(script_file), "--address", "arm"], "--robot franka drives a panda or an fr3."),
         (["tall-box-40", "--live", str(script_file), "--dry-run"], "arm"),
+        (["panda-cube", "--dry-run", "--option", "longest=20"], "--option goes with --live"),
+        (
+            ["panda-cube", "--live", str(script_file), "--dry-run", "--option", "long=20"],
+            'there is no "long"; there are',
+        ),
+        (
+            ["panda-cube", "--live", str(script_file), "--dry-run", "--option", "live.queued=0.5"],
+            '--option live.queued is "0.5"; it must be a number above 0, as 100.',
+        ),
+        (
+            ["panda-cube", "--live", str(script_file), "--dry-run", "--option", "live.lead=1"],
+            '--option: there is no "live.lead."; there are tick, speed',
+        ),
     ):
         result = run(app, ["execute", *args, "-o", str(tmp_path / "out")])
         assert result.exit_code == 2, args
@@ -417,3 +443,18 @@ def test_a_restart_leaves_the_planners_work_space_alone(cube):
     placed = [np.array(parts.data.oMg[k].homogeneous) for k in range(len(parts.names))]
     assert live.restart(q).ok
     assert all(np.array_equal(a, parts.data.oMg[k].homogeneous) for k, a in enumerate(placed))
+
+
+def test_options_of_a_run_are_set_from_the_command(tmp_path):
+    """Of its script and of the live motion."""
+    goal = {"goto": [0.45, 0.1, 0.45], "queued": True}
+    (tmp_path / "s.jsonl").write_text("\n".join(lines(goal, goal, {"twist": [0.0, 0.0, 0.1], "for": 9.0})))
+    options = ["live.queued=1", "script.longest=5"]
+    command = ["execute", "panda-cube", "--live", str(tmp_path / "s.jsonl"), "--dry-run", "--no-realtime"]
+    for option in options:
+        command += ["--option", option]
+    result = CliRunner().invoke(app, [*command, "-o", str(tmp_path / "out")])
+    assert "for is 9.0; it must be a number of seconds, at least 0, at most 5." in result.stderr
+    (tmp_path / "s.jsonl").write_text("\n".join(lines(goal, goal)))
+    result = CliRunner().invoke(app, [*command, "-o", str(tmp_path / "out"), "--json"])
+    assert "1 goals are queued already, which is the most" in result.stdout

@@ -341,7 +341,7 @@ def test_an_obstacle_is_where_it_was_seen_when_it_was_seen(cube):
     assert here.until == pytest.approx(live.now + 0.8)
     sentence = live.obstacles([replace(late, seen=9.0)]).sentence
     assert "seen must not be later than the loop's clock (it is by 1.7 s): the time of the obstacle x" in sentence
-    assert "each Moving must have a name of its own" in live.obstacles([late, late]).sentence
+    assert "each obstacle must have a name of its own" in live.obstacles([late, late]).sentence
 
 
 def test_evasion_begins_as_soon_as_a_tick_can_be_planned_and_goes_on_tick_by_tick(cube, monkeypatch):
@@ -525,3 +525,35 @@ def test_between_samples_what_moves_goes_straight_and_evenly():
     where, speed = ball.at(3.0 + np.array([0.25, 1.5, 2.5]))
     np.testing.assert_allclose(where, [[0.25, 0, 0], [1, 1, 0], [1, 2, 0]], atol=1e-12)
     np.testing.assert_allclose(speed, [[1, 0, 0], [0, 2, 0], [0, 0, 0]], atol=1e-12)
+
+
+def test_what_is_put_in_the_way_stays_there_until_it_is_removed(cube, problem):
+    """Longer than any prediction lasts, and beside what moves."""
+    live = Live(cube, lead=TICK)
+    drive(live, 0.01)
+    p = problem.arm.tray_pose(problem.start.q)[0]
+    crate = Moving("crate", "box", np.add(p, (0.3, 0.1, 0.0)), size=(0.1, 0.2, 0.1))
+    assert live.put(crate).ok
+    assert live.obstacles([]).ok
+    live.goto(tuple(np.add(p, (0.3, 0.1, 0.05))))
+    drive(live, 2.0, begins=0.01)
+    assert not live.state.passing
+    assert np.array_equal(live.committed.motion.q[-1], problem.start.q)  # it cannot go there
+    assert live.put(Moving("crate", "box", np.add(p, (0.0, 0.0, 0.05)), size=(0.1, 0.2, 0.1))).ok
+    assert live.state.passing.startswith("crate comes too near to the")
+    assert live.remove("crate").ok
+    assert not live.state.passing
+    live.goto(tuple(np.add(p, (0.1, 0.1, 0.05))))
+    drive(live, 1.5, begins=2.01)
+    assert live.state.requests[-1].outcome == "reached"
+    for refused, why in (
+        (lambda: live.remove("crate"), "there is no 'crate'; there are none"),
+        (lambda: live.put(thrown(p, 1.0, (0, 1, 0))), "it must stand still"),
+        (lambda: live.put("crate"), "it must be a Moving"),
+        (lambda: live.obstacles([crate, crate]), "another one is 'crate'"),
+    ):
+        status = refused()
+        assert not status.ok
+        assert why in status.sentence
+    live.put(crate)
+    assert "another one is 'crate'" in live.obstacles([crate]).sentence

@@ -45,6 +45,18 @@ def test_each_request_has_a_number_and_an_outcome(cube):
     )
 
 
+def test_what_became_of_requests_is_told_once_each_time(cube):
+    live = Live(cube, lead=LEAD)
+    news = live.outcomes()
+    assert next(news) == []
+    live.goto((0.45, 0.1, 0.45))
+    live.goto((0.5, 0.0, 0.42), queued=True)
+    assert [(one.id, one.outcome) for one in next(news)] == [(1, "accepted"), (2, "accepted")]
+    assert next(news) == []
+    drive(live, 0.2)
+    assert [(one.id, one.outcome) for one in next(news)] == [(1, "followed")]
+
+
 def test_a_motion_that_comes_too_late_is_said_to_be_late_until_another_is_followed(cube):
     live = Live(cube, lead=LEAD)
     drive(live, 0.3, [(0.0, place(0.45, -0.2, 0.5))])

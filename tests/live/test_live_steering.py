@@ -8,8 +8,9 @@ import pytest
 from live_runs import EVERY, LEAD, drive, in_turn, jolts, rows_of, said
 from salver.geometry import exp, log
 from salver.live import Live
+from salver.live.replanning.objective import TwistWanted
 from salver.live.replanning.steer import TICK
-from salver.live.replanning.wishes import twist_wish
+from salver.live.replanning.wishes import stream_wish
 
 
 def check(live, states):
@@ -46,7 +47,7 @@ def test_how_a_hand_changes_is_told_from_what_it_said_last():
 
     def slope(times, velocity):
         said = [(t, np.append(velocity(t), np.zeros(3))) for t in times]
-        return twist_wish(said[:-1], said[-1][1][:3], np.zeros(3), times[-1]).wanted.slope[:3]
+        return stream_wish(said[:-1], said[-1][1], times[-1], TwistWanted).wanted.slope[:3]
 
     def kinked(t):
         return np.array([max(t, 0.0), 0.2, -2 * t])
@@ -68,6 +69,32 @@ def test_a_hand_is_followed_from_the_first_ticks_on(cube):
     states = drive(live, 0.24, said(pull, 0.24), EVERY)
     error = velocities(live, states, 10)[22:] - pull(1.0)
     assert np.abs(error).max() < 0.01  # m/s
+
+
+def test_a_hand_may_speak_in_the_frame_of_the_tray(cube):
+    """Which the last joint has turned by 52 degrees: forwards there is not forwards in the world."""
+
+    def pull(t):
+        return 0.1 * np.array([1.0, -0.5, 0.2]) * min(t / 0.1, 1.0)
+
+    turned = Live(cube).committed.motion.q[0] + np.array([0, 0, 0, 0, 0, 0, 0.9])
+    live = Live(cube, turned, lead=TICK)
+    wishes = [(t, lambda live, t=t: live.twist(pull(t), frame="tray")) for t in np.arange(0.0, 0.24, 0.01)]
+    states = drive(live, 0.24, wishes, EVERY)
+    _, R_SE = live.problem.arm.tray_pose(states[0][-1])
+    assert np.abs(R_SE - np.eye(3)).max() > 0.5
+    assert np.abs(velocities(live, states, 10)[22:] @ R_SE - pull(1.0)).max() < 0.01  # m/s
+
+
+def test_joints_are_jogged_and_come_to_rest_in_silence(cube):
+    """About the vertical, which keeps the tray level."""
+    live = Live(cube, lead=TICK)
+    rates = np.array([0.2, 0, 0, 0, 0, 0, 0])
+    wishes = [(t, lambda live, t=t: live.jog(min(t / 0.1, 1.0) * rates)) for t in np.arange(0.0, 0.26, 0.01)]
+    states = drive(live, 0.26, wishes, EVERY)
+    assert np.abs(states[1][240:] - rates).max() < 0.02
+    assert [str(x) for x in live.state.requests] == ["Request 1 (joint velocities): followed."]
+    check(live, in_turn(states, drive(live, 0.9, every=None, begins=0.26)))
 
 
 @pytest.mark.slow
@@ -181,8 +208,14 @@ def test_what_cannot_be_followed_is_refused_in_a_sentence(cube):
     live = Live(cube, lead=TICK)
     for wish, sentence in (
         (lambda: live.twist((np.nan, 0, 0)), "v has values that are not finite"),
-        (lambda: live.twist((300.0, 0, 0)), "v is 300; it must be at most 5 m/s, in S"),
-        (lambda: live.twist((0, 0, 0), (0, 0, 90.0)), "omega is 90; it must be at most 20 rad/s, in S"),
+        (lambda: live.twist((300.0, 0, 0)), "v is 300; it must be at most 5 m/s"),
+        (lambda: live.twist((0, 0, 0), (0, 0, 90.0)), "omega is 90; it must be at most 20 rad/s"),
+        (lambda: live.twist((0.1, 0, 0), frame="tool"), "frame is 'tool'; it must be world or tray"),
+        (lambda: live.jog((0.1, 0, 0)), r"dq has shape \(3,\); it must be \(7,\)"),
+        (
+            lambda: live.jog(np.rad2deg([0, 0, 0, 0.5, 0, 0, 0])),
+            "dq of panda_joint4 is 28.6; it must be at most 20 rad/s",
+        ),
         (lambda: live.twist((0, 0)), r"v has shape \(2,\)"),
         (lambda: live.chunk([0.2, 0.1], joints=np.zeros((2, 7))), "each later than the one before"),
         (lambda: live.chunk([0.1, 0.2], joints=np.zeros((3, 7))), r"joints has shape \(3, 7\)"),

@@ -77,7 +77,7 @@ def run_plan(
     signals: through which the caller may ask for a stop (`Signals.note`), from another thread.
     move_to_start: go to the start posture first, at a tenth of the speed limits, with nothing on the tray.
     full_speed_only: run also a plan that does not keep its load at every speed.
-    preflight: tolerances of the checks. options: of the robot, its `UROptions` or `FrankaOptions`.
+    preflight: tolerances of the checks. options: of a robot that has some, such as `UROptions` or `FrankaOptions`.
     Raises SalverError when a check fails or the arm refuses, UnreachableError when the plan has no joint motion,
     MissingDependencyError without the robot's library.
     """
@@ -88,7 +88,7 @@ def run_plan(
     checks.append(check_place(Path(directory)))
     checks += kind.check(plan, arm)
     demand(checks)  # before the arm is even connected
-    driven: Robot = kind.connect(address, plan, arm, realtime, options)
+    driven: Robot = kind.connect(address, plan, arm, realtime, *([] if options is None else [options]))
     watchdog = watchdog or Watchdog()
     posture = check_posture(_motion(plan), arm, driven.look(), preflight)
     if move_to_start:

@@ -136,12 +136,14 @@ class Drive:
         joint = self.joint
         self.wanted: Course = JointTable(joint, self.controller.period) if isinstance(joint, JointMotion) else joint
         # Tried in this order, each when the one before it fails.
-        self.stops = [self.stop_from, controlled_stops(self.arm, self.bodies, self.watchdog.stop)]
+        self.last_resort = controlled_stops(self.arm, self.bodies, self.watchdog.stop)
+        self.stops = [self.stop_from, self.last_resort]
         self.stop: Stop | None = None
         self.gate: Gate | None = None
         self.stopped, self.since, self.unsure = "", 0.0, False
         self.stopping = 0  # periods of the stop
         self.seen = True  # all along the stop
+        self.guessed = False  # whether the stop began in a state that was not measured in every joint
         self.factor = 1.0  # of full speed
         # Time never advances by less than half a period, so this is enough.
         self.book = _Book(2 * int((self.end - self.start + STOP_ROOM) / self.period), self.arm.n)
@@ -203,6 +205,7 @@ class Drive:
         self.late.append(self.reference()[:2])
         self.expected = ArmState(*self.late[-1 if self.by_torque else 0])
         sensed.take_for(self.expected)
+        self.believed = bool(sensed.believed.all())
         wish = "" if self.stop is not None else self.signals.wish(self.t)
         demanded = self.demand(sensed.state, wish or self.complaint(sensed) or slowed)
         if self.stop is not None:
@@ -253,7 +256,10 @@ class Drive:
     def complaint(self, sensed: Sensed) -> str:
         """Why to stop, or to change the stop; "" to go on."""
         if self.stop is not None:
-            # An arm that does not follow a planned stop is braked from its state; the last kind of stop is always kept.
+            # An arm that does not follow a planned stop is braked from its state. The last kind of stop is kept, unless
+            # nobody knew where the arm was when it began.
+            if self.guessed and self.believed:
+                self.guessed, self.stops = False, self.stops or [self.last_resort]
             return self.watchdog.astray(self.arm, sensed.state, self.q_wanted, self.t) if self.stops else ""
         if self.book.left < STOP_ROOM / self.period:  # slowed or paused for long
             return f"The run took longer than any run may at t = {self.t:.3f} s."
@@ -299,7 +305,7 @@ class Drive:
             if rate := self.speed_rate:
                 loaded, gains, path, how = self.loaded, self.gains, self.wanted, self.watchdog.stop
                 self.stops.insert(0, lambda state, t: PathStop(loaded, gains, state, path, t, factor, rate, how))
-        self.since, self.stopping = self.t, 0
+        self.since, self.stopping, self.guessed = self.t, 0, not self.believed
         while self.stops:
             try:
                 self.stop = self.stops.pop(0)(state, self.t)

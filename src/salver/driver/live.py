@@ -10,7 +10,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable
 from contextlib import nullcontext
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +34,7 @@ from salver.geometry import Array, quat_wxyz_from_matrix
 from salver.live import Live, LiveCourse, Worker
 from salver.live.committed.motion import SAME
 from salver.live.options import LiveOptions
-from salver.live.script import Prompter, script
+from salver.live.script import Prompter, ScriptOptions, script
 from salver.live.standing import live_scenario
 from salver.models.arm.arm import ArmModel, load_arm, with_load
 from salver.models.arm.arm_limits import JointLimits
@@ -54,6 +54,7 @@ class LiveRunOptions:
     resting: s of the motion that stands for the arm before anything is requested.
     lead, every, planning: where time waits for the planner: s to a hand-over; periods from one look at what is to be
     planned to the next; s that planning may take, so many that no clock of a busy machine decides what is done.
+    script: what is accepted of its lines. live: of the live motion, which keeps all of the run for its plan.
     """
 
     longest: float = 120.0
@@ -62,6 +63,13 @@ class LiveRunOptions:
     lead: float = 0.1
     every: int = 20
     planning: float = 60.0
+    script: ScriptOptions = field(default_factory=ScriptOptions)
+    live: LiveOptions = field(default_factory=LiveOptions)
+
+    @property
+    def kept(self) -> LiveOptions:
+        """Of the live motion, of which as much is kept as a run may take."""
+        return replace(self.live, record=max(self.live.record, self.longest))
 
 
 STANDARD = LiveRunOptions()
@@ -200,9 +208,10 @@ def run_live(
     known = {"simulated": _simulated, "franka": _franka}[robot](scenario, address, realtime, options)
     directory, live, plan, driven = Path(directory), known.live, known.plan, known.robot
     scenario, arm, carried = plan.scenario, live.problem.arm, plan.scenario.payload.bodies
-    prompter = Prompter(live)
+    prompter = Prompter(live, options.script)
     if not listen:
-        prompter.of(list(script([x if isinstance(x, str) else x.decode() for x in wishes], source)))
+        lines = [x if isinstance(x, str) else x.decode() for x in wishes]
+        prompter.of(list(script(lines, source, options=options.script)))
     plan_files.check_place(scenario, directory, edited=True, force=True)
     checks = [c for c in check_plan(plan, arm, carried) if c.name not in ("stops", "rest", "speeds")]
     checks += known.checks
@@ -262,7 +271,7 @@ class _Standing:
 
 
 def _simulated(scenario: Scenario, address: str, realtime: bool, options: LiveRunOptions) -> _Standing:
-    live = Live(scenario, lead=None if realtime else options.lead, options=LiveOptions(record=options.longest))
+    live = Live(scenario, lead=None if realtime else options.lead, options=options.kept)
     plan = _resting(scenario, live, options.resting)
     robot = SimulatedRobot(plan, live.problem.arm, options.longest, realtime)
     return _Standing(live, plan, robot, robot.start_time, not realtime, [])
@@ -276,8 +285,7 @@ def _franka(scenario: Scenario, address: str, realtime: bool, options: LiveRunOp
     arm = load_arm(scenario.arm, tray)
     scenario = scenario.with_changes(arm__limits=slower(arm.limits, FR3))
     robot = FrankaRobot(address, arm, tray.mass, np.array(tray.inertia), realtime)
-    kept = LiveOptions(record=options.longest)
-    live = Live(scenario, robot.look().q, permit=lambda motion: within_fr3(arm, motion), options=kept)
+    live = Live(scenario, robot.look().q, permit=lambda motion: within_fr3(arm, motion), options=options.kept)
     plan = _resting(scenario, live, options.resting)
     return _Standing(live, plan, robot, -scenario.physics.settle_before, False, check_franka(plan, arm))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from pathlib import Path
 
@@ -64,7 +65,7 @@ class Commanded(ABC):
 
     def _advance(self, t: float, reader: Reader) -> None:
         """Read what is commanded at time t, s, of the loop's clock."""
-        if t - t != 0.0:
+        if not math.isfinite(t):
             self._clock = "A time was no number; the arm kept what it was told last."
             return
         last, self._last = self._last, t

@@ -15,8 +15,9 @@ class LiveCourse:
 
     def instant(self, t: float) -> tuple[int, float]:
         self.t = t
-        self._q, self._dq, self._ddq, _ = self._live.command(t)
+        q, dq, ddq, _ = self._live.command(t)
+        self._now = q.copy(), dq.copy(), ddq.copy()  # who follows it may keep them
         return 0, 0.0
 
     def at(self, index: int, offset: float) -> tuple[Array, Array, Array]:
-        return self._q, self._dq, self._ddq
+        return self._now

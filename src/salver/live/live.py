@@ -14,7 +14,7 @@ from __future__ import annotations
 import contextlib
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Container, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -30,9 +30,21 @@ from salver.live.options import LiveOptions
 from salver.live.reader import Reader
 from salver.live.replanning.lead import Lead
 from salver.live.replanning.lookout import Lookout
-from salver.live.replanning.obstacles import Moving, predicted
+from salver.live.replanning.obstacles import Moving, Predicted, predicted
 from salver.live.replanning.planner import Answer, Job, Planner
-from salver.live.replanning.wishes import ACCEPTED, Evade, Follow, Goal, Halt, Refused, Retime, Wish, id_of, numbers
+from salver.live.replanning.wishes import (
+    ACCEPTED,
+    Evade,
+    Follow,
+    Goal,
+    Halt,
+    Refused,
+    Retime,
+    Wish,
+    id_of,
+    numbers,
+    shown,
+)
 from salver.live.requested import Requested, answers
 from salver.live.running import Running
 from salver.live.standing import live_scenario, standing
@@ -81,6 +93,8 @@ class Live(Requested):
         self._tried = -np.inf  # live time, s, when it was tried last to run what is committed at another factor
         self._attempts = 0
         self._anew = threading.Lock()  # of whoever reports obstacles, another load or another posture
+        self._seen: list[Predicted] = []  # as it was reported last
+        self._standing: dict[str, Predicted] = {}
         # From which motion nothing more can be done, as of which news of what passes.
         self._resigned: tuple[Running | None, int] = (None, 0)
         self._believe(problem)
@@ -108,20 +122,49 @@ class Live(Requested):
         """
         if not isinstance(seen, Sequence) or not all(isinstance(one, Moving) for one in seen):
             raise Refused("it must be a list of Moving")
-        if len({one.name for one in seen}) < len(seen):
-            raise Refused("each Moving must have a name of its own")
-        if seen and not self._lookout.sees:
-            raise Refused("the arm has no geometry that could keep clear of it")
         with self._anew:
-            now, clock = self._now, self._last
-            found = [predicted(one, now, clock, self.options.obstacles) for one in seen]
-            sighting = self._sighting.then(found, now)
-            for running in (self._running, self._offer):
-                if running is not None:
-                    running.outlook = self._lookout.outlook(running.looked, sighting, now)
-            self._sighting = sighting
-            self._look(self._running)  # if it is another one by now
+            names = [one.name for one in seen]
+            self._seen = [self._predicted(one, [*self._standing, *names[:k]]) for k, one in enumerate(seen)]
+            self._sight()
         return ACCEPTED
+
+    @answers("The obstacle")
+    def put(self, obstacle: Moving) -> Status:
+        """Add an obstacle that stands still, or move the one of that name, until `remove`: for what somebody edits in
+        a cell while the arm moves. `obstacles` does not change it."""
+        if not isinstance(obstacle, Moving):
+            raise Refused("it must be a Moving")
+        with self._anew:
+            self._standing[obstacle.name] = self._predicted(obstacle, {x.name for x in self._seen}).standing()
+            self._sight()
+        return ACCEPTED
+
+    @answers("To remove an obstacle")
+    def remove(self, name: str) -> Status:
+        """Take away what was `put` under a name."""
+        with self._anew:
+            if name not in self._standing:
+                raise Refused(f"there is no {shown(name)}; there are {', '.join(self._standing) or 'none'}")
+            del self._standing[name]
+            self._sight()
+        return ACCEPTED
+
+    def _predicted(self, seen: Moving, others: Container[str]) -> Predicted:
+        """others: names that it must not have."""
+        if not self._lookout.sees:
+            raise Refused("the arm has no geometry that could keep clear of it")
+        if seen.name in others:
+            raise Refused(f"each obstacle must have a name of its own, and another one is {shown(seen.name)}")
+        return predicted(seen, self._now, self._last, self.options.obstacles)
+
+    def _sight(self) -> None:
+        """Look at what is commanded, with the obstacles that there are now."""
+        sighting = self._sighting.then([*self._seen, *self._standing.values()], self._now)
+        for running in (self._running, self._offer):
+            if running is not None:
+                running.outlook = self._lookout.outlook(running.looked, sighting, self._now)
+        self._sighting = sighting
+        self._look(self._running)  # if it is another one by now
 
     def _look(self, running: Running) -> None:
         """Whether it keeps clear, as of the newest sighting."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import wraps
 from typing import Any, TypeVar
@@ -23,12 +23,14 @@ from salver.live.commanded import Commanded
 from salver.live.options import LiveOptions
 from salver.live.reader import Reader
 from salver.live.ready import Ready
+from salver.live.replanning.objective import JointsWanted, TwistWanted
 from salver.live.replanning.wishes import (
     ACCEPTED,
     OPERATOR,
     PRIORITY,
     Evade,
     Follow,
+    Frame,
     Goal,
     Halt,
     Pose,
@@ -43,20 +45,23 @@ from salver.live.replanning.wishes import (
     numbers,
     pose_goal,
     posture_goal,
+    rates_of,
     shown,
-    twist_wish,
+    stream_wish,
+    twist_of,
 )  # fmt: skip
+from salver.live.requests import Request
 from salver.live.running import Running
 from salver.live.stopped import Hold, Stopped
 from salver.planning.fastest import TransportProblem
 
-Request = TypeVar("Request", bound=Callable[..., Status])
+Requesting = TypeVar("Requesting", bound=Callable[..., Status])
 
 
-def answers(what: str) -> Callable[[Request], Request]:
+def answers(what: str) -> Callable[[Requesting], Requesting]:
     """A request whose Status says why, where it raises `Refused`. what: is refused then."""
 
-    def of(request: Request) -> Request:
+    def of(request: Requesting) -> Requesting:
         @wraps(request)
         def answered(self: Requested, *given: Any, **named: Any) -> Status:
             try:
@@ -249,17 +254,50 @@ class Requested(Commanded):
         return ACCEPTED
 
     @answers("The twist")
-    def twist(self, v: npt.ArrayLike, omega: npt.ArrayLike = (0.0, 0.0, 0.0), *, source: Source = OPERATOR) -> Status:
-        """Move the tray at v_S (3,), m/s, and omega_S (3,), rad/s, as closely as safety allows.
+    def twist(
+        self,
+        v: npt.ArrayLike,
+        omega: npt.ArrayLike = (0.0, 0.0, 0.0),
+        *,
+        frame: Frame = "world",
+        source: Source = OPERATOR,
+    ) -> Status:
+        """Move the tray at v (3,), m/s, and omega (3,), rad/s, as closely as safety allows.
 
-        Repeat it: after 0.1 s of silence the tray comes to rest. source: as of `goto`.
+        Repeat it: after 0.1 s of silence the tray comes to rest.
+
+        Args:
+            v, omega: of the tray's centre.
+            frame: "world": both in S. "tray": in the tray's own frame E, as it is commanded now.
+            source: as of `goto`.
         """
         self._check(source)
-        wish = twist_wish(list(self._heard), v, omega, self._now, self._factor, self.options.requests)
-        before = self._wish
-        goes_on = isinstance(before, Follow) and before.twist and before.source == source and self._now <= before.until
-        wish = replace(wish, source=source, id=id_of(before) if goes_on else self._requests.new("twists"))
-        self._heard.append((self._now, wish.wanted.twist))  # type: ignore[attr-defined]
+        if not isinstance(frame, str) or frame not in ("world", "tray"):
+            raise Refused(f"frame is {shown(frame)}; it must be world or tray")
+        R = self._problem.arm.tray_rotation(self._reader.q) if frame == "tray" else None
+        return self._stream(twist_of(v, omega, R, self.options.requests), TwistWanted, "twists", source)
+
+    @answers("The jogging")
+    def jog(self, dq: npt.ArrayLike, *, source: Source = OPERATOR) -> Status:
+        """Move the joints at dq (n,), rad/s or m/s, as closely as safety allows.
+
+        Repeat it: after 0.1 s of silence the arm comes to rest. source: as of `goto`.
+        """
+        self._check(source)
+        return self._stream(
+            rates_of(self._problem, dq, self.options.requests), JointsWanted, "joint velocities", source
+        )
+
+    def _stream(self, latest: Array, kind: type[JointsWanted], what: str, source: Source) -> Status:
+        """Follow velocities (m,) of a kind, unless others come: one request while they follow one another."""
+        before, now, wanted = self._wish, self._now, self._factor * latest
+        goes_on = isinstance(before, Follow) and type(before.wanted) is kind and before.source == source
+        goes_on = goes_on and now <= before.until  # type: ignore[union-attr]
+        if not goes_on:
+            self._heard.clear()
+        wish = stream_wish(list(self._heard), wanted, now, kind, self.options.requests)
+        wish = replace(wish, source=source, id=id_of(before) if goes_on else self._requests.new(what))
+        self._heard.append((now, wanted))
         return self._follow(wish)
 
     @answers("The chunk")
@@ -343,6 +381,15 @@ class Requested(Commanded):
         wish, taken = self._wish, self._offered is self._running  # such as a hold that followed on it
         if isinstance(wish, Goal) and wish is self._done and self._now >= self.committed.ends and not taken:
             self._requests.becomes(wish.id, "reached")
+
+    def outcomes(self) -> Iterator[list[Request]]:
+        """Each `next` returns the requests of which something else became since the one before; it never waits."""
+        known: dict[int, Request] = {}
+        while True:
+            self._arrived()
+            each = self._requests.each
+            yield [one for one in each if known.get(one.id) != one]
+            known = {one.id: one for one in each}
 
     @property
     def refused(self) -> str:

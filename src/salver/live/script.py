@@ -4,12 +4,16 @@
     {"t": 0.0, "goto": [...], "quat_wxyz": [1, 0, 0, 0]}      and its orientation; "queued": true: after goals before
     {"t": 1.0, "posture": [0.1, -0.8, ...]}                   rad; "queued" likewise
     {"t": 2.0, "twist": [0.1, 0, 0, 0.2], "for": 0.5}         m/s in S and rad/s about the vertical, or six numbers
+    {"t": 2.6, "twist": [0.1, 0, 0], "frame": "tray"}         likewise, in the tray's own frame
+    {"t": 2.8, "jog": [0.1, 0, ...], "for": 0.2}              joint velocities, rad/s or m/s
     {"t": 3.0, "chunk": [0.1, 0.2], "positions": [[...], [...]]}   s from then; or "postures", rad; "quats_wxyz"
     {"t": 4.0, "stop": true, "reason": "a hand is near"}      latches: every other request is refused until
     {"t": 5.0, "resume": true}
     {"t": 6.0, "override": 0.5}                               half of full speed, for goals, twists and chunks
     {"t": 7.0, "hold": true}                                  to rest; requests are kept, and gone on with after
     {"t": 8.0, "release": true}
+    {"t": 9.0, "put": {"name": "crate", "type": "box", "position": [...], "size": [...]}}    stands there until
+    {"t": 9.5, "remove": "crate"}
 
 Each may have a "source": "operator" (the default) or "policy". t is in s from when the motion may begin, and never less
 than in the line before; without it the request follows the one before at once. A twist is sent again and again for so
@@ -31,19 +35,23 @@ import numpy as np
 from salver.errors import SalverError, Status
 from salver.geometry import matrix_from_quat_wxyz
 from salver.live.live import Live
+from salver.live.replanning.obstacles import Moving
 from salver.live.replanning.wishes import OPERATOR, PRIORITY, Refused, is_flag, numbers
 
 # What may stand beside each request, with "t" and "source".
 KEYS = {
     "goto": {"quat_wxyz", "queued"},
     "posture": {"queued"},
-    "twist": {"for"},
+    "twist": {"for", "frame"},
+    "jog": {"for"},
     "chunk": {"positions", "quats_wxyz", "postures"},
     "stop": {"reason"},
     "resume": set(),
     "override": set(),
     "hold": set(),
     "release": set(),
+    "put": set(),
+    "remove": set(),
 }
 
 
@@ -91,7 +99,10 @@ class Said:
             return live.goto(q=words["posture"], queued=queued, source=source)
         if "twist" in words:
             v, turn = words["twist"][:3], words["twist"][3:]
-            return live.twist(v, turn if len(turn) == 3 else (0.0, 0.0, turn[0] if turn else 0.0), source=source)
+            omega = turn if len(turn) == 3 else (0.0, 0.0, turn[0] if turn else 0.0)
+            return live.twist(v, omega, frame=words.get("frame", "world"), source=source)
+        if "jog" in words:
+            return live.jog(words["jog"], source=source)
         if "chunk" in words:
             if "postures" in words:
                 return live.chunk(words["chunk"], joints=words["postures"], source=source)
@@ -100,6 +111,10 @@ class Said:
             return live.chunk(words["chunk"], poses, source=source)
         if "override" in words:
             return live.override(words["override"], source=source)
+        if "put" in words:
+            return live.put(_obstacle(words["put"]))
+        if "remove" in words:
+            return live.remove(words["remove"])
         for say in (live.resume, live.hold, live.release):
             if say.__name__ in words:
                 return say(source=source)
@@ -113,6 +128,13 @@ class Said:
     def lasts(self) -> float:
         """s for which it is sent again and again."""
         return float(self.words.get("for", 0.0))
+
+
+def _obstacle(words: Any) -> Moving:
+    known = {"name", "type", "position", "radius", "length", "size", "uncertainty"}
+    if not isinstance(words, dict) or not {"name", "type"} <= set(words) <= known or not isinstance(words["name"], str):
+        raise Refused(f"an obstacle has a name, a type and some of {', '.join(sorted(known - {'name', 'type'}))}")
+    return Moving(**words)
 
 
 def _rotation(quat: Any) -> Any:

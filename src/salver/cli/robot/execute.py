@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -46,6 +47,12 @@ def execute(
     out: Annotated[
         Path, typer.Option("--out", "-o", help="With --live: run directory for what was commanded, and the log.")
     ] = Path("runs/live"),
+    option: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="With --live: an option of the run, as longest=300 or live.strayed=0.02; repeat for several."
+        ),
+    ] = None,
     mocap: Annotated[
         Path | None, typer.Option(help="Do not move; merge this motion capture (CSV) into the log of the last run.")
     ] = None,
@@ -87,13 +94,15 @@ def execute(
     confirm = _warned if simulated else _assent(yes, json)
     if not 0 < watchdog < 1:
         raise SalverError(f"--watchdog is {watchdog:g} rad; it must be above 0 and below 1.")
+    if option and live is None:
+        raise SalverError("--option goes with --live; a run along a plan has none.")
     done: list[dict[str, Any]] = []
     if live is not None:
         if mocap is not None or move_to_start or full_speed_only or stem != "plan":
             raise SalverError("--live goes with none of --mocap, --move-to-start, --full-speed-only and --stem.")
         if robot == "ur":
             raise SalverError("--live drives a franka or the simulated arm; a ur is driven along plans.")
-        result = _told(directory, live, out, robot, address, Watchdog(watchdog), realtime, yes, confirm)
+        result = _told(directory, live, out, robot, address, Watchdog(watchdog), realtime, yes, confirm, option or [])
     elif mocap is not None:
         result = merge_mocap(directory, stem, mocap, mocap_object, mocap_tray, mocap_offset, _pose(mocap_world))
     else:
@@ -140,11 +149,12 @@ def _told(
     realtime: bool,
     yes: bool,
     confirm: Callable[[list[Check]], bool],
+    changed: list[str],
 ) -> Execution:
     """A live motion, told by lines."""
     import sys
 
-    from salver.driver.live import run_live
+    from salver.driver.live import LiveRunOptions, run_live
     from salver.run_directory import SCENARIO
     from salver.scenario import load
 
@@ -160,9 +170,29 @@ def _told(
             "With --live - requests come from standard input, so nobody can be asked there; give --yes to let the "
             "arm move."
         )
+    options = LiveRunOptions()
+    for change in changed:
+        options = _changed(options, *change.partition("=")[::2])
     return run_live(
-        case, wishes, out, robot, there, watchdog, realtime=realtime, source=source, listen=listen, confirm=confirm
-    )
+        case, wishes, out, robot, there, watchdog,
+        realtime=realtime, source=source, listen=listen, confirm=confirm, options=options,
+    )  # fmt: skip
+
+
+def _changed(options: Any, name: str, value: str, before: str = "") -> Any:
+    """Options with one number changed, by its name: `live.strayed` is a field of a field."""
+    first, _, rest = name.partition(".")
+    known = {field.name: getattr(options, field.name) for field in fields(options)}
+    if first not in known:
+        raise SalverError(f'--option: there is no "{before}{first}"; there are {", ".join(known)}.')
+    now = known[first]
+    if is_dataclass(now):
+        return replace(options, **{first: _changed(now, rest, value, f"{before}{first}.")})
+    (number,) = numbers(value) if len(value.split()) == 1 else (0.0,)
+    if rest or not isinstance(now, int | float) or not 0.0 < number < float("inf") or type(now)(number) != number:
+        must = f"a number above 0, as {now:g}" if isinstance(now, int | float) and not rest else "a number of its own"
+        raise SalverError(f'--option {before}{name} is "{value}"; it must be {must}.')
+    return replace(options, **{first: type(now)(number)})
 
 
 def _given(robot: str, address: str | None) -> str:

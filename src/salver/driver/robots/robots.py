@@ -46,9 +46,9 @@ class Robot(Protocol):
     speed: float
 
     @classmethod
-    def connect(cls, address: str, plan: Plan, arm: ArmModel, realtime: bool, options: Any = None) -> Robot:
-        """The robot at an address, told of the plan's tray. realtime: refuse a machine that cannot keep the period.
-        options: the robot's own.
+    def connect(cls, address: str, plan: Plan, arm: ArmModel, realtime: bool) -> Robot:
+        """The robot at an address, told of the plan's tray. realtime: refuse a machine that cannot keep the period. A
+        robot with options of its own takes them after that.
 
         Raises SalverError when it does not answer, MissingDependencyError without its library.
         """

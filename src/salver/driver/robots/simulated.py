@@ -38,7 +38,7 @@ class SimulatedRobot:
     lag, speed, source = 0.0, 1.0, "simulated arm"
 
     @classmethod
-    def connect(cls, address: str, plan: Plan, arm: ArmModel, realtime: bool, options: None = None) -> SimulatedRobot:
+    def connect(cls, address: str, plan: Plan, arm: ArmModel, realtime: bool) -> SimulatedRobot:
         return cls(plan, arm, STOP_ROOM, realtime)
 
     @staticmethod

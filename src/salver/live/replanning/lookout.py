@@ -151,9 +151,9 @@ class Lookout:
     def _near(self, movable: Movable, path: Path, obstacles: list[Predicted], now: float) -> tuple[Near, ...]:
         step = self._options.step
         along, middles, speeds = path.grid_of(movable, self._options)
-        last = max(one.until for one in obstacles)
         row = np.arange(max(int(np.searchsorted(along, now, side="right")) - 1, 0), len(along))
         t = along[row] if now < path.ends else np.array([now])
+        last = max(one.until if np.isfinite(one.until) else float(t[-1]) + step for one in obstacles)
         t = np.append(t, np.arange(t[-1] + step, last, step))
         t = np.append(t[t < last], last)
         row = row[np.minimum(np.arange(len(t)), len(row) - 1)] if now < path.ends else np.full(len(t), len(along) - 1)

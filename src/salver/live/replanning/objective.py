@@ -17,6 +17,7 @@ class Weights:
 
     Attributes:
         velocity, angular_velocity: of a twist, (m/s)^-2 and (rad/s)^-2.
+        joint_velocity: of joint velocities that are commanded, (rad/s)^-2 or (m/s)^-2.
         position, rotation: of a pose that is commanded for a time, m^-2 and rad^-2.
         joints: of a posture that is, rad^-2.
         level, upright: of the sine of the tray's lean, where it must be level and where it may lean. Without, it came
@@ -26,6 +27,7 @@ class Weights:
 
     velocity: float = 100.0
     angular_velocity: float = 20.0
+    joint_velocity: float = 20.0
     position: float = 400.0
     rotation: float = 100.0
     joints: float = 200.0
@@ -54,18 +56,28 @@ class Wanted(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class TwistWanted:
-    """The tray's velocity and angular velocity in S, (6,) at live time t0, changing at slope (6,) for a while."""
+class JointsWanted:
+    """Joint velocities (m,), m = n, at live time t0, changing at slope (m,) for a while."""
 
-    twist: Array
+    rates: Array
     slope: Array
     t0: float
     window: float = 0.2  # s from the hand-over in which it is followed
     ahead: float = 0.12  # s for which the slope is believed
 
     def at(self, t: Array) -> Array:
-        """(N, 6) at live times."""
-        return np.asarray(self.twist + np.clip(t - self.t0, 0.0, self.ahead)[:, None] * self.slope)
+        """(N, m) at live times."""
+        return np.asarray(self.rates + np.clip(t - self.t0, 0.0, self.ahead)[:, None] * self.slope)
+
+    def residuals(self, motion: MotionEvaluation, t: Array, dt: Array, weights: Weights) -> Residuals:
+        within = np.flatnonzero(t <= t[0] + self.window)
+        value = motion.at_nodes[1, within] - self.at(t[within])
+        weight = np.repeat(weights.joint_velocity * dt[within], motion.n)
+        return _joints(value, 1, motion.nodes[within], weight)
+
+
+class TwistWanted(JointsWanted):
+    """The tray's velocity and angular velocity in S, m = 6."""
 
     def residuals(self, motion: MotionEvaluation, t: Array, dt: Array, weights: Weights) -> Residuals:
         within = np.flatnonzero(t <= t[0] + self.window)
@@ -89,7 +101,8 @@ class ChunkWanted:
     def residuals(self, motion: MotionEvaluation, t: Array, dt: Array, weights: Weights) -> Residuals:
         if self.q is not None:
             wanted = interpolated(self.t, self.q, t)
-            return _joints(motion, wanted, np.repeat(weights.joints * dt, motion.n))
+            value = motion.at_nodes[0] - wanted
+            return _joints(value, 0, motion.nodes, np.repeat(weights.joints * dt, motion.n))
         assert self.p_SE is not None
         assert self.R_SE is not None
         p = interpolated(self.t, self.p_SE, t)
@@ -126,12 +139,12 @@ def _pose(motion: MotionEvaluation, p_SE: Array, R_SE: Array, weight: Array) -> 
     return Residuals(value.ravel(), parts.reshape(-1, 4, n), np.repeat(motion.nodes, 6), weight)
 
 
-def _joints(motion: MotionEvaluation, q: Array, weight: Array) -> Residuals:
-    count, n = q.shape
+def _joints(value: Array, order: int, nodes: Indices, weight: Array) -> Residuals:
+    """Postures, or their derivatives of an order, at nodes (N,) against what is commanded: value (N, n)."""
+    count, n = value.shape
     parts = np.zeros((count, n, 4, n))
-    parts[:, range(n), 0, range(n)] = 1.0
-    value = (motion.at_nodes[0] - q).ravel()
-    return Residuals(value, parts.reshape(-1, 4, n), np.repeat(motion.nodes, n), weight)
+    parts[:, range(n), order, range(n)] = 1.0
+    return Residuals(value.ravel(), parts.reshape(-1, 4, n), np.repeat(nodes, n), weight)
 
 
 def level(motion: MotionEvaluation, weight: Array) -> Residuals:

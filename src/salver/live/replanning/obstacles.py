@@ -195,6 +195,17 @@ class Predicted:
         """(N,) m by which it may be elsewhere at live times."""
         return self.uncertainty + self.growth * np.maximum(t - self.t0, 0.0)
 
+    def standing(self) -> Predicted:
+        """The prediction of what stays there for ever. Raises Refused where it moves."""
+        if self.samples is not None or self.powers[1:].any():
+            raise Refused(f"it must stand still, without velocity, acceleration and samples: the obstacle {self.name}")
+        return replace(self, growth=0.0, until=np.inf)
+
+    @property
+    def settles(self) -> float:
+        """Live time, s, from which on nothing about it changes."""
+        return self.until if np.isfinite(self.until) else self.t0
+
     @cached_property
     def radius(self) -> float:
         """m, of a sphere around its position that holds it."""
@@ -213,7 +224,7 @@ class Predicted:
         believed."""
         if self.solid != seen.solid or not np.array_equal(self.R, seen.R) or self.until < now:
             return False
-        t = np.linspace(now, self.until, 8)
+        t = np.linspace(now, max(now, self.settles), 8)
         away = np.linalg.norm(self.at(t)[0] - seen.at(t)[0], axis=1)
         return bool(np.all(away <= self.around(t)) and seen.uncertainty <= self.around(t[:1])[0] + SAME)
 
@@ -340,7 +351,7 @@ class MovingClearance(Constraint):
         steps = np.pad(np.diff(own), 1)
         longest = 0.5 * np.maximum(steps[:-1], steps[1:])  # half of the time to the next look
         movable, middles, t = self.movable, self.movable.middles(q), self.begins + own
-        rest = np.arange(t[-1], max(t[-1], *(x.until for x in self.obstacles)) + self.rest_step, self.rest_step)
+        rest = np.arange(t[-1], max(t[-1], *(x.settles for x in self.obstacles)) + self.rest_step, self.rest_step)
         for obstacle in self.obstacles:
             p, v = obstacle.at(t)
             speed = np.linalg.norm(v, axis=1) + obstacle.growth

@@ -13,13 +13,14 @@ import numpy.typing as npt
 
 from salver.errors import Status
 from salver.geometry import Array, lean
-from salver.live.replanning.objective import ChunkWanted, TwistWanted, Wanted
+from salver.live.replanning.objective import ChunkWanted, JointsWanted, Wanted
 from salver.planning.fastest import AtPose, AtPosture, End, TransportProblem
 from salver.planning.postures import PoseTarget
 from salver.planning.trajopt.constraints.constraints import LEVEL_TOLERANCE
 
 Pose = npt.ArrayLike | tuple[npt.ArrayLike, npt.ArrayLike]
 Source = Literal["policy", "operator", "monitor"]
+Frame = Literal["world", "tray"]
 OPERATOR: Source = "operator"
 # Priority of who requests: what a higher one requested is carried out first, and a stop of it only it may lift; the
 # operator lifts those of the monitor, which is this package itself and whoever watches the arm.
@@ -60,9 +61,9 @@ class Follow:
     id: int = 0
 
     @property
-    def twist(self) -> bool:
-        """Whether it is one, of a stream of which each replaces the one before."""
-        return isinstance(self.wanted, TwistWanted)
+    def streamed(self) -> bool:
+        """Whether it is of velocities, of a stream of which each replaces the one before."""
+        return isinstance(self.wanted, JointsWanted)
 
     def later(self, by: float) -> Follow:
         """The same chunk, so many s later; a twist counts from when it was said."""
@@ -225,28 +226,41 @@ def pose_goal(problem: TransportProblem, pose: Pose, options: RequestOptions = S
     return Goal(AtPose(target), f"({p[0]:.3f}, {p[1]:.3f}, {p[2]:.3f}) m")
 
 
-def twist_wish(
-    heard: Sequence[tuple[float, Array]], v: npt.ArrayLike, omega: npt.ArrayLike, now: float, factor: float = 1.0,
-    options: RequestOptions = STANDARD_REQUESTS,
-) -> Follow:  # fmt: skip
-    """v_S (3,), m/s, and omega_S (3,), rad/s, of the tray in S, times a factor. heard: live times and what was followed
-    before."""
+def twist_of(
+    v: npt.ArrayLike, omega: npt.ArrayLike, R: Array | None, options: RequestOptions = STANDARD_REQUESTS
+) -> Array:
+    """The tray's twist (6,) in S of v (3,), m/s, and omega (3,), rad/s, in a frame that is turned by R; None: in S."""
     twist = []
     for value, most, what, unit in ((v, options.speed, "v", "m/s"), (omega, options.turn, "omega", "rad/s")):
         found = numbers(value, (3,), what)
         if np.linalg.norm(found) > most:
-            raise Refused(f"{what} is {np.linalg.norm(found):.3g}; it must be at most {most:g} {unit}, in S")
-        twist.append(found)
-    latest = factor * np.concatenate(twist)
+            raise Refused(f"{what} is {np.linalg.norm(found):.3g}; it must be at most {most:g} {unit}")
+        twist.append(found if R is None else R @ found)
+    return np.concatenate(twist)
+
+
+def rates_of(problem: TransportProblem, dq: npt.ArrayLike, options: RequestOptions = STANDARD_REQUESTS) -> Array:
+    """Joint velocities (n,), rad/s or m/s."""
+    found, arm = numbers(dq, (problem.n,), "dq"), problem.arm
+    most = np.where(arm.linear, options.speed, options.turn)
+    for j in np.flatnonzero(np.abs(found) > most)[:1]:
+        raise Refused(f"dq of {arm.joint_names[j]} is {found[j]:.3g}; it must be at most {most[j]:g} {arm.unit(j)}/s")
+    return found
+
+
+def stream_wish(
+    heard: Sequence[tuple[float, Array]], latest: Array, now: float, kind: type[JointsWanted],
+    options: RequestOptions = STANDARD_REQUESTS,
+) -> Follow:  # fmt: skip
+    """The latest velocities (m,) of a stream, of a kind. heard: live times, and what was followed before."""
     before = [(t - now, old) for t, old in heard if now - options.slope_reach <= t < now]
     recent = [x for x in before if -x[0] <= options.slope_window + 1e-9] or before[-1:]
-    slope = np.zeros(6)
+    slope = still = np.zeros_like(latest)
     if recent and -recent[0][0] >= options.slope_least:  # the least squares' one
         t, past = (np.array(x) for x in zip(*recent, (0.0, latest), strict=True))
         away = t - t.mean()
         slope = away @ past / (away @ away)
-    still = TwistWanted(np.zeros(6), np.zeros(6), now)
-    return Follow(TwistWanted(latest, slope, now), now + options.silence, still)
+    return Follow(kind(latest, slope, now), now + options.silence, kind(still, still, now))
 
 
 def chunk_wish(

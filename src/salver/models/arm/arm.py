@@ -96,6 +96,12 @@ class ArmModel:
         placement = self.data.oMf[self.tray_id]
         return placement.translation.copy(), placement.rotation.copy()
 
+    def tray_rotation(self, q: Array) -> Array:
+        """R_SE at joint positions q (n,); with a work space of its own, from any thread."""
+        data = self.pin_model.createData()
+        pin.framesForwardKinematics(self.pin_model, data, q)
+        return np.array(data.oMf[self.tray_id].rotation)
+
     def object_pose(self, q: Array, p_EB: Array, R_EB: Array) -> tuple[Array, Array]:
         """(p_SB, R_SB) of a frame B that is fixed to the tray at (p_EB, R_EB)."""
         p, rotation = self.tray_pose(q)
