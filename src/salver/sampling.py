@@ -178,7 +178,7 @@ def _point(uncertain: UncertainSet, rng: np.random.Generator) -> Array:
 
 def _possible(uncertain: UncertainSet, bodies: Sequence[Body] | None) -> Possible:
     """A test whether objects with parameters (n, n_p) can exist, with the answers (n,)."""
-    positive = [j for j, p in enumerate(uncertain.parameters) if p.kind in ("mass", "friction")]
+    positive = [j for j, p in enumerate(uncertain.parameters) if p.kind in ("mass", "friction") and p.owner]
     tests = [_inertial_test(uncertain, body) for body in bodies or ()]
 
     def possible(p: Array) -> Mask:

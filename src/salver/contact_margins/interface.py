@@ -9,7 +9,7 @@ import numpy as np
 
 from salver.contact_margins.root_finding import zero_between
 from salver.contact_margins.values import TOLERANCE, RowValues
-from salver.geometry import Array
+from salver.geometry import Array, Mask
 from salver.models.contact.contact import ContactSet
 from salver.models.contact.wrench_cone import friction_needed, tip_over_margin
 from salver.models.contact_rows import ContactRows, Labels, cone_rows
@@ -133,18 +133,19 @@ class InterfaceMargins:
         It is at least the nominal one, and infinite if no friction suffices.
         """
         whole, least = self.whole, max(0.999 * float(self.friction_needed.max()), 1e-4)
-        if float(self.tipping_worst.min()) < -TOLERANCE or least >= HIGHEST:
+        leans = self.interface.contacts.on_walls > 0  # then tipping depends on friction too
+        if (not leans and float(self.tipping_worst.min()) < -TOLERANCE) or least >= HIGHEST:
             return float("inf")
 
         def beyond(inverse: float) -> float:
             """Largest friction-limited row with a friction of 1 / inverse: negative where it holds."""
 
             def rows_of(contacts: ContactSet) -> tuple[Array, Labels]:
-                return cone_rows(replace(contacts, friction=np.full(contacts.count, 1.0 / inverse)))
+                return cone_rows(contacts.of_friction(1.0 / inverse))
 
             rows = whole.model.rows(self.network, whole.model.uncertain, rows_of, True)
             value = whole.worst_case(rows) + self._internal_worst @ rows.internal.T
-            return -float(self._margin(rows, value, True).min())
+            return -float(self._margin(rows, value, None if leans else True).min())
 
         if beyond(1.0 / least) <= 0:
             return least
@@ -164,12 +165,19 @@ class InterfaceMargins:
             tips, slides = self.tipping_worst < -TOLERANCE, self.sliding_worst < -TOLERANCE
             lifts = tips & np.isneginf(self.tip_over_worst)
         else:
-            tips, slides = np.asarray(self.tip_over < 0), self._finely_needed > self.friction * (1 + TOLERANCE)
+            tips, slides = np.asarray(self.tip_over < 0), self._slides
             lifts = np.isneginf(self.tip_over)
         for k in np.flatnonzero(tips | slides)[:1]:
             code = "lifts" if lifts[k] else "tips" if tips[k] else "slides"
             return float(self.t[k]), self.index, code, self
         return None
+
+    @property
+    def _slides(self) -> Mask:
+        if not self.interface.contacts.on_walls:
+            return np.asarray(self._finely_needed > self.friction * (1 + TOLERANCE))
+        rows, value = self.whole.model.nominal[self.network], self.whole.nominal_values[self.network][0]
+        return np.asarray(self._margin(rows, value, True) < -TOLERANCE)
 
     @cached_property
     def _finely_needed(self) -> Array:

@@ -93,7 +93,7 @@ def _margin_model(text: str, edges: int) -> MarginModel:
 
 def coefficient_rows(edges: int) -> RowsOf:
     def rows(contacts: ContactSet) -> tuple[Array, Labels]:
-        distribution = np.asarray(np.linalg.pinv(replace(contacts, edges=edges).grasp_map), dtype=float)
+        distribution = np.asarray(np.linalg.pinv(replace(contacts.base, edges=edges).grasp_map), dtype=float)
         return -distribution, np.zeros(len(distribution), dtype=bool)
 
     return rows

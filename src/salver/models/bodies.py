@@ -10,6 +10,7 @@ import numpy as np
 
 from salver.geometry import Array, exp
 from salver.models.contact.contact import ContactSet, support_contacts
+from salver.models.described import SIDES, Tray
 from salver.models.load_dynamics import LoadDynamics
 from salver.models.rigid_body import RigidBody
 from salver.models.shapes import shapes
@@ -27,7 +28,8 @@ class LooseObject:
     inertial: nominal inertial parameters in B. com: (3,) nominal centre of mass from the solid's centroid, m. on: its
     supports, names of objects or ("tray",). at: (2,) position of the shape's centre from the tray's centre, m. yaw:
     rad. support_inset: m, distance of the supporting area's edge from the edge of the base. any_contents: whether the
-    mass distribution inside the solid is unknown. inner: its liquid or pendulum, included in `inertial` and `com`.
+    mass distribution inside the solid is unknown. against: names of `SIDES` of the tray's rim that it is pushed
+    against. inner: its liquid or pendulum, included in `inertial` and `com`.
     empty: inertial parameters without it, in B.
     """
 
@@ -43,6 +45,12 @@ class LooseObject:
     any_contents: bool = False
     inner: LoadDynamics | None = None
     empty: RigidBody | None = None
+    against: tuple[str, ...] = ()
+
+    @property
+    def pushed(self) -> tuple[bool, bool]:
+        """Whether it is pushed against the rim along x and y of the tray, so that its place is exact there."""
+        return any("x" in side for side in self.against), any("y" in side for side in self.against)
 
     @property
     def own(self) -> RigidBody:
@@ -61,13 +69,14 @@ class Body(LooseObject):
 
     Its frame B has its origin at the nominal centre of mass and the axes of the shape (z up).
     p_EB, R_EB: pose of B in the tray frame E. contacts: with all supports (`on`), in B, in their order. regions: number
-    of contact points with each support.
+    of contact points with each support. walls: contacts with the tray's rim, in B; None away from it.
     """
 
     p_EB: Array
     R_EB: Array
     contacts: ContactSet
     regions: tuple[int, ...]
+    walls: ContactSet | None = None
 
     @property
     def points_B(self) -> Array:
@@ -146,10 +155,13 @@ class Body(LooseObject):
         return self.p_EB + np.array([*shift, 0.0])
 
 
-def bodies(objects: Sequence[LooseObject], edges: int = 4, phase: float = 0.0) -> tuple[Body, ...]:
+def bodies(
+    objects: Sequence[LooseObject], edges: int = 4, phase: float = 0.0, tray: Tray | None = None
+) -> tuple[Body, ...]:
     """All objects at rest, in their order. edges, phase: number of edges of the friction cones, first angle in rad.
+    tray: with the rim against which some are set.
 
-    Raises ValueError when an object's support does not come before it.
+    Raises ValueError when an object's support does not come before it, or a rim is missing against which one stands.
     """
     made: dict[str, Body] = {}
     top: dict[str, float] = {TRAY: 0.0}
@@ -166,6 +178,7 @@ def bodies(objects: Sequence[LooseObject], edges: int = 4, phase: float = 0.0) -
         base = max(top[name] for name in item.on)
         R_EB = exp(np.array([0.0, 0.0, item.yaw]))
         centre_E = np.array([*item.at, base - solid.base_z])
+        walls = _walls(item, centre_E, R_EB, tray) if item.against else None
         polygon = inset(solid.base_polygon, item.support_inset)
         regions = [_standing_on(polygon, centre_E, R_EB, surface.get(name)) for name in item.on]
         corners = np.vstack(regions)
@@ -177,10 +190,30 @@ def bodies(objects: Sequence[LooseObject], edges: int = 4, phase: float = 0.0) -
             R_EB=R_EB,
             contacts=contacts,
             regions=tuple(len(region) for region in regions),
+            walls=walls,
         )
         top[item.name] = base + solid.height
         surface[item.name] = centre_E[:2] + solid.top_polygon @ R_EB[:2, :2].T
     return tuple(made.values())
+
+
+def _walls(item: LooseObject, centre_E: Array, R_EB: Array, tray: Tray | None) -> ContactSet:
+    """Move the centre (3,) of an object until its outline touches the rim, and return the contacts there, without
+    friction: at the ends of a side that touches, at the surface and at the top of the rim or of the object; of one that
+    touches along one line, at the surface alone."""
+    if tray is None or tray.rim is None:
+        raise ValueError(f"{item.name} is set against the rim of the tray, which has none; give tray.rim a height")
+    points, frames = [], []
+    for name in item.against:
+        axis, out_E = "xy".index(name[1]), np.array([*SIDES[name], 0.0])
+        out_G = R_EB.T @ out_E
+        side = item.solid.side(out_G[:2])
+        centre_E[axis] = out_E[axis] * (0.5 * tray.size[axis] - side[0] @ out_G[:2])
+        heights = (0.0, min(tray.rim.height, item.solid.height)) if len(side) > 1 else (0.0,)
+        points += [[*corner, item.solid.base_z + z] for z in heights for corner in side.tolist()]
+        up = np.array([0.0, 0.0, 1.0])
+        frames += len(heights) * len(side) * [np.column_stack([np.cross(up, -out_G), up, -out_G])]
+    return ContactSet(np.array(points) - item.com_G, np.array(frames), np.zeros(len(points)))
 
 
 def _standing_on(polygon: Array, centre_E: Array, R_EB: Array, surface_E: Array | None) -> Array:
@@ -244,4 +277,23 @@ def check_standing(items: Sequence[Body], tray_half: Array) -> None:
                 raise ValueError(
                     f"{body.name} stands {1e3 * beyond.max():.1f} mm over the edge of the tray, which is "
                     f"{2 * tray_half[0]:g} x {2 * tray_half[1]:g} m; move it with at, or give the tray a larger size"
+                )
+
+
+def check_rim(items: Sequence[Body], tray_half: Array, height: float, half_range: Mapping[str, Array]) -> None:
+    """Raise ValueError if a body may intersect a rim of some height, m, around a tray of half size (2,), m.
+
+    half_range: name of a body to the half-ranges (2,) of its position, m.
+    """
+    for body in items:
+        if body.z_range_E[0] >= height:
+            continue
+        for name, out in SIDES.items():
+            way = np.array(out) @ body.R_EB[:2, :2]
+            reach = np.array(out) @ body.p_EB[:2] + float((body.solid.side(way)[0] - body.com_G[:2]) @ way)
+            beyond = reach + abs(np.array(out)) @ half_range[body.name] - abs(np.array(out)) @ tray_half
+            if beyond > 1e-9:
+                raise ValueError(
+                    f"{body.name} may stand {1e3 * beyond:.1f} mm inside the rim at {name}, within its "
+                    f'uncertainty.position; move it with at, or set it against the rim with against = "{name}"'
                 )

@@ -7,15 +7,30 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
-from salver.fields import File, Inertia, Metres, Model, Name, Number, Place, Point, Scale, Turns
+from salver.fields import File, Inertia, Metres, Model, Name, Number, Place, Point, Scale, Turns, leaving_out
+
+SIDES = {"-x": (-1, 0), "+x": (1, 0), "-y": (0, -1), "+y": (0, 1)}  # of the tray: the way out, along x and y of E
+
+
+class Rim(Model):
+    """Upright walls around the tray's surface.
+
+    height: m, above the surface. friction: of the walls in the physics engine; plans rely on their push alone.
+    thickness: m.
+    """
+
+    height: Metres
+    friction: Annotated[Number, Field(ge=0, le=5)] = 0.0
+    thickness: Metres = 0.003
 
 
 class Tray(Model):
     """The tray on the flange.
 
-    height: m, of the centre of its top surface along the flange's z. offset: m, along the flange's x and y, for a tray
-    on a bracket. rpy_deg: roll, pitch, yaw of the tray in the flange's frame. inertia: kg m^2, principal moments about
-    its centre of mass, along its own axes.
+    size: m, of the surface on which objects stand; the walls of a rim stand outside it. height: m, of the centre of its
+    top surface along the flange's z. offset: m, along the flange's x and y, for a tray on a bracket. rpy_deg: roll,
+    pitch, yaw of the tray in the flange's frame. inertia: kg m^2, principal moments about its centre of mass, along its
+    own axes.
     """
 
     size: tuple[Metres, Metres] = (0.2, 0.2)
@@ -25,6 +40,9 @@ class Tray(Model):
     rpy_deg: Turns = (0.0, 0.0, 0.0)
     mass: Annotated[Number, Field(ge=0, le=100)] = 0.150
     inertia: tuple[Inertia, Inertia, Inertia] = (1.25e-4, 1.25e-4, 1.25e-4)
+    rim: Rim | None = None
+
+    _stated = leaving_out("rim")
 
     @model_validator(mode="after")
     def _physical(self) -> Tray:
@@ -35,8 +53,9 @@ class Tray(Model):
                 f"inertia = {list(self.inertia)} kg m^2 is impossible: no value may be negative or larger than the sum "
                 "of the other two"
             )
-        away = max(self.thickness, *(abs(x) for x in self.p_FE))
-        most = self.mass * (0.25 * (self.size[0] ** 2 + self.size[1] ** 2) + away**2)
+        x, y, _ = self.outer
+        away = max(self.thickness, *(abs(x) for x in self.p_FE)) + self.rim_height
+        most = self.mass * (0.25 * (x**2 + y**2) + away**2)
         if high > most * (1 + 1e-6):
             raise ValueError(
                 f"inertia = {list(self.inertia)} kg m^2 is too large: {self.mass:g} kg between the flange and the "
@@ -48,6 +67,28 @@ class Tray(Model):
     def p_FE(self) -> tuple[float, float, float]:
         """Origin of E in the flange's frame F, m."""
         return (*self.offset, self.height)
+
+    @property
+    def rim_height(self) -> float:
+        """Height of the rim above the surface, m; 0 without one."""
+        return self.rim.height if self.rim else 0.0
+
+    @property
+    def outer(self) -> tuple[float, float, float]:
+        """Size, m, along x, y, z of E of the box around the tray with its rim."""
+        wall = 2 * self.rim.thickness if self.rim else 0.0
+        return self.size[0] + wall, self.size[1] + wall, self.thickness + self.rim_height
+
+    @property
+    def boxes(self) -> list[tuple[Point, Point]]:
+        """Centre in E and size, m, of the boxes it is made of: the plate, then the walls of the rim as in `SIDES`."""
+        (x, y, _), found = self.outer, [((0.0, 0.0, -0.5 * self.thickness), (*self.outer[:2], self.thickness))]
+        if self.rim:
+            half, z = 0.5 * self.rim.thickness, 0.5 * self.rim.height
+            for a, b in SIDES.values():
+                size = (self.rim.thickness if a else x, self.rim.thickness if b else y, self.rim.height)
+                found.append(((a * (0.5 * x - half), b * (0.5 * y - half), z), size))
+        return found
 
 
 class Obstacle(Model):

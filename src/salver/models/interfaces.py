@@ -24,7 +24,8 @@ from salver.models.uncertain.parameters import Parameter, UncertainSet
 
 @dataclass(frozen=True)
 class Interface:
-    """Body `upper` (index in the network) stands on body `lower`, or on the tray (None). contacts: in B of upper."""
+    """Body `upper` (index in the network) stands on body `lower`, or on the tray (None). contacts: in B of upper, with
+    those on the tray's rim."""
 
     name: str
     upper: int
@@ -81,6 +82,8 @@ def _network(items: tuple[Body, ...]) -> ContactNetwork:
                 R_BC=body.contacts.R_BC[points],
                 friction=body.contacts.friction[points],
             )
+            if body.walls is not None:
+                part = part.joined(body.walls)
             interfaces.append(Interface(f"{body.name} on {support}", i, index.get(support), part))
     incidence = np.zeros((len(items), len(interfaces)))
     for e, interface in enumerate(interfaces):
@@ -95,7 +98,7 @@ def _share(items: tuple[Body, ...], interfaces: list[Interface], incidence: Arra
     m, n_e = incidence.shape
     if m == n_e:
         return np.linalg.inv(incidence)[:, :, None, None] * np.eye(6)
-    maps = [to_tray(items[f.upper].p_EB, items[f.upper].R_EB) @ f.contacts.grasp_matrix for f in interfaces]
+    maps = [to_tray(items[f.upper].p_EB, items[f.upper].R_EB) @ f.contacts.base.grasp_matrix for f in interfaces]
     forces = np.zeros((6 * n_e, sum(g.shape[1] for g in maps)))
     column = 0
     for e, g in enumerate(maps):
@@ -148,7 +151,7 @@ def sure_contacts(network: ContactNetwork, tray_half: Array, uncertain: Uncertai
     for interface in network.interfaces:
         upper = network.bodies[interface.upper]
         least = upper.friction - ranges.get(Parameter(upper.name, "friction"), 0.0)
-        contacts = replace(interface.contacts, friction=np.full(interface.contacts.count, least))
+        contacts, walls = interface.contacts.base.of_friction(least), interface.contacts.walls
         region = _sure_region(network, interface, tray_half, shift)
         if region is not None and len(region) >= 3:
             p_BC = np.column_stack([region, np.full(len(region), contacts.p_BC[0, 2])])
@@ -158,7 +161,7 @@ def sure_contacts(network: ContactNetwork, tray_half: Array, uncertain: Uncertai
                 R_BC=np.tile(contacts.R_BC[0], (len(p_BC), 1, 1)),
                 friction=np.full(len(p_BC), contacts.friction[0]),
             )
-        kept.append(contacts)
+        kept.append(contacts.joined(walls))
     return kept
 
 
@@ -187,7 +190,7 @@ def _sure_region(
     if len(sure_E) < 3:
         return np.empty((0, 2))
     # The base moves with the upper body; the region loses area only at the edge of the surface below.
-    base_B = interface.contacts.p_BC[:, :2]
+    base_B = interface.contacts.base.p_BC[:, :2]
     sure_B = (sure_E - upper.p_EB[:2]) @ upper.R_EB[:2, :2]
     normal, offset = half_planes(sure_B)
     if np.all(base_B @ normal.T <= offset + 1e-12):

@@ -15,8 +15,8 @@ import numpy as np
 from salver.display import Outlined
 from salver.errors import ScenarioError
 from salver.geometry import Array
-from salver.models.bodies import Body, check_standing
-from salver.models.interfaces import ContactNetwork, networks, regions_lost
+from salver.models.bodies import Body, check_rim, check_standing
+from salver.models.interfaces import ContactNetwork, networks, regions_lost, shift_ranges
 from salver.models.uncertain.parameters import NOTHING, Parameter, UncertainSet, inertial_vector, parse
 
 
@@ -25,11 +25,13 @@ class Payload(Outlined):
     """The load. bodies: in the scenario's order; the motion of the first one is planned.
 
     uncertain: uncertain parameters of all bodies and of the tray. tray_half: (2,) half size of the tray, m.
+    rim_height: m, of the rim around it; 0 without one.
     """
 
     bodies: tuple[Body, ...]
     uncertain: UncertainSet
     tray_half: Array
+    rim_height: float = 0.0
 
     @property
     def first(self) -> Body:
@@ -91,6 +93,9 @@ class Payload(Outlined):
     def check(self) -> None:
         """Raise ValueError, one sentence, when the bodies cannot stand at their positions."""
         check_standing(self.bodies, self.tray_half)
+        if self.rim_height:
+            shift = {k: v for net in self.networks for k, v in shift_ranges(net, self.uncertain).items()}
+            check_rim(self.bodies, self.tray_half, self.rim_height, shift)
 
     def check_places(self) -> None:
         """Raise ScenarioError when a contact area may vanish within the position uncertainty: nothing is safe then."""

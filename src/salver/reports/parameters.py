@@ -18,12 +18,12 @@ _UNITS = {
     "damping": (100.0, "% of critical"),
 }
 _SHARES = ("mass", "inertia", "friction", "fill", "length", "damping")
-_NAMES = {"com": "centre of mass", "position": "place on the tray"}
+_NAMES = {"com": "centre of mass", "position": "place on the tray", "friction_rim": "friction of the rim"}
 
 
 def pretty(parameter: Parameter) -> str:
     """For people: "cup1.com_x" is "centre of mass x of cup1"."""
-    own = f"{_NAMES.get(parameter.kind, parameter.kind)} {parameter.axis}".rstrip()
+    own = _NAMES.get(parameter.name) or f"{_NAMES.get(parameter.kind, parameter.kind)} {parameter.axis}".rstrip()
     return own + ("" if parameter.lone or not parameter.owner else f" of {parameter.owner}")
 
 

@@ -5,7 +5,7 @@ computed; each mistake is one sentence with the key, the value and what would be
 """
 
 from salver.models.arm.tables import Arm, ArmLimits
-from salver.models.described import Obstacle, Tray
+from salver.models.described import Obstacle, Rim, Tray
 from salver.scenario.cell import Physics, RobotBehaviour, Surroundings
 from salver.scenario.files import SCENARIO_DIR, load, names
 from salver.scenario.legs import Leg
@@ -47,6 +47,7 @@ __all__ = [
     "Planning",
     "Pose",
     "Prism",
+    "Rim",
     "RobotBehaviour",
     "Scenario",
     "SensitivityWeighting",

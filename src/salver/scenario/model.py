@@ -270,7 +270,7 @@ class Scenario(Shown, Model):
     @cached_property
     def uncertain(self) -> UncertainSet:
         """The uncertain parameters of all objects and of the tray, on any leg."""
-        return self.uncertainty.around(self.objects, [item.loose() for item in self.objects])
+        return self.uncertainty.around(self.objects, [item.loose() for item in self.objects], self.tray)
 
     @cached_property
     def payload(self) -> Payload:
@@ -279,8 +279,9 @@ class Scenario(Shown, Model):
         if self.legs:
             self.check_one_leg("this")
         loose = [item.loose() for item in self.objects]
-        standing = bodies(loose, self.contact.edges, float(np.deg2rad(self.contact.edge_phase_deg)))
-        return Payload(standing, self.uncertainty.around(self.objects, loose), 0.5 * np.array(self.tray.size))
+        standing = bodies(loose, self.contact.edges, float(np.deg2rad(self.contact.edge_phase_deg)), self.tray)
+        uncertain, tray = self.uncertainty.around(self.objects, loose, self.tray), self.tray
+        return Payload(standing, uncertain, 0.5 * np.array(tray.size), tray.rim_height)
 
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
         """Pydantic's method, with cached properties cleared. It does not validate: prefer `with_changes`."""

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BeforeValidator, Field, SerializerFunctionWrapHandler, model_serializer, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
 from salver.fields import (
     Degrees,
@@ -21,13 +21,16 @@ from salver.fields import (
     Point,
     Scale,
     Whole,
+    leaving_out,
 )  # fmt: skip
 from salver.models.bodies import LooseObject, check
+from salver.models.described import Tray
 from salver.models.rigid_body import RigidBody, inertia_matrix
 from salver.models.shapes import shapes
 from salver.models.shapes.shapes import Solid
 from salver.models.uncertain.contents import inertia_ranges
 from salver.models.uncertain.parameters import (
+    RIM,
     TILT,
     Parameter,
     UncertainSet,
@@ -181,7 +184,7 @@ class Uncertainty(Model):
             "com": self.com,
             "inertia": _inertia_ranges(self.inertia, inertial[4:]),
             "friction": [_absolute(self.friction, item.friction)],
-            "position": self.position,
+            "position": [0.0 if pushed else x for x, pushed in zip(self.position or (), item.pushed, strict=False)],
         }
         if item.any_contents:
             points = item.solid.bounding_points_G - item.com_G
@@ -228,10 +231,14 @@ def assumed(shape: Shape, on: str | list[str], inner: InnerDynamics | None) -> U
     return Uncertainty(**found)
 
 
+Side = Literal["-x", "+x", "-y", "+y"]
+
+
 class CarriedObject(Model):
     """One loose object.
 
     at: m, position of its shape's centre from the tray's centre, even if it stands `on` another object.
+    against: sides of the tray at which it is pushed against the rim: there `at` follows from its shape.
     With a `liquid` or a `pendulum` in it, mass, com and inertia are those of the container alone.
     """
 
@@ -254,6 +261,9 @@ class CarriedObject(Model):
         default="tray", description='"tray", the name of an object listed before, or a list of these'
     )
     at: tuple[Place, Place] = (0.0, 0.0)
+    against: Side | Annotated[list[Side], Field(min_length=1, max_length=2)] | None = Field(
+        default=None, description='"-x", "+x", "-y" or "+y", or a list of two of these'
+    )
     yaw_deg: Degrees = 0.0
     support_inset: Annotated[Number, Field(ge=0, le=5)] = 0.0
     liquid: LiquidIn | None = None
@@ -265,9 +275,12 @@ class CarriedObject(Model):
         description=f'a table with the keys {", ".join(Uncertainty.model_fields)}, or "none"',
     )
 
+    _stated = leaving_out("against")
+
     @model_validator(mode="after")
     def _physical(self) -> CarriedObject:
         self._check_inner()
+        self._check_against()
         loose = self.loose()
         check(loose)
         away = loose.solid.bounding_points_G - loose.solid.centroid_G - self.com
@@ -328,12 +341,31 @@ class CarriedObject(Model):
             self.uncertainty.contents == "any",
             inner,
             empty,
+            self.sides,
         )
 
     @property
     def inner(self) -> InnerDynamics | None:
         """The table of its liquid or pendulum; None without one."""
         return self.liquid or self.pendulum
+
+    @property
+    def sides(self) -> tuple[str, ...]:
+        """Names of the sides of the rim that it is pushed against."""
+        return (self.against,) if isinstance(self.against, str) else tuple(self.against or ())
+
+    def _check_against(self) -> None:
+        """Raise ValueError when an object cannot be pushed against these sides of a rim."""
+        if not self.sides:
+            return
+        if len({side[1] for side in self.sides}) < len(self.sides):
+            raise ValueError(f"against = {list(self.sides)} of {self.name}: give one side along x and one along y")
+        if self.on != "tray":
+            raise ValueError(f'{self.name} stands on {self.on}; against is only for objects on = "tray"')
+        if not isinstance(self.shape, Box | Cylinder | Prism):
+            raise ValueError(
+                f"against of {self.name}: only a box, a cylinder or a prism has upright sides, not a {self.shape.type}"
+            )
 
     def _check_inner(self) -> None:
         """Raise ValueError when its liquid or pendulum does not fit into it, or contradicts another key."""
@@ -375,22 +407,19 @@ class Shake(Model):
 
 
 class UncertaintySet(Model):
-    """Shape of the uncertain set, and the uncertainty of the tray: its tilt and its vibration."""
+    """Shape of the uncertain set, and the uncertainty of the tray: its tilt, its vibration, the friction of its rim."""
 
     set: Literal["box", "ellipsoid"] = "box"
     tilt_deg: tuple[Tilt, Tilt] | None = None
     shake: Shake | None = None
+    friction_rim: Range | None = None
     correlation: dict[str, Annotated[Number, Field(gt=-1, lt=1)]] = Field(
         default={}, max_length=1000, description='numbers between -1 and 1 under keys such as "mass,com_x"'
     )
 
-    @model_serializer(mode="wrap")
-    def _stated(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Leave out a missing shake, so that plans made before this key existed keep their digest."""
-        found: dict[str, Any] = dump(self)
-        return found if self.shake is not None else {key: value for key, value in found.items() if key != "shake"}
+    _stated = leaving_out("shake", "friction_rim")
 
-    def around(self, objects: list[CarriedObject], loose: list[LooseObject]) -> UncertainSet:
+    def around(self, objects: list[CarriedObject], loose: list[LooseObject], tray: Tray) -> UncertainSet:
         """All uncertain parameters, in the order of the objects and then of the tray: eq (8).
 
         Raises ValueError when the correlation matrix is not positive definite or names a parameter without a range.
@@ -400,6 +429,11 @@ class UncertaintySet(Model):
         for parameter, degrees in zip(TILT, self.tilt_deg or (), strict=False):
             if degrees > 0:
                 found.append((parameter, 0.0, float(np.deg2rad(degrees))))
+        rim = 0.0 if tray.rim is None else tray.rim.friction
+        if (half_rim := _absolute(self.friction_rim, rim)) > rim:
+            raise ValueError(f"uncertainty.friction_rim = {half_rim:g} is above tray.rim.friction = {rim:g}; give less")
+        if half_rim > 0:
+            found.append((RIM, rim, half_rim))
         parameters, nominal, half = zip(*found, strict=True) if found else ((), (), ())
         correlation = self._matrix([p.name for p in parameters])
         shake = None if self.shake is None else self.shake.vibration

@@ -100,7 +100,7 @@ class Friction:
         exceeds that of the plan.
         """
         scenario = self.plan.scenario if scenario is None else scenario
-        body, tested = one_load(scenario, "a friction test"), self.plan.scenario.payload.first
+        body, tested = tested_load(scenario), self.plan.scenario.payload.first
         further = np.abs(body.p_EB - tested.p_EB) + _reach(scenario, body) - _reach(self.plan.scenario, tested)
         if (further > 1e-9).any():
             raise ScenarioError(
@@ -120,6 +120,14 @@ class Friction:
             )
         changes = {"objects__0__friction": 0.5 * (low + high), "objects__0__uncertainty__friction": 0.5 * (high - low)}
         return scenario.with_changes(**changes)
+
+
+def tested_load(scenario: Scenario) -> Body:
+    """The only object of a scenario. Raises ScenarioError for a scenario whose friction no run shows."""
+    body = one_load(scenario, "a friction test")
+    if body.walls is not None:
+        raise ScenarioError(f"{body.name} is set against the rim, which holds it too; leave out against for a test.")
+    return body
 
 
 def needed(w: Array, com_E: Array, reach: Array, off: float) -> tuple[Array, Array]:
@@ -165,7 +173,7 @@ def friction(
         FileFormatError: the log is not of the plan.
     """
     scenario = plan.scenario
-    body = one_load(scenario, "a friction test")
+    body = tested_load(scenario)
     if plan.joint is None:
         raise ScenarioError(f"{scenario.name}: this plan has no motion of an arm, from which friction is identified.")
     _can_be_seen(plan, held, slid)

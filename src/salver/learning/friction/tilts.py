@@ -11,8 +11,7 @@ import numpy as np
 from salver.contact_margins.model import tray_motion
 from salver.errors import ScenarioError, Status
 from salver.geometry import Array, exp
-from salver.learning.friction.friction import METHOD, OPTIONS, leaning
-from salver.learning.logs import one_load
+from salver.learning.friction.friction import METHOD, OPTIONS, leaning, tested_load
 from salver.models.contact_rows import contact_rows
 from salver.planning.make import with_arm
 from salver.planning.plan import Plan
@@ -31,7 +30,7 @@ def tilt_test(scenario: Scenario, shown: float, level: float | None = None) -> P
     No load in the uncertain set tips. The tilt needs the friction `shown`, plus the error of the angle; the plan's
     scenario has that friction. Raises ScenarioError when a load could tip, or the arm cannot make the tilt.
     """
-    body = one_load(scenario, "a friction test")
+    body = tested_load(scenario)
     if not 0 < shown <= MOST:
         raise ScenarioError(f"A friction of {shown:g} was asked for; it must be above 0 and at most {MOST:g}.")
     lean = leaning(scenario, (OPTIONS.level if level is None else level) + OPTIONS.unseen)

@@ -53,7 +53,7 @@ class ArmModel:
     them, the URDF gives no mass. If there are any, torques are unknown: the arm has no torque limits, and counts as
     position-controlled. base_position, R_base: (3,) m and (3, 3), pose of the URDF's root in S. p_FE, R_FE: (3,) m and
     (3, 3), pose in F of the middle of the tray's top surface. tray_com_E: (3,) the tray's centre of mass in E.
-    tray_size: its edges along x and y of E, m.
+    tray_size: (3,) edges of the box around it, with its rim, along the axes of E, m.
     """
 
     name: str
@@ -79,7 +79,7 @@ class ArmModel:
     p_FE: Array
     R_FE: Array
     tray_com_E: Array
-    tray_size: tuple[float, float]
+    tray_size: tuple[float, float, float]
 
     @property
     def n(self) -> int:
@@ -227,7 +227,7 @@ def load_arm(arm: Arm, tray: Tray) -> ArmModel:
         p_FE=p_FE,
         R_FE=R_FE,
         tray_com_E=com_E,
-        tray_size=tray.size,
+        tray_size=tray.outer,
     )
 
 

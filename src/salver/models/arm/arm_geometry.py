@@ -259,9 +259,8 @@ def arm_geometry(arm: ArmModel, bodies: Sequence[Body] = (), obstacles: Sequence
     tray = len(names)
 
     frame = arm.pin_model.frames[arm.tray_id]
-    plate = pin.SE3(np.eye(3), arm.tray_com_E)
-    box = coal.Box(*arm.tray_size, -2 * float(arm.tray_com_E[2]))
-    add(parts, names, TRAY, frame.parentJoint, frame.placement * plate, box)
+    middle = pin.SE3(np.eye(3), 2 * arm.tray_com_E + [0.0, 0.0, 0.5 * arm.tray_size[2]])  # its base is at 2 com
+    add(parts, names, TRAY, frame.parentJoint, frame.placement * middle, coal.Box(*arm.tray_size))
     for body in bodies:
         points = body.solid.bounding_points_G - body.com_G
         low, high = points.min(axis=0), points.max(axis=0)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -19,7 +19,8 @@ class ContactSet:
 
     p_BC: (n_c, 3) contact points in B, m. R_BC: (n_c, 3, 3), z the inward normal.
     friction: (n_c,) Coulomb coefficients. edges: k >= 3 edges of each linearised cone (eq 4), inscribed.
-    phase: angle of the first edge about the normal, rad.
+    phase: angle of the first edge about the normal, rad. on_walls: the last so many points are on walls of a rim, the
+    others on the base.
     """
 
     p_BC: Array
@@ -27,10 +28,36 @@ class ContactSet:
     friction: Array
     edges: int = 4
     phase: float = 0.0
+    on_walls: int = 0
 
     @property
     def count(self) -> int:
         return len(self.p_BC)
+
+    @property
+    def base(self) -> ContactSet:
+        """The points on the base alone."""
+        return self._only(slice(self.count - self.on_walls), 0)
+
+    @property
+    def walls(self) -> ContactSet:
+        """The points on walls alone."""
+        return self._only(slice(self.count - self.on_walls, None), self.on_walls)
+
+    def _only(self, some: slice, on_walls: int) -> ContactSet:
+        return replace(
+            self, p_BC=self.p_BC[some], R_BC=self.R_BC[some], friction=self.friction[some], on_walls=on_walls
+        )
+
+    def joined(self, walls: ContactSet) -> ContactSet:
+        """These points, then those on walls, with the edges of these."""
+        p_BC, R_BC = np.concatenate([self.p_BC, walls.p_BC]), np.concatenate([self.R_BC, walls.R_BC])
+        friction = np.concatenate([self.friction, walls.friction])
+        return replace(self, p_BC=p_BC, R_BC=R_BC, friction=friction, on_walls=walls.count)
+
+    def of_friction(self, friction: float) -> ContactSet:
+        """The points with another friction of the base."""
+        return replace(self.base, friction=np.full(self.count - self.on_walls, friction)).joined(self.walls)
 
     @property
     def grasp_matrix(self) -> Array:

@@ -7,6 +7,10 @@ Here the condition is a list of half-spaces, A F <= 0, computed once for each co
 For a support polygon with one friction coefficient, the possible normal forces do not depend on the coefficient, and
 the tangential part of the cone, (f_x, f_y, tau_z) in the contact plane, is proportional to it. So the facets are
 computed once with coefficient 1, and the least friction for a wrench is a ratio.
+
+Contacts on walls of a rim push horizontally (docs/physics.md, "A rim"). With them facets depend on friction in other
+ways, so that they are computed for each coefficient. A facet's row is the motion along which the object gives way:
+there it slides if its centre moves along the base by more than its rotation times `length`, else it tips.
 """
 
 from __future__ import annotations
@@ -32,7 +36,7 @@ class Facets:
     length if moments are divided by `length`, so that -max(A F) is the smallest disturbance (force in N, or moment over
     `length`) that takes F out of the cone.
     friction_limited: (n_f,) whether the facet depends on friction (beyond it the object slides) or only on the support
-    polygon (beyond it the object tips or lifts).
+    polygon (beyond it the object tips or lifts); with walls, whether it slides more than it tips.
     length: m, radius of the support about its centre.
     """
 
@@ -54,15 +58,45 @@ def cone_facets(contacts: ContactSet) -> Facets:
         rows = unit * np.where(_TANGENTIAL, 1 / contacts.friction[0], 1.0)
         limited = np.any(np.abs(unit[:, _TANGENTIAL]) > 1e-9, axis=1)
     else:
-        rays = contacts.grasp_map.T @ _shift_to_centre(contacts).T / np.array([1, 1, 1, length, length, length])
+        scale = np.array([1, 1, 1, length, length, length])
+        rays = _rays(contacts) @ _shift_to_centre(contacts).T / scale
         try:
             rows = hulls.cone_facets(rays)
         except ValueError as error:
             raise ValueError(f"the contacts can press against each other, which no cone has: {error}") from None
-        limited = np.ones(len(rows), dtype=bool)
+        limited = np.linalg.norm(rows[:, 3:5], axis=1) <= np.linalg.norm(rows[:, :2], axis=1)
     rows = rows / np.array([1, 1, 1, length, length, length]) @ _shift_to_centre(contacts)
     size = np.linalg.norm(rows * np.array([1, 1, 1, length, length, length]), axis=1)
     return Facets(rows / size[:, None], limited, length)
+
+
+def _rays(contacts: ContactSet) -> Array:
+    """Rays (n, 6) of the cone. Beside walls, friction of the base may push towards a wall of height h by at most
+    x / h of the normal force at the distance x from it: no more than makes up for the lever of the wall's push."""
+    if not contacts.on_walls:
+        return contacts.grasp_map.T
+    base, walls = contacts.base, contacts.walls
+    rays, upright = [walls.grasp_map.T], np.array([0.0, 0.0, 1.0])
+    for edge in (base.R_BC[0] @ cone_edges(base.friction[0], base.edges, base.phase)).T:
+        # Points of the base, each with the share of friction there, first 0 and 1: (n, 4), then cut by each wall.
+        points = np.vstack([np.column_stack([base.p_BC, np.full(base.count, share)]) for share in (0.0, 1.0)])
+        for wall in np.unique(np.round(walls.R_BC[:, :, 2], 12), axis=0):
+            own = walls.p_BC[walls.R_BC[:, :, 2] @ wall > 0.5]
+            lever = (own[:, 2].max() - base.p_BC[0, 2]) * max(-float(wall @ edge), 0.0) / edge[2]
+            points = _cut(points, np.append(wall, -lever), float((base.p_BC @ wall).min()))
+        force = points[:, 3:] * edge + (1 - points[:, 3:]) * edge[2] * upright
+        rays.append(np.hstack([force, np.cross(points[:, :3], force)]))
+    return np.vstack(rays)
+
+
+def _cut(points: Array, normal: Array, low: float) -> Array:
+    """Points (n, d) whose convex hull is the part of that of others (m, d) with normal . x >= low."""
+    value = points @ normal - low
+    out = value < -1e-12
+    inside, outside, above = points[~out], points[out], value[~out, None]
+    share = (above / (above - value[out]))[:, :, None]
+    crossing = inside[:, None] + share * (outside - inside[:, None])
+    return np.vstack([inside, crossing.reshape(-1, points.shape[1])])
 
 
 def margin(rows: Array, wrench_B: Array) -> Array:
@@ -82,6 +116,8 @@ def friction_needed(contacts: ContactSet, wrench_B: Array) -> Array:
     Infinite if no friction suffices, because the wrench pulls or its centre of pressure is outside the support.
     """
     wrench_B = np.atleast_2d(wrench_B)
+    if contacts.on_walls:
+        return _friction_needed_beside_walls(contacts, wrench_B)
     if not _is_planar_support(contacts):
         raise ValueError("friction_needed is defined for contacts in one plane with one friction coefficient")
     length = support_length(contacts)
@@ -96,41 +132,63 @@ def friction_needed(contacts: ContactSet, wrench_B: Array) -> Array:
     return np.where(possible & (scaled[:, 2] > 0), ratio.max(axis=1), np.inf)
 
 
+def _friction_needed_beside_walls(contacts: ContactSet, wrench_B: Array) -> Array:
+    """`friction_needed` of the base, interpolated between coefficients 20 % apart, to 1 %."""
+    friction = np.geomspace(1e-3, 5.0, 48)
+    beyond = np.array([-margin(facets(contacts.of_friction(mu)), wrench_B) for mu in friction])  # (48, T)
+    first, column = np.argmax(beyond <= 0, axis=0), np.arange(len(wrench_B))
+    before = np.maximum(first - 1, 0)
+    high, low = beyond[before, column], beyond[first, column]
+    share = np.where(first > 0, high / np.where(first > 0, high - low, 1.0), 0.0)
+    found = friction[before] + share * (friction[first] - friction[before])
+    return np.where((beyond <= 0).any(axis=0), found, np.inf)
+
+
 def zero_moment_point(contacts: ContactSet, wrench_B: Array) -> Array:
     """Zero-moment point (T, 2) in the contact plane, from the mean contact point, in the contacts' axes, m."""
-    centred = np.atleast_2d(wrench_B) @ _shift_to_centre(contacts).T
+    centred = np.atleast_2d(wrench_B) @ _shift_to_centre(contacts.base).T
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.stack([-centred[:, 4] / centred[:, 2], centred[:, 3] / centred[:, 2]], axis=1)
 
 
 def tip_over_margin(contacts: ContactSet, wrench_B: Array) -> Array:
-    """Distance (T,) of the zero-moment point to the nearest edge of the support polygon, m.
+    """Distance (T,) of the zero-moment point to the nearest edge of the support polygon, m; with walls, distance by
+    which it may move until the object tips although they push.
 
     Negative outside; minus infinity if the normal force does not press.
     """
     wrench_B = np.atleast_2d(wrench_B)
-    normal, offset = half_planes(support_polygon(contacts))
-    with np.errstate(invalid="ignore"):
-        distance = (offset - zero_moment_point(contacts, wrench_B) @ normal.T).min(axis=1)
     pressing = wrench_B[:, :3] @ contacts.R_BC[0][:, 2] > 0
+    with np.errstate(divide="ignore", invalid="ignore"):
+        if contacts.on_walls:
+            rows, pressed = support_rows(contacts)
+            distance = -(wrench_B @ rows.T).max(axis=1) / (wrench_B @ pressed)
+        else:
+            normal, offset = half_planes(support_polygon(contacts))
+            distance = (offset - zero_moment_point(contacts, wrench_B) @ normal.T).min(axis=1)
     return np.where(pressing, distance, -np.inf)
 
 
 def support_rows(contacts: ContactSet) -> tuple[Array, Array]:
     """Rows (n, 6), m, one for each edge of the support polygon, and the row (6,) of f_z.
 
-    (row F_B) / f_z is the distance of the zero-moment point beyond the edge.
+    (row F_B) / f_z is the distance of the zero-moment point beyond the edge. With walls there is a row for each facet
+    along which the object tips, and that distance is the one beyond the facet.
     """
+    shift = _shift_to_centre(contacts.base)
+    if contacts.on_walls:
+        cone = cone_facets(contacts)
+        rows = cone.rows[~cone.friction_limited]
+        return rows / np.linalg.norm(rows[:, 3:] @ contacts.R_BC[0][:, :2], axis=1)[:, None], shift[2]
     normal, offset = half_planes(support_polygon(contacts))
-    shift = _shift_to_centre(contacts)
     rows = normal[:, 1, None] * shift[3] - normal[:, 0, None] * shift[4] - offset[:, None] * shift[2]
     return rows, shift[2]
 
 
 def support_polygon(contacts: ContactSet) -> Array:
     """Convex hull (n, 2) of the contact points, counter-clockwise, in the contacts' axes about their mean, m."""
-    centred = (contacts.p_BC - contacts.p_BC.mean(axis=0)) @ contacts.R_BC[0]
-    return convex_hull(centred[:, :2])
+    points = contacts.base.p_BC
+    return convex_hull(((points - points.mean(axis=0)) @ contacts.R_BC[0])[:, :2])
 
 
 def _is_planar_support(contacts: ContactSet) -> bool:

@@ -27,6 +27,7 @@ class Solid:
     bounding_points_G: (k, 3) points whose convex hull contains the solid.
     top_polygon: (m, 2) the flat top, on which another object can stand. outline_polygon: the outline from above.
     surface: vertices (v, 3) and triangles (k, 3) of a mesh, for pictures; None if the polygons describe the shape.
+    radius: of a cylinder, m; None for other shapes.
     """
 
     height: float
@@ -37,10 +38,18 @@ class Solid:
     top_polygon: Array
     outline_polygon: Array
     surface: tuple[Array, Array] | None = None
+    radius: float | None = None
 
     @property
     def base_z(self) -> float:
         return -0.5 * self.height
+
+    def side(self, way: Array) -> Array:
+        """Ends (1 or 2, 2) of the stretch of the outline that is farthest along a unit vector (2,) in G, m."""
+        if self.radius is not None:
+            return self.radius * way[None]
+        along = self.outline_polygon @ way
+        return self.outline_polygon[along >= along.max() - 1e-9]
 
 
 def box(size: tuple[float, float, float]) -> Solid:
@@ -58,7 +67,7 @@ def cylinder(radius: float, height: float, support_points: int = 8) -> Solid:
     across = (3 * radius**2 + height**2) / 12
     inertia = np.diag([across, across, 0.5 * radius**2])
     outer = polygon / np.cos(np.pi / support_points)  # circumscribed polygon, which contains the disc
-    return Solid(height, polygon, np.zeros(3), inertia, _extrude(outer, height), polygon, polygon)
+    return Solid(height, polygon, np.zeros(3), inertia, _extrude(outer, height), polygon, polygon, radius=radius)
 
 
 def prism(polygon: Array, height: float) -> Solid:

@@ -36,7 +36,7 @@ SetKind = Literal["box", "ellipsoid"]
 class Parameter:
     """One parameter that may be uncertain; `name` is its name in files and commands.
 
-    owner: name of the object; "" for the tray (tilt) and for the parameters of a user-defined model.
+    owner: name of the object; "" for the tray (tilt, friction of its rim) and for parameters of a user-defined model.
     kind: mass, com, inertia, friction, position, fill, length, damping or tilt; or any name in a user-defined model.
     axis: "" for a scalar. lone: whether its object is the only one, so that `name` has no prefix."""
 
@@ -72,6 +72,7 @@ class Parameter:
 
 
 TILT = (Parameter("", "tilt", "x"), Parameter("", "tilt", "y"))
+RIM = Parameter("", "friction", "rim")
 
 
 def parameters_of(owner: str, lone: bool) -> tuple[Parameter, ...]:
@@ -81,7 +82,7 @@ def parameters_of(owner: str, lone: bool) -> tuple[Parameter, ...]:
 
 def all_parameters(objects: Sequence[str]) -> tuple[Parameter, ...]:
     """All parameters of the objects and the tray that can be uncertain."""
-    return (*(p for owner in objects for p in parameters_of(owner, len(objects) == 1)), *TILT)
+    return (*(p for owner in objects for p in parameters_of(owner, len(objects) == 1)), RIM, *TILT)
 
 
 def parse(name: str, objects: Sequence[str]) -> Parameter:

@@ -153,7 +153,7 @@ def _paper(
     others."""
     first, uncertain = payload.first, payload.uncertain
     (network,) = (one for one in payload.networks if one.bodies[0] is body)  # nothing else touches it
-    contacts = sure_contacts(network, payload.tray_half, uncertain)[0]
+    contacts = sure_contacts(network, payload.tray_half, uncertain)[0].base
     distribution: Array = np.linalg.pinv(contacts.grasp_map).astype(float)
     own_motion = motion
     if body is not first:

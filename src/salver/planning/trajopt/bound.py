@@ -46,11 +46,11 @@ def least_by_friction(arm: ArmModel, payload: Payload, max_tilt: float, q_start:
 
 
 def _stacks(payload: Payload) -> Iterator[tuple[float, Array]]:
-    """For each stack that touches nothing else: its largest certain friction coefficient, and its centre of mass (3,)
-    in E, m."""
+    """For each stack that touches nothing else, not the rim either: its largest certain friction coefficient, and its
+    centre of mass (3,) in E, m."""
     ranges = payload.uncertain.ranges
     for network in payload.networks:
-        if any(body.inner is not None for body in network.bodies):
+        if any(body.inner is not None or body.walls is not None for body in network.bodies):
             continue
         on_tray = [network.bodies[face.upper] for face in network.interfaces if face.lower is None]
         friction = max(body.friction - ranges.get(Parameter(body.name, "friction"), 0.0) for body in on_tray)

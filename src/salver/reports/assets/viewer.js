@@ -280,10 +280,13 @@ function createViewer(canvas, scene) {
     bounds = scene.bounds;
     middle = bounds[0].map((x, i) => (x + bounds[1][i]) / 2);
     reach = Vec.norm(Vec.sub(bounds[1], bounds[0]));
-    const [hx, hy] = scene.tray.size.map((x) => x / 2), thick = scene.tray.thickness;
+    const box = ([[x, y, z], size]) => {
+      const [a, b, c] = size.map((s) => s / 2);
+      return prism([[x + a, y + b], [x - a, y + b], [x - a, y - b], [x + a, y - b]], z - c, z + c);
+    };
     shapes = {
       ground: made(prism([[-6, -6], [6, -6], [6, 6], [-6, 6]], -0.002, 0)),
-      tray: made(prism([[hx, hy], [-hx, hy], [-hx, -hy], [hx, -hy]], -thick, 0)),
+      tray: made(Float32Array.from(scene.tray.boxes.flatMap((one) => [...box(one)]))),
       post: made(tube(scene.tray.post, 0.029, 28)),
       shaft: made(revolve([[0, 0], [1, 0], [1, 1], [0, 1]], 14)),
       head: made(revolve([[0, 0], [1, 0], [0, 1]], 18)),

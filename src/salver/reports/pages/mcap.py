@@ -124,8 +124,8 @@ def _marker(group: str, frame: str, triangles: Array, colour: Any) -> dict[str, 
 
 
 def _tray(tray: Any) -> Array:
-    points = shapes.box((*tray.size, tray.thickness)).bounding_points_G - [0.0, 0.0, 0.5 * tray.thickness]
-    return np.asarray(points[hulls.triangles(points)])
+    corners = [shapes.box(size).bounding_points_G + centre for centre, size in tray.boxes]
+    return np.concatenate([points[hulls.triangles(points)] for points in corners])
 
 
 def _body(body: Body) -> Array:

@@ -38,7 +38,7 @@ def stage(
         "joints": arm.n + 1 if arm else 1,
         "tray": {
             "size": list(tray.size),
-            "thickness": tray.thickness,
+            "boxes": tray.boxes,
             "post": _post(tray, flange_E),
             "colour": rgb(TRAY_COLOUR),
         },
@@ -63,7 +63,7 @@ def _post(tray: Tray, flange_E: Array) -> list[list[float]]:
     x, y, z = flange_E.tolist()
     if z <= 0.0:
         return [[x, y, z], [0.0, 0.0, -tray.thickness]]
-    beside, low = float(np.copysign(0.5 * tray.size[0] + 0.04, x)), -tray.thickness - 0.04  # 29 mm: the post's radius
+    beside, low = float(np.copysign(0.5 * tray.outer[0] + 0.04, x)), -tray.thickness - 0.04  # 29 mm: the post's radius
     return [[x, y, z], [beside, y, z], [beside, y, low], [0.0, 0.0, low], [0.0, 0.0, -tray.thickness]]
 
 

@@ -10,6 +10,7 @@ cones, impratio 300 (1000 gives a third of the creep at half the speed), contact
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable
 from typing import Any
 from xml.etree import ElementTree
@@ -20,6 +21,7 @@ import pinocchio as pin
 from salver.geometry import Array, matrix_from_rpy, quat_wxyz_from_matrix
 from salver.models.arm.arm import STAND_IN, ArmModel, moved_links
 from salver.models.bodies import TRAY
+from salver.models.described import SIDES
 from salver.models.load_dynamics import Rod
 from salver.models.rigid_body import RigidBody
 from salver.models.shapes.obstacle_shapes import mesh_pieces
@@ -38,6 +40,7 @@ SOLIMP = (0.9, DAMPING_WIDTH, 0.001, 0.5, 2.0)
 ARM_PREFIX = "arm/"
 TRAY_BODY = TRAY_GEOM = "salver:tray"
 FLOOR, OBSTACLE, FOOT, HULL = "salver:floor", "salver:obstacle:", "salver:foot:", "salver:hull:"
+WALL = "salver:rim:"
 # Geoms touch through explicit pairs only, and have no mass of their own.
 INERT: dict[str, Any] = {"contype": 0, "conaffinity": 0, "mass": 0}
 TRAY_COLOUR, POST_COLOUR = (0.06, 0.30, 0.36, 1.0), (0.35, 0.37, 0.40, 1.0)  # dark against floor, sky and white links
@@ -144,13 +147,18 @@ def _set_inertial(link: ElementTree.Element, inertia: Any) -> None:
 
 
 def add_tray(body: Any, tray: Tray, flange_E: Array | None = None) -> None:
-    """Add the tray's plate to a body at E. flange_E: (3,) the flange, m, to draw the post between it and the plate."""
-    x, y = tray.size
-    box, plate = mujoco.mjtGeom.mjGEOM_BOX, [x / 2, y / 2, tray.thickness / 2]
-    body.add_geom(name=TRAY_GEOM, type=box, size=plate, pos=[0, 0, -tray.thickness / 2], rgba=TRAY_COLOUR, **INERT)
+    """Add the tray's plate, and the walls of its rim, to a body at E. flange_E: (3,) the flange, m, to draw the post
+    between it and the plate."""
+    for name, (centre, size) in zip((TRAY_GEOM, *wall_names(tray)), tray.boxes, strict=True):
+        half = [0.5 * x for x in size]
+        body.add_geom(name=name, type=mujoco.mjtGeom.mjGEOM_BOX, size=half, pos=centre, rgba=TRAY_COLOUR, **INERT)
     if flange_E is not None and -flange_E[2] > tray.thickness + POST_RADIUS / 10:
         post = {"fromto": [0, 0, -tray.thickness, *flange_E], "size": [POST_RADIUS, 0, 0]}
         body.add_geom(type=mujoco.mjtGeom.mjGEOM_CYLINDER, rgba=POST_COLOUR, **post, **INERT)
+
+
+def wall_names(tray: Tray) -> list[str]:
+    return [f"{WALL}{side}" for side in SIDES] if tray.rim else []
 
 
 def add_floor(spec: Any, height: float) -> str:
@@ -330,8 +338,10 @@ def add_obstacle(spec: Any, obstacle: Obstacle, k: int) -> list[str]:
     return names
 
 
-def add_pairs(spec: Any, loads: tuple[Load, ...], obstacles: list[str], contact_time: float) -> None:
-    """Add the contact pairs with their friction."""
+def add_pairs(
+    spec: Any, loads: tuple[Load, ...], walls: list[str], rim_friction: float, obstacles: list[str], contact_time: float
+) -> None:
+    """Add the contact pairs with their friction. walls: names of the rim's geoms."""
 
     def pair(first: str, second: str, friction: float) -> None:
         spec.add_pair(
@@ -350,10 +360,12 @@ def add_pairs(spec: Any, loads: tuple[Load, ...], obstacles: list[str], contact_
         pair(TRAY_GEOM, hull_name(k), load.friction)
         for j in range(k):
             pair(hull_name(j), hull_name(k), min(load.friction, loads[j].friction))
+        for wall in walls:
+            pair(wall, hull_name(k), rim_friction)
         for obstacle in obstacles:
             pair(obstacle, hull_name(k), load.friction)
-    for obstacle in obstacles:
-        pair(obstacle, TRAY_GEOM, 0.5)
+    for obstacle, part in itertools.product(obstacles, (TRAY_GEOM, *walls)):
+        pair(obstacle, part, 0.5)
 
 
 def foot_supports(load: Load) -> Iterable[tuple[int, str]]:

@@ -19,6 +19,7 @@ from salver.models.shapes.polygons import intersection
 from salver.models.shapes.shapes import Solid, cylinder
 from salver.models.uncertain.parameters import (
     INNER_QUANTITIES,
+    RIM,
     TILT,
     Parameter,
     UncertainSet,
@@ -117,10 +118,12 @@ class Load:
 
 @dataclass(frozen=True)
 class TrueWorld:
-    """The true loads in the scenario's order, and tilt: (3,) rotation vector of the real tray in the assumed E, rad."""
+    """The true loads in the scenario's order, and tilt: (3,) rotation vector of the real tray in the assumed E, rad.
+    rim_friction: Coulomb coefficient of the tray's rim."""
 
     loads: tuple[Load, ...]
     tilt: Array
+    rim_friction: float = 0.0
 
     @property
     def R_tilt(self) -> Array:
@@ -138,7 +141,11 @@ def true_world(scenario: Scenario, parameters: Mapping[str, float] | None = None
     true = by_parameter(scenario, parameters or {})
     for item, nominal in zip(scenario.objects, scenario.payload.bodies, strict=True):
         loads.append(_load(item, nominal, true, scenario, loads))
-    return TrueWorld(tuple(loads), np.array([*(true.get(tilt, 0.0) for tilt in TILT), 0.0]))
+    tilt = np.array([*(true.get(tilt, 0.0) for tilt in TILT), 0.0])
+    rim = scenario.tray.rim
+    if rim is None and RIM in true:
+        raise ScenarioError(f"friction_rim = {true[RIM]:g}: the tray of {scenario.name} has no rim; give tray.rim.")
+    return TrueWorld(tuple(loads), tilt, true.get(RIM, rim.friction if rim else 0.0))
 
 
 def by_parameter(scenario: Scenario, values: Mapping[str, Any]) -> dict[Parameter, float]:

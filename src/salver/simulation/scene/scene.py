@@ -40,6 +40,7 @@ from salver.simulation.scene.elements import (
     set_options,
     strap,
     swing_name,
+    wall_names,
 )
 from salver.simulation.scene.engine import mujoco
 from salver.simulation.scene.loads import Load, TrueWorld
@@ -196,7 +197,8 @@ def specify(
         for k, load in enumerate(world.loads):
             strap(spec, load, k, 2 * scenario.physics.timestep)
     else:
-        add_pairs(spec, world.loads, obstacles, 2 * scenario.physics.timestep)
+        walls = wall_names(scenario.tray)
+        add_pairs(spec, world.loads, walls, world.rim_friction, obstacles, 2 * scenario.physics.timestep)
     return spec
 
 
