@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,7 @@ from salver.motion_files.samples import joint_samples
 from salver.planning.plan import Plan
 from salver.scenario import load
 from salver.simulation.physics import Experiment
-from salver.trajectory import MotionSamples
+from salver.trajectory import JointMotion, MotionSamples, smooth_step
 
 SHOWN = 0.35
 
@@ -73,7 +74,7 @@ def test_a_tray_planned_to_tilt_proves_what_was_asked(plan: Plan) -> None:
     assert found.high is None
     assert found.low is not None
     assert SHOWN <= found.low < SHOWN + 0.01
-    assert "1570 Pa (0.256 kg on 16 cm^2)" in found.sentences[-1]
+    assert "2.36 N, a mean pressure of 1.47 kPa on 16 cm^2" in found.sentences[-1]
     steepest = np.arccos(plan.reference.sample(plan.t).R_SB[:, 2, 2].min())
     assert found.low < np.tan(steepest)
     shakier = friction(plan, level=2.0).low
@@ -173,3 +174,27 @@ def test_command_plans_and_reads(tmp_path: Path) -> None:
     assert said("panda-cube", "--slid", "3").startswith("2 ")
     assert said("panda-cube", "--shows", "0.3").startswith("2 ")
     assert said("upright-cups", "--shows", "0.3", "-o", str(tmp_path / "cups")).startswith("2 ")
+
+
+def test_the_force_is_that_of_the_tilted_weight_and_plans_that_press_harder_need_another_test(plan: Plan) -> None:
+    """A tray lifted by 0.06 m in 0.4 s presses its cube with m (g + 5.77 x 0.06 / 0.16)."""
+    found, cube = friction(plan), plan.scenario.payload.first
+    tilt = np.arctan(found.low + 2 * np.deg2rad(0.7))  # half a degree of the base, 0.2 of the tray
+    assert found.force == pytest.approx(cube.inertial.mass * 9.81 * np.cos(tilt), rel=0.01)
+    area = 1e4 * float(np.prod(np.ptp(cube.base_polygon_B, axis=0)[:2]))  # cm^2
+    assert f"{found.force:.3g} N, a mean pressure of {10 * found.force / area:.3g} kPa" in found.pressed
+    assert "the friction holds for it" in found.against(plan)
+
+    assert plan.joint is not None
+    arm = load_arm(plan.scenario.arm, plan.scenario.tray)
+    t = np.linspace(0.0, 0.4, 201)
+    start = plan.joint.q[0]
+    lift = np.linalg.pinv(arm.body_jacobian(start))[:, 2] * 0.06  # the tray is level there: up in E is up
+    shape = [smooth_step(t / 0.4, k) / 0.4**k for k in range(3)]
+    q, dq, ddq = (np.outer(each, lift) for each in shape)
+    hopping = replace(plan, joint=JointMotion(t, start + q, dq, ddq), reference=plan.reference)
+    force = cube.inertial.mass * (9.81 + 0.06 * 5.7735 / 0.16)
+    said = found.against(hopping)
+    assert f"more than the {found.force:.3g} N of the test" in said
+    assert float(said.split("up to ")[1].split(" N")[0]) == pytest.approx(force, rel=0.03)
+    assert "kg more on the load" in said

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer
 
 from salver.fields import Model, Number, Place, Whole
 from salver.models.arm.tables import EachJoint
@@ -64,7 +64,10 @@ class RobotBehaviour(Model):
 
 
 class Physics(Model):
-    """Settings of the physics engine, and disturbances between controller and arm."""
+    """Settings of the physics engine, and disturbances between controller and arm.
+
+    kinetic_friction: friction of contacts that slide, as a share of `objects.friction`, which is the static one.
+    """
 
     timestep: Annotated[Number, Field(ge=1e-5, le=5e-3)] = 5e-4
     command_period: Annotated[Number, Field(ge=1e-4, le=0.02)] = 1e-3
@@ -74,8 +77,15 @@ class Physics(Model):
     velocity_noise: Annotated[Number, Field(ge=0, le=10)] = 0.0
     delay_steps: Annotated[Whole, Field(ge=0, le=20)] = 0
     joint_friction: Friction = 0.0
+    kinetic_friction: Annotated[Number, Field(gt=0, le=1)] = 1.0
     robot: RobotBehaviour = RobotBehaviour()
     feedback: Literal["joints", "object"] = "joints"
+
+    @model_serializer(mode="wrap")
+    def _stated(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave out kinetic friction that is the static one, so that plans made before keep their digest."""
+        found: dict[str, Any] = dump(self)
+        return {key: value for key, value in found.items() if key != "kinetic_friction" or value != 1.0}
 
     def steps(self, duration: float | None, usual: float = 5.0) -> float:
         """Number of steps of the engine, or of the controller, in a run of a motion; `usual`: its duration if that is

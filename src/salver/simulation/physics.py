@@ -223,6 +223,7 @@ def simulate_tray(
     none = np.empty(0)
     for k, now in enumerate(run.t):
         for i in range(steps):
+            scene.slide(data)
             mujoco.mj_step1(model, data)
             tray_frame.apply(motion, k * steps + i, model, data, scene.object_ids, scene.qvel_ids, scene.point_ids)
             mujoco.mj_step2(model, data)

@@ -24,6 +24,7 @@ def step(scene: Scene, data: Any, t: float, tau: Array, steps: int, take: Take) 
     n = scene.n
     q, dq = data.qpos[:n].copy(), data.qvel[:n].copy()
     data.qfrc_applied[:n] = tau
+    scene.slide(data)
     scene.shake(data, t)
     mujoco.mj_step(scene.model, data)
     take(t, q, dq, tau, data)

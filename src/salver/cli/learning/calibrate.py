@@ -37,6 +37,10 @@ def calibrate(
     scenario: Annotated[
         str | None, typer.Option(help="The scenario whose friction is to be narrowed; default: the plan's.")
     ] = None,
+    against: Annotated[
+        Path | None,
+        typer.Option(help="Run directory of a plan that is to be safe: does it press harder than the test?"),
+    ] = None,
     out: Annotated[
         Path | None, typer.Option("-o", "--out", help="Run directory of the test, or .toml file for the new ranges.")
     ] = None,
@@ -47,7 +51,8 @@ def calibrate(
     From a scenario it plans the test: at the start pose the tray tilts slowly and back, so far that a load that does
     not slide has at least the friction --shows. No load in the ranges can tip, but it may slide: keep a hand near it.
     Run the test and give its run directory; without further options it means that the load did not slide. A run of any
-    plan without slip proves some friction; a load that slid in the test has at most the friction needed there.
+    plan without slip proves some friction; a load that slid in the test has at most the friction needed there. The
+    output says under which force and pressure, and of a plan (--against) whether it presses harder.
 
     Example: `salver calibrate friction panda-cube --shows 0.4 -o runs/tilt`
 
@@ -62,7 +67,7 @@ def calibrate(
     from salver.planning.plan import load_plan
 
     if not (Path(source) / "scenario.toml").is_file():
-        for name, value in {"log": log, "held": held, "slid": slid, "scenario": scenario}.items():
+        for name, value in {"log": log, "held": held, "slid": slid, "scenario": scenario, "against": against}.items():
             if value is not None:
                 raise ScenarioError(f"--{name} needs the run directory of a plan; {source} is not one.")
         if shows is None or out is None:
@@ -77,12 +82,15 @@ def calibrate(
     assert plan.scenario.arm is not None
     samples = None if log is None else read_joints(log, load_arm(plan.scenario.arm, plan.scenario.tray))
     found = friction(plan, samples, held=held, slid=slid, level=level)
+    pressing = () if against is None else (found.against(load_plan(against)),)
     if out is not None:
         save_scenario(found.learnt_scenario(None if scenario is None else scenarios.load(scenario)), out)
     if json:
-        print_json({"low": found.low, "high": found.high, "sentences": list(found.sentences)})
+        print_json(
+            {"low": found.low, "high": found.high, "force": found.force, "sentences": [*found.sentences, *pressing]}
+        )
         return
-    for sentence in found.sentences or ("This run does not narrow the friction.",):
+    for sentence in (*(found.sentences or ("This run does not narrow the friction.",)), *pressing):
         result_console().print(sentence)
     if out is not None:
         say(f"Written to {out}; next: salver plan {quote(str(out))}.")

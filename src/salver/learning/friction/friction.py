@@ -31,7 +31,7 @@ from salver.models.uncertain.parameters import TILT, Parameter
 from salver.motion_files import JointSamples
 from salver.planning.plan import Plan
 from salver.scenario import Scenario
-from salver.sensitivity.arm.terms import motion_terms
+from salver.sensitivity.arm.terms import MotionTerms, motion_terms
 
 GRAVITY = float(np.linalg.norm(GRAVITY_S))
 METHOD = "tilt"
@@ -47,6 +47,7 @@ class FrictionOptions:
         shakes: vibration that the joints do not show, as a share of gravity, and that may start a slip.
         speed: deg/s of a tilt; doubled, the test is shorter and vibrates more.
         hold: s at the angle of a tilt.
+        harder: share by which a plan may press harder than the test; halved, tilts of the test itself count.
         spare: margin of a test to tipping, as a share of the weight, and additional friction that it demands.
     """
 
@@ -55,6 +56,7 @@ class FrictionOptions:
     shakes: float = 0.02
     speed: float = 4.0
     hold: float = 1.0
+    harder: float = 0.1
     spare: float = 0.02
 
 
@@ -66,7 +68,8 @@ class Friction:
     """Range of one load's friction from a run.
 
     low: lower bound, from the instant `low_time` without slip; None without a bound. high: upper bound, from the slip
-    at `high_time`; None without a slip. plan: the plan that was run.
+    at `high_time`; None without a slip. plan: the plan that was run. force: N, by which the load, at its nominal mass,
+    was pressed on the tray then.
     """
 
     plan: Plan
@@ -74,6 +77,7 @@ class Friction:
     low_time: float
     high: float | None
     high_time: float
+    force: float
 
     @property
     def sentences(self) -> tuple[str, ...]:
@@ -86,12 +90,34 @@ class Friction:
             for which, value, time in found
             if value is not None
         )
-        area, mass = _area(self.plan.scenario.payload.first), self.plan.scenario.payload.first.inertial.mass
-        pressure = (
-            f"The mean pressure was {mass * GRAVITY / area:.0f} Pa ({mass:.3g} kg on {1e4 * area:.3g} cm^2): "
-            "soft or sticky surfaces have another friction under another; test again with more weight on the load."
+        return (*values, self.pressed) if values else values
+
+    @property
+    def pressed(self) -> str:
+        """A sentence on the force and the mean pressure under which the friction was shown."""
+        area = _area(self.plan.scenario.payload.first)
+        kPa = f", a mean pressure of {1e-3 * self.force / area:.3g} kPa on {1e4 * area:.3g} cm^2" if area else ""
+        return (
+            f"It was shown under {self.force:.3g} N{kPa}. As far as surfaces stick to one another, it is less under "
+            "more: give a plan with --against."
         )
-        return (*values, pressure) if values and area else values
+
+    def against(self, plan: Plan) -> str:
+        """A sentence on whether a plan presses its load on the tray harder than it was pressed in the run, both at
+        their nominal masses. Raises ScenarioError for a plan without one load on an arm."""
+        body = one_load(plan.scenario, "a friction test")
+        if plan.joint is None:
+            raise ScenarioError(f"{plan.scenario.name}: this plan has no motion of an arm.")
+        t = np.linspace(0.0, plan.joint.duration, 401)
+        force = body.inertial.mass * float(_pressing(_terms(plan, plan.joint.sample(t)).w, body.p_EB).max())
+        if force <= (1 + OPTIONS.harder) * self.force:
+            return f"The plan presses with up to {force:.3g} N: the friction holds for it."
+        heavier = (force - self.force) / GRAVITY
+        return (
+            f"The plan presses with up to {force:.3g} N, more than the {self.force:.3g} N of the test: make a second "
+            f"test with {heavier:.2g} kg more on the load, in the scenario's mass too, and plan with the smaller "
+            "friction of both."
+        )
 
     def learnt_scenario(self, scenario: Scenario | None = None) -> Scenario:
         """A scenario of this load (by default the plan's) with its range of friction narrowed.
@@ -136,9 +162,7 @@ def needed(w: Array, com_E: Array, reach: Array, off: float) -> tuple[Array, Arr
     w: (T, 12) of the tray frame E. off: m/s^2, error of the specific force in any direction.
     """
     corner = com_E + np.array(list(product((-1.0, 1.0), repeat=3))) * reach
-    omega = w[:, [6, 7, 9, 7, 8, 10, 9, 10, 11]].reshape(-1, 3, 3)  # omega omega^T
-    spin = omega - np.trace(omega, axis1=1, axis2=2)[:, None, None] * np.eye(3)
-    force = w[:, None, :3] + np.cross(w[:, None, 3:6], corner) + np.einsum("tij,cj->tci", spin, corner)
+    force = _force(w, corner)
     along, normal = np.linalg.norm(force[..., :2], axis=2), force[..., 2]
     angle = np.linspace(0.0, 2 * np.pi, 72, endpoint=False)
     round_ = np.broadcast_to(np.column_stack([np.cos(angle), np.sin(angle)]), (len(w), len(angle), 2))
@@ -178,14 +202,13 @@ def friction(
         raise ScenarioError(f"{scenario.name}: this plan has no motion of an arm, from which friction is identified.")
     _can_be_seen(plan, held, slid)
     level = OPTIONS.level if level is None else level
-    arm = load_arm(plan.scenario.arm, scenario.tray)  # type: ignore[arg-type]
     if samples is None:
         t = np.linspace(0.0, plan.duration, 1 + int(np.ceil(plan.duration / 0.02)))
         motion, lean = plan.joint.sample(t)[:3], level + OPTIONS.unseen
     else:
         done = executed(plan.joint, samples)
         t, motion, lean = done.t, (done.q, done.dq, done.ddq), level
-    terms = motion_terms(with_load(arm, scenario.payload.bodies).pin_model, arm.tray_id, *motion)
+    terms = _terms(plan, motion)
     lean = leaning(scenario, lean)
     least, most = needed(terms.w, body.p_EB, _reach(scenario, body), GRAVITY * lean)
     high = most + OPTIONS.shakes * (1 + most)
@@ -193,13 +216,34 @@ def friction(
     before = (t >= 0) & (t <= until) & (held is not None or slid is None)
     low_at = int(np.argmax(np.where(before, least, 0.0)))
     high_at = int(np.argmax(np.where(t <= (slid or 0.0), high, 0.0)))
+    shown = bool(before.any() and least[low_at] > 0)
+    force = body.inertial.mass * float(_pressing(terms.w, body.p_EB)[low_at if shown else high_at])
     return Friction(
         plan,
-        float(least[low_at]) if before.any() and least[low_at] > 0 else None,
+        float(least[low_at]) if shown else None,
         float(t[low_at]),
         None if slid is None else float(high[high_at]),
         float(t[high_at]),
+        force,
     )
+
+
+def _terms(plan: Plan, motion: tuple[Array, Array, Array]) -> MotionTerms:
+    """Terms of a plan's arm along q, dq, ddq (T, n)."""
+    arm = load_arm(plan.scenario.arm, plan.scenario.tray)  # type: ignore[arg-type]
+    return motion_terms(with_load(arm, plan.scenario.payload.bodies).pin_model, arm.tray_id, *motion)
+
+
+def _pressing(w: Array, com_E: Array) -> Array:
+    """Normal specific force (T,), m/s^2, on a load with this centre of mass, at w (T, 12) of the tray."""
+    return _force(w, com_E[None])[:, 0, 2]
+
+
+def _force(w: Array, places: Array) -> Array:
+    """Specific force (T, c, 3) that loads at places (c, 3) of E need, at w (T, 12) of E."""
+    omega = w[:, [6, 7, 9, 7, 8, 10, 9, 10, 11]].reshape(-1, 3, 3)  # omega omega^T
+    spin = omega - np.trace(omega, axis1=1, axis2=2)[:, None, None] * np.eye(3)
+    return np.asarray(w[:, None, :3] + np.cross(w[:, None, 3:6], places) + np.einsum("tij,cj->tci", spin, places))
 
 
 def _can_be_seen(plan: Plan, held: float | None, slid: float | None) -> None:

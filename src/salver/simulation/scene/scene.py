@@ -46,6 +46,7 @@ from salver.simulation.scene.engine import mujoco
 from salver.simulation.scene.loads import Load, TrueWorld
 from salver.simulation.scene.robots import each_joint
 from salver.simulation.scene.shaking import Shaking
+from salver.simulation.scene.sliding import Sliding
 
 DOWN = np.array([0.0, 0.0, -1.0])
 HINGE = (-1.0, 1.0)  # sign of a pendulum's displacement along x and y for positive angles about y and x
@@ -62,7 +63,8 @@ class Scene:
     foot_object, foot_support, foot_number: (n_geom,) for each geom the index of the object whose foot it is (-1: no
     foot), the index of the object that supports it (-1: the tray), its number in `Load.outline_B`.
     obstacle: (n_geom,) whether a geom is an obstacle or the floor.
-    swings: the liquids and pendulums, in the order of the objects. shaking: vibration of the tray, or None.
+    swings: the liquids and pendulums, in the order of the objects. shaking: vibration of the tray, or None. sliding:
+    kinetic friction, or None where it is the static one.
     """
 
     model: Any
@@ -79,6 +81,7 @@ class Scene:
     obstacle: Array
     swings: tuple[Swing, ...] = ()
     shaking: Shaking | None = None
+    sliding: Sliding | None = None
 
     @property
     def n(self) -> int:
@@ -92,6 +95,11 @@ class Scene:
     @cached_property
     def _loose_ids(self) -> Indices:
         return np.array([*self.object_ids, *self.point_ids], dtype=np.intp)
+
+    def slide(self, data: Any) -> None:
+        """Set the friction of the contacts that slide."""
+        if self.sliding is not None:
+            self.sliding.apply(self.model, data)
 
     def shake(self, data: Any, t: float) -> None:
         """Apply the forces of the tray's vibration at t, s, to the load, when an arm holds the tray."""
@@ -161,7 +169,8 @@ def build(
     spec = specify(scenario, world, arm, visual=visual, strapped=strapped)
     shake = scenario.uncertainty.shake
     shaking = None if shake is None or strapped else Shaking.drawn(shake.vibration, seed)
-    return replace(_compiled(spec, arm, world, 2 * scenario.physics.timestep), shaking=shaking)
+    made, share = _compiled(spec, arm, world, 2 * scenario.physics.timestep), scenario.physics.kinetic_friction
+    return replace(made, shaking=shaking, sliding=None if share == 1.0 else Sliding.of(made.model, share))
 
 
 def specify(

@@ -1,0 +1,57 @@
+"""Kinetic friction in the engine: what slips a little runs away, what does not slip is not affected."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from salver.geometry import exp
+from salver.scenario import Scenario, load, parse
+from salver.simulation.physics import simulate_tray
+from salver.trajectory import min_jerk_line
+
+G, FRICTION = 9.81, 0.5
+LIMIT = np.arctan(FRICTION)
+
+
+def cube(share: float) -> Scenario:
+    return load("panda-cube").with_changes(physics__kinetic_friction=share, physics__settle_after=0.3)
+
+
+def moved(length: float, share: float, tilt: float):
+    """A tray that leans by `tilt`, rad, about y, and makes a line across and down of 0.4 s; the cube's true friction
+    is 0.5."""
+    way = exp(np.array([0.0, 0.0, 0.3])) @ [length, 0.0, 0.0]
+    line = min_jerk_line(0.4, np.zeros(3), way, np.eye(3), np.eye(3))
+    return simulate_tray(line, cube(share), {"friction": FRICTION, "tilt_y": tilt})
+
+
+def test_a_sliding_cube_accelerates_by_its_kinetic_friction() -> None:
+    angle = np.arctan(0.2) + np.deg2rad(1.0)
+    line = min_jerk_line(0.4, np.zeros(3), np.zeros(3), np.eye(3), np.eye(3))
+    found = simulate_tray(line, cube(0.6), {"friction": 0.2, "tilt_y": angle})
+    t, way = found.t, found.slip[:, 0]
+    late = (way > 5e-3) & (way < 0.05)  # later it rocks
+    bend = 2 * np.polyfit(t[late], way[late], 2)[0]
+    assert bend == pytest.approx(G * (np.sin(angle) - 0.6 * 0.2 * np.cos(angle)), rel=0.03)
+
+
+def test_a_cube_that_slips_a_little_runs_away_when_it_slides_more_easily() -> None:
+    """One degree below the friction angle, a push that moves it by less than the engine counts as a slip."""
+    little, more = (moved(0.006, share, LIMIT - np.deg2rad(1.0)) for share in (1.0, 0.7))
+    assert little.outcome == "holds"
+    assert 2e-5 < little.slip.max() < 5e-4
+    assert more.outcome in ("slides", "tips")
+    assert more.slip.max() > 100 * little.slip.max()
+
+
+def test_a_cube_that_never_slips_is_not_affected() -> None:
+    one, other = (moved(0.005, share, LIMIT - np.deg2rad(2.0)) for share in (1.0, 0.3))
+    assert one.outcome == "holds"
+    assert np.array_equal(one.slip, other.slip)
+
+
+def test_plans_made_before_the_key_existed_keep_their_digest() -> None:
+    assert "kinetic_friction" not in load("panda-cube").model_dump()["physics"]
+    assert load("panda-cube").digest == cube(1.0).with_changes(physics__settle_after=0.5).digest
+    assert parse(cube(0.8).model_dump(mode="json", exclude_none=True), "cube").physics.kinetic_friction == 0.8
