@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from salver import scenario as scenarios
+from salver.auditing.doubts import Borne
 from salver.auditing.motion import AuditedMotion, RecordingQuality
 from salver.auditing.noise import NoiseLevel
 from salver.auditing.options import DEFAULT
@@ -62,15 +63,34 @@ def test_the_engine_slides_no_further_than_the_bound(tmp_path):
     assert 0.6 * bound < slip < bound
 
 
-def test_a_hidden_shake_slides_only_where_the_reserve_is_small():
-    """0.1 mm of noise at 500 Hz, and a reserve of 0.5 m/s^2 at t = 2 s alone: a cycle of 50 Hz has an amplitude of
-    7 sigma sqrt(2 f / rate), and in 0.04 s there are two of them."""
-    noise, rate, t = 1e-4, 500.0, np.arange(2001) / 500.0
+def standing(noise, rate):
+    """A recording of 4 s of a tray that stands."""
+    t = np.arange(round(4 * rate) + 1) / rate
     zero, level = np.zeros((len(t), 3)), np.tile(np.eye(3), (len(t), 1, 1))
     quality = RecordingQuality(
         Sensor(NoiseLevel(noise), NoiseLevel(0.0)), rate, np.full(len(t), 5.0), (0.0, 0.0), (0.0, 0.0)
     )
-    motion = AuditedMotion(MotionSamples(t, zero, zero, zero, level, zero, zero), recording=quality)
+    return AuditedMotion(MotionSamples(t, zero, zero, zero, level, zero, zero), recording=quality)
+
+
+def test_what_samples_are_too_few_to_show_is_said_where_most_is_missing():
+    """Of 5 m/s^2 of reserve, samples leave open 6 from 1 s on, for 0.1 s: a block would move by 5 mm."""
+    motion = standing(1e-9, 500.0)
+    t = motion.samples.t
+    missed = np.where(np.abs(t - 1.05) < 0.05, 6.0, np.where(t > 3, 2.0, 0.1))
+    (doubt,) = Borne(replace(motion, missed=missed), np.full(len(t), 5.0), 5.0).unseen()
+    assert doubt[0] == "unresolved"
+    assert doubt[1].startswith("at 1.002 s the motion is so fast that 500 samples a second show its acceleration only")
+    assert "only to 6 m/s^2: twice as many would tell" in doubt[1]
+    assert Borne(replace(motion, missed=0.5 * missed), np.full(len(t), 5.0), 5.0).unseen() == []
+
+
+def test_a_hidden_shake_slides_only_where_the_reserve_is_small():
+    """0.1 mm of noise at 500 Hz, and a reserve of 0.5 m/s^2 at t = 2 s alone: a cycle of 50 Hz has an amplitude of
+    7 sigma sqrt(2 f / rate), and in 0.04 s there are two of them."""
+    noise, rate = 1e-4, 500.0
+    motion = standing(noise, rate)
+    t = motion.samples.t
     found = []
     for long in (0.04, 0.2, 1.0, 9.0):
         found.append(hidden(motion, np.where(np.abs(t - 2) < long / 2, 0.5, 50.0), 5.0)[0])

@@ -9,7 +9,7 @@ import pytest
 from typer.testing import CliRunner
 
 from salver.cli import app
-from salver.errors import ScenarioError
+from salver.errors import SalverError, ScenarioError
 from salver.learning import trips as made
 from salver.learning.load.ranges import NAMES
 from salver.learning.trips import _Hidden, trips, true_load
@@ -51,6 +51,9 @@ def test_a_plan_that_is_slower_is_not_taken(cube: Scenario, monkeypatch: pytest.
         second = list(trips(case, 2, 1, "torques", plan))[1]
         assert second.kept == kept
         assert second.plan is (plan if kept else others)
+    monkeypatch.setattr(_Hidden, "identify", lambda *_: (_ for _ in ()).throw(SalverError("The log ends early.")))
+    (trip,) = trips(case, 1, 1, "torques", plan)
+    assert (trip.outcome, trip.learnt, trip.told) == ("holds", None, "The log ends early.")
 
 
 @pytest.mark.slow
@@ -99,7 +102,8 @@ def test_joint_torques_locate_a_load_by_an_excitation_trajectory() -> None:
     """Carried gently they weigh it; that motion takes a tenth off the second trip. Nothing is lost, the truth stays in
     the ranges."""
     wide = {"mass": "50%", "com": [0.015, 0.015, 0.015], "friction": 0.2}
-    scenario, seed = load("panda-tall-bottle").with_changes(objects__0__uncertainty=wide, objects__0__friction=0.4), 1
+    changes = {"objects__0__uncertainty": wide, "objects__0__friction": 0.4, "motion__speeds": "full"}
+    scenario, seed = load("panda-tall-bottle").with_changes(**changes), 1
     careful, second = trips(scenario, 2, seed, "torques")
     assert [careful.outcome, careful.excitation.outcome, second.outcome] == ["holds"] * 3
     assert second.plan.duration < 0.9 * careful.plan.duration

@@ -70,7 +70,7 @@ wish = st.one_of(goals, st.just(halted), st.just(Live.stop), garbage)
 
 @pytest.mark.slow
 @settings(
-    max_examples=6,
+    max_examples=4,
     deadline=None,
     derandomize=True,
     suppress_health_check=list(HealthCheck),
