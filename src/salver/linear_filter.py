@@ -4,13 +4,11 @@
 
 These are the error dynamics of the object's loop and of the arm's joints, driven by a parameter error; and, with a
 stiffness kp that changes over time, a sloshing mode or a pendulum in a load on a tray that lifts or tilts. Each step of
-a grid is exact if the drive d is a polynomial there: linear between nodes, cubic through the four nearest nodes (nodes
-of any spacing), or sampled at Gauss points of each interval (sixth order). All steps together are one banded triangular
-system."""
+a grid is exact if the drive d is a polynomial there: linear between nodes, or cubic through the four nearest nodes
+(nodes of any spacing). All steps together are one banded triangular system."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
@@ -20,9 +18,6 @@ from scipy.linalg.lapack import dtbtrs
 
 from salver.geometry import Array
 
-_GAUSS_POINTS = 0.5 + 0.5 * np.polynomial.legendre.leggauss(3)[0]
-_GAUSS_WEIGHTS = 0.5 * np.polynomial.legendre.leggauss(3)[1]
-_LARGEST_STEP = 0.35  # largest product of fastest pole and step, with a relative quadrature error below 1e-8
 _FINE_POINTS, _FINE_WEIGHTS = (0.5 * x for x in np.polynomial.legendre.leggauss(6))
 MOST_BANDED_DRIVES = 24  # with more drives, stepping several filters together node by node is faster
 _SAME = 1e-9  # of the longest interval: nodes less apart are computed as one
@@ -84,11 +79,6 @@ class LinearFilter:
         plain = _swinging(sigma, omega, kp[..., None, None], h[:, None])[..., kind, :, :]
         gain = back @ (after @ basis)[..., kind, :, :]
         return cls(kp[..., None] + extra, kd, back @ (plain - begin), gain, samples)
-
-    @classmethod
-    def on_grid(cls, grid: QuadratureGrid, kp: float, kd: float) -> LinearFilter:
-        """For a drive known at `grid.times`, with x at `grid.t`."""
-        return _on_grid(kp, kd, float(grid.t[1] - grid.t[0]), len(grid.t) - 1, grid.substeps)
 
     @property
     def nodes(self) -> int:
@@ -311,60 +301,6 @@ def swinging_at(t: Array, x: Array, rate: Array, now: float) -> tuple[Array, Arr
     return np.asarray(x[k] + u * gap + aside), np.asarray(slope)
 
 
-@dataclass(frozen=True)
-class QuadratureGrid:
-    """A uniform grid t (T,) with quadrature points between its nodes: three Gauss points in each substep.
-
-    substeps: number of equal parts of each interval. times: (Q,) quadrature points, s, with Q = 3 (T - 1) substeps.
-    """
-
-    t: Array
-    substeps: int
-
-    @classmethod
-    def for_gains(cls, t: Array, gains: Iterable[tuple[float, float]]) -> QuadratureGrid:
-        """A grid fine enough for filters with these (kp, kd)."""
-        h = t[1] - t[0]
-        return cls(t, max(1, int(np.ceil(max(fastest_rate(*pair) for pair in gains) * h / _LARGEST_STEP))))
-
-    @property
-    def fractions(self) -> Array:
-        """Quadrature points (3 substeps,) of an interval, in [0, 1]."""
-        return ((np.arange(self.substeps)[:, None] + _GAUSS_POINTS) / self.substeps).ravel()
-
-    @property
-    def times(self) -> Array:
-        h = self.t[1] - self.t[0]
-        return (self.t[:-1, None] + h * self.fractions).ravel()
-
-    @property
-    def interval_weights(self) -> Array:
-        """Quadrature weights (3 substeps,) of an interval, s."""
-        return np.tile(_GAUSS_WEIGHTS, self.substeps) * (self.t[1] - self.t[0]) / self.substeps
-
-    def cumulative(self, values: Array) -> tuple[Array, Array]:
-        """Running integrals of values (Q, ...) from t[0]: at the grid (T, ...) and at `times` (Q, ...).
-
-        In a substep, values are taken as the quadratic through its three Gauss points.
-        """
-        h = (self.t[1] - self.t[0]) / self.substeps
-        blocks = values.reshape(-1, 3, *values.shape[1:])
-        steps = h * np.einsum("g,bg...->b...", _GAUSS_WEIGHTS, blocks)
-        ends = np.concatenate([np.zeros((1, *values.shape[1:])), np.cumsum(steps, axis=0)])
-        inside = ends[:-1, None] + h * np.einsum("ig,bg...->bi...", _PARTIAL, blocks)
-        return ends[:: self.substeps], inside.reshape(values.shape)
-
-
-def _partial_weights() -> Array:
-    """(3, 3): integrals from 0 to Gauss point i of the Lagrange polynomial of Gauss point g on [0, 1]."""
-    vandermonde = np.vander(_GAUSS_POINTS, increasing=True)
-    integrals = np.stack([_GAUSS_POINTS ** (k + 1) / (k + 1) for k in range(3)], axis=1)
-    return np.asarray(np.linalg.solve(vandermonde.T, integrals.T).T, dtype=float)
-
-
-_PARTIAL = _partial_weights()
-
-
 @lru_cache(maxsize=16)
 def _on_nodes(t: bytes, kp: float, kd: float, order: int, shares: bytes) -> LinearFilter:
     """`LinearFilter.on_nodes`, cached, because live motions use the same nodes again and again."""
@@ -377,11 +313,3 @@ def _on_nodes(t: bytes, kp: float, kd: float, order: int, shares: bytes) -> Line
     after = np.stack([sine[:, :-1], (cosine - 0.5 * kd * sine)[:, :-1]], axis=1)
     gain = after * h[:, None, None] @ basis
     return LinearFilter(kp, kd, _transition(kp, kd, cosine[:, -1], sine[:, -1]), gain, samples)
-
-
-@lru_cache(maxsize=64)
-def _on_grid(kp: float, kd: float, h: float, intervals: int, substeps: int) -> LinearFilter:
-    grid = QuadratureGrid(np.array([0.0, h]), substeps)
-    gain = pushed(kp, kd, h * (1 - grid.fractions)) * grid.interval_weights
-    step, gain = (np.broadcast_to(x, (intervals, *x.shape)) for x in (transition(kp, kd, h), gain))
-    return LinearFilter(kp, kd, step, gain, None)

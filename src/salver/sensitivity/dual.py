@@ -38,6 +38,10 @@ class Dual:
             return self + (-other)
         return Dual(self.value - other.value, self.tangent - other.tangent)
 
+    def every(self, k: int) -> Dual:
+        """Every k-th instant."""
+        return Dual(self.value[::k], None if self.tangent is None else self.tangent[::k])
+
     def scaled(self, factor: float | Array) -> Dual:
         """The product with a constant, or with a constant (P, 1) for each parameter."""
         factor = np.asarray(factor, dtype=float)

@@ -197,7 +197,7 @@ def test_weightings_differ_as_documented():
 @pytest.mark.parametrize("nodes", [2, 5, 6, 7, 21, 50])
 def test_errors_are_integrated_at_steps_that_are_short_for_the_fastest_of_them(nodes):
     """0.35 of 1 / sqrt(500) s, the modulus of both poles of s^2 + 25 s + 500; with one part less they are longer."""
-    t = Problem(PAPER, nodes).grid.t
+    t = Problem(PAPER, nodes).t
     every = (len(t) - 1) // (nodes - 1)
     longest, span = 0.35 / np.sqrt(500.0), PAPER.motion.duration / (nodes - 1)
     assert t[every] == pytest.approx(span)  # the nodes are among them
@@ -252,7 +252,7 @@ def test_a_search_with_a_tilting_tray_begins_with_what_a_waiter_does():
     push along it. The start leans less, although its turning is as smooth at both ends as any plan's."""
     turned = {"position": GOAL, "rpy_deg": [0, 0, 40]}
     problem = Problem(changed(motion__orientation="free", motion__duration=0.6, motion__goal=turned), 61)
-    samples = problem.reference(_waiter(problem)).sample(problem.grid.t)
+    samples = problem.reference(_waiter(problem)).sample(problem.t)
     felt = samples.a_S - GRAVITY_S
     felt /= np.linalg.norm(felt, axis=1, keepdims=True)
     level, leaning = np.arccos(felt[:, 2]), np.arccos(np.einsum("ti,ti->t", felt, samples.R_SB[:, :, 2]))

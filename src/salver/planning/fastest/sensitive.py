@@ -11,10 +11,9 @@ import numpy as np
 
 from salver.errors import ScenarioError
 from salver.geometry import Array
-from salver.linear_filter import QuadratureGrid
 from salver.planning.fastest.found import FastestMotion, FastestOptions
 from salver.planning.fastest.safest import plan_best, quickest_within
-from salver.planning.object.cost import CostWeights, cost_instants, cost_residual, sensitivity_cost, tray_loop
+from salver.planning.object.cost import CostWeights, cost_residual, sensitivity_cost, tray_loop
 from salver.planning.trajopt.curves import Curve, FreeCurve, Grid
 from salver.planning.trajopt.objectives import Objective, Point, QuadraticModel
 from salver.planning.trajopt.problem import TransportProblem
@@ -61,13 +60,13 @@ class SensitivityCost(Objective):
 
     def _residual(self, coefficients: Array, derivatives: bool) -> tuple[Array, Array]:
         """Residuals whose squares add up to the cost, and their Jacobian by the coefficients."""
-        at_grid, at_times = (self._felt(curve, coefficients, derivatives) for curve in self._curves)
-        sensitivity = self.loop.sensitivity(self.grid, at_grid, at_times)
+        sensitivity = self.loop.sensitivity(self.fine, self._felt(coefficients, derivatives), len(self.t))
         residual, jacobian = cost_residual(sensitivity, self._weights, coefficients.size if derivatives else 0)
         return residual / np.sqrt(self.unit), jacobian / np.sqrt(self.unit)
 
-    def _felt(self, curve: FreeCurve, coefficients: Array, derivatives: bool) -> BodyMotion:
-        """Motion regressor of the object's frame B at the points of a curve, with derivatives by the coefficients."""
+    def _felt(self, coefficients: Array, derivatives: bool) -> BodyMotion:
+        """Motion regressor of the object's frame B at the instants `fine`, with derivatives by the coefficients."""
+        curve = self._curve
         z = curve.motion(coefficients, self.duration)
         terms = motion_terms(self.problem.model, self.problem.arm.tray_id, z[0], z[1], z[2])
         tangents: list[Array | None] = [None] * 5
@@ -96,19 +95,22 @@ class SensitivityCost(Objective):
         return tray_loop(self.problem.scenario)
 
     @cached_property
-    def grid(self) -> QuadratureGrid:
-        """The grid on which the cost is integrated."""
-        return self.loop.grid(cost_instants(self.loop, self.duration, STEPS))
+    def t(self) -> Array:
+        """Instants (T,), s, at which the cost is integrated."""
+        return self.loop.instants(self.duration, STEPS)
 
     @cached_property
-    def _curves(self) -> tuple[FreeCurve, FreeCurve]:
-        """Curves at the instants of the grid, and at those between them."""
-        at_grid, at_times = (Grid.of(self.spline, t / self.duration) for t in (self.grid.t, self.grid.times))
-        return FreeCurve(self.problem, at_grid), FreeCurve(self.problem, at_times)
+    def fine(self) -> Array:
+        """Instants, s, six times closer: the errors are then accurate to 5e-8."""
+        return self.loop.instants(self.duration, len(self.t) - 1, 0.06)
+
+    @cached_property
+    def _curve(self) -> FreeCurve:
+        return FreeCurve(self.problem, Grid.of(self.spline, self.fine / self.duration))
 
     @cached_property
     def _weights(self) -> CostWeights:
-        return CostWeights.of(self.problem.scenario, self.grid.t)
+        return CostWeights.of(self.problem.scenario, self.t)
 
 
 def plan_least_sensitive(
@@ -154,5 +156,5 @@ def _cost_of_line(scenario: Scenario) -> float:
     assert motion.duration is not None
     ends = (np.array(motion.start.position), np.array(motion.goal.position))
     line = min_jerk_line(motion.duration, *ends, motion.start.rotation, motion.goal.rotation)
-    t = cost_instants(loop, motion.duration, STEPS)
+    t = loop.instants(motion.duration, STEPS)
     return sensitivity_cost(scenario, t, loop.along(line, t))

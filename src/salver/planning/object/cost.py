@@ -55,13 +55,6 @@ def base_radius(body: Body) -> float:
     return float(np.linalg.norm(body.base_polygon_B, axis=1).max())
 
 
-def cost_instants(loop: TrayLoop, duration: float, steps: int) -> Array:
-    """Uniform instants, s, of the integral of the cost: these steps, each divided until it is short for the fastest
-    error; the integral's relative error is then about 1e-4."""
-    coarse = loop.grid(np.linspace(0, duration, steps + 1))
-    return np.linspace(0, duration, steps * coarse.substeps + 1)
-
-
 def integration_weights(instants: int, duration: float) -> Array:
     """Weights (T,), s, of the trapezoidal rule with fourth-order end correction (Gregory) on a uniform grid."""
     weights = np.full(instants, duration / (instants - 1))

@@ -19,11 +19,10 @@ from functools import cached_property
 import numpy as np
 
 from salver.geometry import Array, hat, log, right_jacobian_inverse
-from salver.linear_filter import QuadratureGrid
 from salver.models.bodies import Body
 from salver.models.uncertain.parameters import UncertainSet
 from salver.planning.object.conditions import Rows, conditions_along
-from salver.planning.object.cost import CostWeights, base_radius, cost_instants, cost_residual, tray_loop
+from salver.planning.object.cost import CostWeights, base_radius, cost_residual, tray_loop
 from salver.scenario import Scenario
 from salver.sensitivity.tray import BodyMotion, TrayLoop
 from salver.trajectory import (
@@ -56,8 +55,7 @@ class Linearisation:
 
 @dataclass(frozen=True)
 class Problem:
-    """The planning problem of a scenario. Constraints are imposed at the instants of `grid`, at least `nodes` of
-    them."""
+    """The planning problem of a scenario. Constraints are imposed at the instants `t`, at least `nodes` of them."""
 
     scenario: Scenario
     nodes: int
@@ -86,9 +84,15 @@ class Problem:
         return tray_loop(self.scenario)
 
     @cached_property
-    def grid(self) -> QuadratureGrid:
-        """The nodes, with as many instants between them as the integral of the cost needs."""
-        return self.loop.grid(cost_instants(self.loop, self.duration, self.nodes - 1))
+    def t(self) -> Array:
+        """Instants (T,), s: the nodes, with as many between them as the errors need; the relative error of the cost's
+        integral is then about 1e-4."""
+        return self.loop.instants(self.duration, self.nodes - 1)
+
+    @cached_property
+    def fine(self) -> Array:
+        """Instants, s, six times closer than `t`: the errors are then accurate to 5e-8."""
+        return self.loop.instants(self.duration, len(self.t) - 1, 0.06)
 
     @cached_property
     def rotates(self) -> bool:
@@ -158,7 +162,7 @@ class Problem:
 
     @cached_property
     def weights(self) -> CostWeights:
-        return CostWeights.of(self.scenario, self.grid.t)
+        return CostWeights.of(self.scenario, self.t)
 
     @cached_property
     def smoothness(self) -> tuple[Array, Array]:
@@ -167,7 +171,7 @@ class Problem:
         A small share of it decides between references of equal cost. If no uncertain parameter acts on the closed loop
         (only friction, for example), it is the whole cost.
         """
-        s, rate = 2 * self.grid.t / self.duration - 1, 2 / self.duration
+        s, rate = 2 * self.t / self.duration - 1, 2 / self.duration
         weights = np.sqrt(self.weights.times)[:, None, None]
         parts = [(self._position, 3, 1.0)]
         if self.rotates:
@@ -197,21 +201,16 @@ class Problem:
     def _blocks(self, basis: Array, offset: int) -> Array:
         """Expand a basis (T, m) of one axis to (T, 3, n_z): each axis has its own block of columns, from `offset`
         on."""
-        out = np.zeros((len(basis), 3, self.size))
-        m = basis.shape[1]
-        for axis in range(3):
-            out[:, axis, offset + axis * m : offset + (axis + 1) * m] = basis
-        return out
+        own = np.einsum("ij,tm->tijm", np.eye(3), basis).reshape(len(basis), 3, -1)
+        return np.pad(own, ((0, 0), (0, 0), (offset, self.size - offset - own.shape[2])))
 
     # Derivatives -----------------------------------------------------------------------------------------
 
     @cached_property
-    def _bases(self) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
-        return self.bases_at(self.grid.t), self.bases_at(self.grid.times)
-
-    def bases_at(self, t: Array) -> tuple[Array, ...]:
-        """Derivatives (T, 3, n_z) by z of v_S and a_S, and where the orientation is free, of omega_B and alpha_B."""
-        s, rate = 2 * t / self.duration - 1, 2 / self.duration
+    def bases(self) -> tuple[Array, ...]:
+        """Derivatives (T, 3, n_z) by z of v_S and a_S, and where the orientation is free, of omega_B and alpha_B, at
+        `fine`."""
+        s, rate = 2 * self.fine / self.duration - 1, 2 / self.duration
         null_position = self._position[1]
 
         v, a = (
@@ -223,37 +222,23 @@ class Problem:
         spin = [rate**k * chebyshev_basis(s, len(null_spin) - 1, k) @ null_spin for k in range(2)]
         return v, a, *(self._blocks(basis, self.n_position) for basis in spin)
 
-    def _motions(self, reference: PolynomialReference) -> tuple[MotionSamples, BodyMotion, BodyMotion, Array | None]:
-        """Samples on the grid, body motions on the grid and between with derivatives by z, and dtheta/dz on the
-        grid."""
-        on_grid, between = reference.sample(self.grid.t), reference.sample(self.grid.times)
-        (v, a, *spin), (v_between, a_between, *spin_between) = self._bases
-        if not self.rotates:
-            return on_grid, BodyMotion.of(on_grid, v, a), BodyMotion.of(between, v_between, a_between), None
-        # dtheta' = domega - omega x dtheta, so R dtheta is the running integral of R domega.
-        turned, turned_between = self.grid.cumulative(between.R_SB @ spin_between[0])
-        theta = np.swapaxes(on_grid.R_SB, 1, 2) @ turned
-        theta_between = np.swapaxes(between.R_SB, 1, 2) @ turned_between
-        return (
-            on_grid,
-            BodyMotion.of(on_grid, v, a, theta, *spin),
-            BodyMotion.of(between, v_between, a_between, theta_between, *spin_between),
-            theta,
-        )
-
     def linearise(self, z: Array) -> Linearisation:
         """Cost residuals, constraints and their derivatives at z."""
-        reference = self.reference(z)
-        on_grid, motion, between, theta = self._motions(reference)
-        sensitivity = self.loop.sensitivity(self.grid, motion, between)
+        samples, (v, a, *spin), theta = self.reference(z).sample(self.fine), self.bases, None
+        if spin:  # dtheta' = domega - omega x dtheta, so R dtheta is the running integral of R domega
+            R_SB, h = samples.R_SB, self.fine[1]
+            f, rate = R_SB @ spin[0], R_SB @ (hat(samples.omega_B) @ spin[0] + spin[1])
+            steps = h / 2 * (f[1:] + f[:-1]) + h**2 / 12 * (rate[:-1] - rate[1:])  # of cubics between instants
+            theta = np.swapaxes(R_SB, 1, 2) @ np.cumsum(np.concatenate([0 * f[:1], steps]), axis=0)
+        sensitivity = self.loop.sensitivity(self.fine, BodyMotion.of(samples, v, a, theta, *spin), len(self.t))
         residual, jacobian = cost_residual(sensitivity, self.weights, self.size)
         smooth, smooth_jacobian = self.smoothness
         residual = np.concatenate([residual, smooth + smooth_jacobian @ z])
         jacobian = np.concatenate([jacobian, smooth_jacobian])
-        rows = conditions_along(self.scenario, self.grid.t, motion, lambda: sensitivity, self.size)
+        rows = conditions_along(self.scenario, self.t, sensitivity.motion, lambda: sensitivity, self.size)
         goal, goal_jacobian = np.zeros(0), np.zeros((0, self.size))
         if theta is not None:
-            goal, goal_jacobian = self._goal(on_grid.R_SB[-1], theta[-1])
+            goal, goal_jacobian = self._goal(samples.R_SB[-1], theta[-1])
         return Linearisation(residual, jacobian, rows, goal, goal_jacobian)
 
     def _goal(self, R_end: Array, theta_end: Array) -> tuple[Array, Array]:

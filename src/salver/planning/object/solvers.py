@@ -169,7 +169,7 @@ def infeasible(problem: Problem, model: Linearisation, d: Array, proven: bool) -
     worst = min(model.rows, key=lambda rows: float(rows.slack(d).min()))
     slack = worst.slack(d)
     k, i = np.unravel_index(int(np.argmin(slack)), slack.shape)
-    short, t, owner = problem.margin - float(slack[k, i]), float(problem.grid.t[k]), worst.owner[i]
+    short, t, owner = problem.margin - float(slack[k, i]), float(problem.t[k]), worst.owner[i]
     what = "cone coefficient" if contact.condition == "paper" else "facet of the contact wrench cone"
     where = owner if apart(owner) else f"{owner} ({what} {i})"
     shown = "No reference of this degree and duration is safe" if proven else "No safe reference was found"
@@ -231,7 +231,7 @@ def _waiter(problem: Problem) -> Array:
     # The straight line is a minimum-jerk problem: least squares on the jerk that z leaves free.
     residual, jacobian = problem.smoothness
     z[:n] = np.linalg.lstsq(jacobian[:, :n], -residual, rcond=None)[0]
-    t = problem.grid.t
+    t = problem.fine
     line = problem.reference(z).sample(t)
     normal = line.a_S - GRAVITY_S
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
@@ -240,7 +240,7 @@ def _waiter(problem: Problem) -> Array:
     wanted = exp(np.arctan2(sine, normal[:, 2:]) * axis / np.maximum(sine, 1e-12)) @ line.R_SB
     steps = log(np.swapaxes(wanted[:-1], 1, 2) @ wanted[1:]) / (t[1] - t[0])
     omega = 0.5 * (np.vstack([steps[:1], steps]) + np.vstack([steps, steps[-1:]]))
-    by_spin = problem.bases_at(t)[2][:, :, n:].reshape(-1, problem.size - n)
+    by_spin = problem.bases[2][:, :, n:].reshape(-1, problem.size - n)
     z[n:] = np.linalg.lstsq(by_spin, (omega - line.omega_B).ravel(), rcond=None)[0]
     return z
 
