@@ -2,25 +2,15 @@
 
 from __future__ import annotations
 
-import numpy as np
-import pinocchio as pin
-
+from salver.control.object import apply
+from salver.geometry import GRAVITY_S
 from salver.models.arm.arm import ArmModel
+from salver.sensitivity.arm.terms import motion_terms
 from salver.trajectory import JointMotion, MotionSamples
 
 
 def tray_motion(arm: ArmModel, motion: JointMotion) -> MotionSamples:
     """Motion of the tray's frame E at the samples of a joint motion; `of_frame` gives that of a frame fixed to it."""
-    count, local = len(motion.t), pin.ReferenceFrame.LOCAL
-    p, v, a, omega, alpha = (np.empty((count, 3)) for _ in range(5))
-    R = np.empty((count, 3, 3))
-    model, data, tray = arm.pin_model, arm.pin_model.createData(), arm.tray_id
-    for k, state in enumerate(zip(motion.q, motion.dq, motion.ddq, strict=True)):
-        pin.forwardKinematics(model, data, *state)
-        placement = pin.updateFramePlacement(model, data, tray)
-        twist = pin.getFrameVelocity(model, data, tray, local)
-        rate = pin.getFrameClassicalAcceleration(model, data, tray, local)
-        p[k], R[k] = placement.translation, placement.rotation
-        v[k], a[k] = placement.rotation @ twist.linear, placement.rotation @ rate.linear
-        omega[k], alpha[k] = twist.angular, rate.angular
-    return MotionSamples(motion.t, p, v, a, R, omega, alpha)
+    terms = motion_terms(arm.pin_model, arm.tray_id, motion.q, motion.dq, motion.ddq)
+    v_S, a_S = (apply(terms.R_SE, x) for x in (terms.twist[:, :3], terms.w[:, :3]))
+    return MotionSamples(motion.t, terms.p_SE, v_S, a_S + GRAVITY_S, terms.R_SE, terms.twist[:, 3:], terms.w[:, 3:6])

@@ -16,6 +16,7 @@ from salver.models.arm.arm_limits import LIMITS, STANDING, LimitKind
 from salver.models.bodies import Body
 from salver.models.described import Floor
 from salver.planning.follow.clearance import sweep
+from salver.sensitivity.arm.terms import motion_terms
 from salver.trajectory import JointMotion
 from salver.wording import listed
 
@@ -39,8 +40,7 @@ class Peak:
 def torques(arm: ArmModel, motion: JointMotion, bodies: Sequence[Body] = ()) -> Array:
     """Joint torques (T, n), N m, at the motion's samples, for arm, tray and the bodies carried."""
     load = with_load(arm, bodies)
-    states = zip(motion.q, motion.dq, motion.ddq, strict=True)
-    return np.array([load.inverse_dynamics(*state) for state in states])
+    return motion_terms(load.pin_model, load.tray_id, motion.q, motion.dq, motion.ddq).torque
 
 
 def peaks(arm: ArmModel, motion: JointMotion, bodies: Sequence[Body] = ()) -> list[Peak]:

@@ -26,21 +26,21 @@ from salver.dynamics.load_rows import LoadRows
 from salver.dynamics.motion_gradients import Unknowns
 from salver.dynamics.payload_response import PayloadResponse
 from salver.errors import ScenarioError
-from salver.geometry import Array, Indices, exp, invert
+from salver.geometry import Array, Indices, invert
 from salver.models.bodies import TRAY, Body
 from salver.models.contact_rows import ContactRows, contact_rows
 from salver.models.interfaces import sure_contacts
 from salver.models.payload import Payload
 from salver.models.rigid_body import PAIRS
-from salver.models.tray_motion import FULL_SPEED, N_MOTION, Speed, corners, frame_map, wrench_map
-from salver.models.uncertain.parameters import Parameter, support
+from salver.models.tray_motion import FULL_SPEED, N_MOTION, Speed, corners, frame_map
+from salver.models.uncertain.parameters import support
 from salver.scenario import Scenario
+from salver.sensitivity.arm.load import wrench_of
 from salver.sensitivity.dual import Dual, joined
 from salver.sensitivity.tray import BodyMotion, TraySensitivity
 
 UNITS = {"paper": "N", "exact": "of the weight"}
 TILT = "tilt limit"
-_PLACE_STEP = 1e-4  # m or rad, of a central difference of a nearly linear function
 
 
 class Rows(Protocol):
@@ -155,44 +155,25 @@ def _paper(
     (network,) = (one for one in payload.networks if one.bodies[0] is body)  # nothing else touches it
     contacts = sure_contacts(network, payload.tray_half, uncertain)[0].base
     distribution: Array = np.linalg.pinv(contacts.grasp_map).astype(float)
-    own_motion = motion
-    if body is not first:
-        own_motion = motion.of_frame(first.R_EB.T @ (body.p_EB - first.p_EB), first.R_EB.T @ body.R_EB)
-    wrench, wrench_jacobian = _stacked(*own_motion.wrench(body.inertial.phi[:, None]), n_z)
-    change = (sensitivity().df, sensitivity().dtau) if body is first else None
-    spread, spread_jacobian = _stacked(*(change or own_motion.wrench(body.phi_jacobian(uncertain.parameters))), n_z)
-    placed = _place_map(body, uncertain.parameters)
-    if placed.any():
-        w, w_jacobian = felt_at(motion, first, n_z)
-        spread = spread + np.einsum("pik,tk->tpi", placed, w)
-        spread_jacobian = spread_jacobian + np.einsum("pik,tkz->tpiz", placed, w_jacobian)
+    w, w_jacobian = felt_at(motion, first, n_z)
+    own, by_parameter = wrench_of(body, uncertain)
+    if body is first:  # its inertial parameters act through the closed loop
+        by_parameter = by_parameter * np.array([p.places for p in uncertain.parameters])[:, None, None]
+    spread, spread_jacobian = (np.einsum("pik,tk...->tpi...", by_parameter, x) for x in (w, w_jacobian))
+    if body is first:
+        value, tangent = _stacked(sensitivity().df, sensitivity().dtau, n_z)
+        spread, spread_jacobian = spread + value, spread_jacobian + tangent
     factor = uncertain.factor.T
     by_z = (factor @ spread_jacobian.reshape(*spread.shape[:2], 6 * n_z)).reshape(*spread.shape, n_z)
     return WrenchRows(
         (body.name,) * len(distribution),
         distribution,
-        wrench[:, 0],
-        wrench_jacobian[:, 0],
+        w @ own.T,
+        own @ w_jacobian,
         np.swapaxes(factor @ spread, 1, 2),
         np.ascontiguousarray(np.swapaxes(by_z, 1, 2)),
         uncertain.kind == "box",
     )
-
-
-def _place_map(body: Body, parameters: tuple[Parameter, ...]) -> Array:
-    """Derivative (n_p, 6, 12) of a body's wrench by placement and tilt parameters, as a map of the motion regressor."""
-    maps = np.zeros((len(parameters), 6, N_MOTION))
-    for k, parameter in enumerate(parameters):
-        if not parameter.places or parameter.owner not in ("", body.name):
-            continue
-        tilt, ends = parameter.kind == "tilt", []
-        for sign in (1.0, -1.0):
-            step = sign * _PLACE_STEP * np.eye(3)["xy".index(parameter.axis)]
-            place = exp(step) @ body.p_EB if tilt else body.p_EB + step
-            turned = exp(step) @ body.R_EB if tilt else body.R_EB
-            ends.append(frame_map(place, turned))
-        maps[k] = wrench_map(body.inertial.phi) @ (ends[0] - ends[1]) / (2 * _PLACE_STEP)
-    return maps
 
 
 def _stacked(force: Dual, torque: Dual, n_z: int) -> tuple[Array, Array]:

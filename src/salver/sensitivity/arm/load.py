@@ -77,8 +77,7 @@ def load_change(payload: Payload) -> LoadChange:
     """The maps of a payload, with the terms of its uncertain set."""
     maps, uncertain = _Maps(payload.bodies), payload.uncertain
     nominal, half = maps.at({}), uncertain.ranges
-    terms = [maps.slope({p: _STEP * h}) / (_STEP * h) for p, h in half.items()]
-    ranges, pairs = list(half.values()), []
+    terms, ranges, pairs = maps.slopes(half), list(half.values()), []
     for (i, first), (j, second) in combinations_with_replacement(enumerate(uncertain.parameters), 2):
         if not _interact(first, second):
             continue
@@ -92,6 +91,13 @@ def load_change(payload: Payload) -> LoadChange:
         np.array(ranges),
         *(part for rows in (slice(0, 6), slice(6, 12)) for part in (nominal[rows], stacked[:, rows])),
     )
+
+
+def wrench_of(body: Body, uncertain: UncertainSet) -> tuple[Array, Array]:
+    """The map (6, 12) from w at the tray's E to the contact wrench of a body at its B, and its derivatives
+    (n_p, 6, 12)."""
+    maps = _Maps((body,))
+    return maps.at({})[6:], np.array(maps.slopes(uncertain.ranges)).reshape(-1, 12, N_MOTION)[:, 6:]
 
 
 def _interact(first: Parameter, second: Parameter) -> bool:
@@ -114,9 +120,9 @@ class _Maps:
             load += to_tray(p_EB, R_EB) @ wrenches[-1]
         return np.concatenate([load, wrenches[0]])
 
-    def slope(self, step: Mapping[Parameter, float]) -> Array:
-        """Central difference: half the difference between a step and its opposite."""
-        return 0.5 * (self.at(step) - self.at({p: -h for p, h in step.items()}))
+    def slopes(self, ranges: Mapping[Parameter, float]) -> list[Array]:
+        """Derivatives by each parameter with a half-range: central differences."""
+        return [(self.at({p: _STEP * h}) - self.at({p: -_STEP * h})) / (2 * _STEP * h) for p, h in ranges.items()]
 
     def bend(self, first: Mapping[Parameter, float], second: Mapping[Parameter, float], nominal: Array) -> Array:
         """Second-order effect of two steps together; for equal steps, the even part."""
