@@ -16,12 +16,13 @@ from salver.errors import ScenarioError
 from salver.models.contact.wrench_cone import facets
 from salver.models.uncertain.parameters import Parameter
 from salver.planning.fastest import plan_fastest
-from salver.planning.fastest.found import EFFORTS, object_motion
+from salver.planning.fastest.options import EFFORTS
 from salver.planning.fastest.retiming import plan_retimed
 from salver.planning.fastest.safest import plan_safest
 from salver.planning.make import make_plan
 from salver.planning.object.problem import Problem
 from salver.planning.trajopt.constraints.load_limits import LoadConstraint
+from salver.planning.trajopt.found import object_motion
 from salver.planning.trajopt.problem import transport_problem
 from salver.scenario import parse
 from salver.sensitivity.arm.compliance import LoadResponses, of_cases

@@ -12,7 +12,6 @@ from salver import scenario
 from salver.cli import app
 from salver.errors import ScenarioError, UnreachableError
 from salver.planning.fastest import EFFORTS, FastestOptions, transport_problem
-from salver.planning.fastest.found import object_motion
 from salver.planning.fastest.optimum import DEGREE
 from salver.planning.fastest.safest import optima, quickest_within
 from salver.planning.fastest.sensitive import SensitivityCost, plan_least_sensitive
@@ -20,6 +19,7 @@ from salver.planning.make import make_plan
 from salver.planning.object.cost import sensitivity_cost, tray_loop
 from salver.planning.plan import Plan
 from salver.planning.trajopt.curves import FreeCurve, Grid
+from salver.planning.trajopt.found import object_motion
 from salver.planning.trajopt.objectives import Point
 from salver.planning.trajopt.spline import RestSpline
 from salver.planning.trajopt.watch import Watch
@@ -58,7 +58,7 @@ def test_the_cost_of_a_joint_motion_is_that_of_what_the_object_does_and_its_slop
     z = FreeCurve(problem, Grid.of(spline, t / 1.2)).motion(q, 1.2)
     joint = JointMotion(t, *z[:3])
     seen = SampledReference(object_motion(problem, joint.t, joint.q, joint.dq, joint.ddq))
-    instants = objective.grid.t
+    instants = objective.t
     own = sensitivity_cost(case, instants, tray_loop(case).along(seen, instants))
     assert cost(q) == pytest.approx(own, rel=1e-5)  # what interpolation of the samples leaves
 

@@ -92,14 +92,20 @@ def test_along_a_motion_of_all_legs_each_keeps_the_ends_that_it_has_there(monkey
 
 
 def test_the_legs_share_the_work_evenly(monkeypatch) -> None:
-    """What is told of how far a search is goes on from one leg to the next."""
-    told = []
-    for _, part, _ in planned_in_turn(monkeypatch, None):
-        for share in (0.0, 1.0):
-            part.share = share
-            part.over()
-            told.append(part.whole.share)
-    assert told == pytest.approx(np.repeat(np.linspace(0.0, 1.0, 4), 2)[1:-1])
+    """The reported share of the work goes on from one leg to the next."""
+    told: list[float] = []
+
+    def plan_problem(problem: Task, options: Any, watch: Watch, near: Any) -> Any:
+        assert watch.best is None
+        for share in (0.5, 2.0, 0.1):  # never more than the whole, nor back
+            watch.reached(share)
+            told.append(watch.share)
+        watch.best = 1.0
+        return SimpleNamespace(ok=True, joint=SimpleNamespace(q=np.zeros((1, 1))))
+
+    monkeypatch.setattr(legs, "plan_problem", plan_problem)
+    in_turn([Task("a", "b"), Task("b", "c"), Task("c", "d")], None, FastestOptions(), Watch())
+    assert told == pytest.approx(np.array([0.5, 1, 1, 1.5, 2, 2, 2.5, 3, 3]) / 3)
 
 
 def test_where_a_leg_that_chose_its_end_leads_nowhere_legs_are_planned_along_chains_of_postures(monkeypatch) -> None:

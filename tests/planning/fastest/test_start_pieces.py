@@ -13,7 +13,6 @@ from salver import scenario
 from salver.errors import Status
 from salver.models.arm.arm_limits import POSITION
 from salver.planning.fastest import FastestOptions, search, transport_problem
-from salver.planning.fastest.found import FastestMotion
 from salver.planning.fastest.optimum import few_pieces
 from salver.planning.seeds.starts import (
     EndOptions,
@@ -37,6 +36,7 @@ from salver.planning.seeds.starts import (
 from salver.planning.trajopt.constraints.constraints import strayed
 from salver.planning.trajopt.constraints.obstacles import CLEARANCE, KeepOut
 from salver.planning.trajopt.ends import AtPose, AtPosture
+from salver.planning.trajopt.found import FastestMotion
 from salver.planning.trajopt.problem import TransportProblem
 from salver.planning.trajopt.spline import RestSpline
 from salver.planning.trajopt.watch import Watch
@@ -272,7 +272,7 @@ def test_the_shortest_safe_motion_is_kept_and_what_brings_nothing_is_given_up(pl
     def finish(self: Any, problem: TransportProblem, found: Any) -> FastestMotion:
         ok, duration = next(refined)
         status = Status("optimal" if ok else "infeasible", "", ok)
-        return FastestMotion(problem, spline, np.zeros((spline.size, 7)), duration, status, {}, ("torque",), 0.0, 1)
+        return FastestMotion(spline, np.zeros((spline.size, 7)), duration, problem, status, {}, ("torque",), 0.0, 1)
 
     def begin(self: Any, problem: TransportProblem, start: Start, beat: float = np.inf) -> Any:
         rough_s.append(1.0 + 0.2 * len(rough_s) if len(rough_s) < 4 else 2.0)

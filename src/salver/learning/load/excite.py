@@ -170,4 +170,4 @@ def _wiggle(problem: TransportProblem, spline: RestSpline, duration: float, seed
     bump = (4 * s * (1 - s))[:, None] ** 2
     q = problem.start_posture + 0.1 * bump * waves / np.sqrt(6)
     status = Status("begun", "", False)
-    return FastestMotion(problem, spline, spline.fit(s, q), duration, status, {}, (), 0.0, 0)
+    return FastestMotion(spline, spline.fit(s, q), duration, problem, status)

@@ -39,7 +39,7 @@ from salver.planning.seeds.starts import braking_time
 from salver.planning.trajopt.bound import least_time
 from salver.planning.trajopt.constraints.constraints import ContactConstraint
 from salver.planning.trajopt.curves import FreeCurve, Grid, launched
-from salver.planning.trajopt.exchange import Checked, ExchangeOptions, optimise, programme_of
+from salver.planning.trajopt.exchange import ExchangeOptions, optimise, programme_of
 from salver.planning.trajopt.spline import RestSpline, SplineMotion
 from salver.planning.trajopt.sqp import SqpOptions, SqpSolution, minimise
 from salver.planning.trajopt.watch import Watch
@@ -165,15 +165,14 @@ class Replanner:
         if finding.committed is None and not start.moving and left > 0:
             searched = fastest(at, FastestOptions(time_limit=left))
             if searched.status.ok:
-                motion = SplineMotion(searched.spline, searched.coefficients, searched.duration)
-                found, finding = searched, self._stretched(at, motion, before, begins)
+                found, finding = searched, self._stretched(at, searched, before, begins)
         if finding.committed is None:
             return None, Status("refused", finding.sentence if found.status.ok else found.status.sentence, False)
         return finding.committed, Status("optimal", f"A motion of {finding.committed.motion.duration:.3f} s.", True)
 
     def _shortest(
         self, at: TransportProblem, guess: SplineMotion, before: Committed, begins: float, watch: Watch
-    ) -> tuple[Checked | FastestMotion | SqpSolution, Finding]:
+    ) -> tuple[FastestMotion | SqpSolution, Finding]:
         """The shortest motion from a guess, and the verdict on it.
 
         What is broken between the nodes is mostly little, and kept by a motion that takes as much longer; only where
@@ -197,8 +196,7 @@ class Replanner:
         found = optimise(
             hasty, FreeCurve, guess, self.options.few_nodes, watch, damping=damping, gain=self.options.gain
         )
-        motion = SplineMotion(guess.spline, found.coefficients, found.duration)
-        return found, self._stretched(at, motion, before, begins)
+        return found, self._stretched(at, found, before, begins)
 
     def _stretched(self, at: TransportProblem, motion: SplineMotion, before: Committed, begins: float) -> Finding:
         """The verdict on a motion, or on one that takes a little longer, if that is what it lacks."""

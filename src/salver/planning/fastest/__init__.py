@@ -3,13 +3,14 @@
 How to add constraints, objectives and end conditions: docs/extending.md.
 """
 
-from salver.planning.fastest.found import EFFORTS, FastestMotion, FastestOptions, object_motion
 from salver.planning.fastest.optimum import nearby
+from salver.planning.fastest.options import EFFORTS, FastestOptions
 from salver.planning.fastest.planned import joint_plan, plan_fastest
 from salver.planning.fastest.search import fastest
 from salver.planning.trajopt.constraints.constraints import Block, Constraint, evaluate, padded, worst_of
 from salver.planning.trajopt.ends import Anywhere, AtPose, AtPosture, End
 from salver.planning.trajopt.evaluation import MotionEvaluation
+from salver.planning.trajopt.found import FastestMotion, object_motion
 from salver.planning.trajopt.objectives import Duration, LeastMargin, Objective, Point, QuadraticModel
 from salver.planning.trajopt.problem import TransportProblem, transport_problem
 

@@ -15,14 +15,15 @@ import numpy as np
 
 from salver.errors import ScenarioError, Status, UnreachableError
 from salver.geometry import Array, quat_wxyz_from_matrix
-from salver.planning.fastest.found import FastestOptions, object_motion
 from salver.planning.fastest.optimum import few_pieces, refitted
+from salver.planning.fastest.options import FastestOptions
 from salver.planning.fastest.planned import plan_problem
 from salver.planning.plan import Plan
 from salver.planning.plan_files import begun_at
 from salver.planning.round import MultiLegPlan
 from salver.planning.seeds.starts import Ends, Start, between, ends
 from salver.planning.trajopt.ends import AtPosture
+from salver.planning.trajopt.found import object_motion
 from salver.planning.trajopt.problem import TransportProblem, transport_problem
 from salver.planning.trajopt.spline import SplineMotion
 from salver.planning.trajopt.watch import WHY, Watch
@@ -119,8 +120,8 @@ def in_turn(
             q = near.coefficients
             problem = between(replace(problem, goal=AtPosture(q[-1])), Ends(q[0], q[-1], 0.0, True))
             problem = replace(problem, start=AtPosture(q[0]))
-        part = watch.part(k / len(problems), 1 / len(problems))
-        legs.append(plan_problem(problem, options=options, watch=part, near=near))
+        watch.begin(k, len(problems))
+        legs.append(plan_problem(problem, options=options, watch=watch, near=near))
         if begin is not None and not legs[-1].ok and not watch.ended:
             break
     return legs

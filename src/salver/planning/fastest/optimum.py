@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import replace
 
 import numpy as np
 
 from salver.geometry import Array
-from salver.planning.fastest.found import FastestMotion, FastestOptions
+from salver.planning.fastest.options import FastestOptions
 from salver.planning.seeds.starts import Start
 from salver.planning.trajopt.curves import FreeCurve
 from salver.planning.trajopt.exchange import SHORTEST, optimise
+from salver.planning.trajopt.found import FastestMotion
 from salver.planning.trajopt.objectives import Objective
 from salver.planning.trajopt.problem import TransportProblem
 from salver.planning.trajopt.spline import RestSpline, SplineMotion
@@ -47,10 +47,9 @@ def nearby(
     The search begins at `found`, or at the path `begin` between the same ends.
     """
     options = options or FastestOptions()
-    start, damping = SplineMotion(found.spline, found.coefficients, duration), NEAR
-    if begin is not None:
-        start, damping = replace(begin.motion(found.problem, found.spline), duration=duration), REFINED
-    return optimum(found.problem, options, start, watch or Watch(options.time_limit), damping, objective)
+    start, damping = (found, NEAR) if begin is None else (begin.motion(found.problem, found.spline), REFINED)
+    start, watch = replace(start, duration=duration), watch or Watch(options.time_limit)
+    return optimum(found.problem, options, start, watch, damping, objective)
 
 
 def optimum(
@@ -67,9 +66,5 @@ def optimum(
     problem: what to solve. options: of the search. start: the initial motion. watch: reports progress and may end the
     search. damping: of the first step. objective: what to minimise. also: additional nodes.
     """
-    begun = time.perf_counter()
     per_span = options.nodes_per_span
-    found = optimise(problem, FreeCurve, start, per_span, watch, damping, objective, options.most, also=also)
-    wall, result = time.perf_counter() - begun, (found.coefficients, found.duration, found.status, found.worst)
-    spent = wall, found.iterations
-    return FastestMotion(found.problem, start.spline, *result, found.binding, *spent, found.margin)
+    return optimise(problem, FreeCurve, start, per_span, watch, damping, objective, options.most, also=also)

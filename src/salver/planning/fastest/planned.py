@@ -10,13 +10,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from salver.errors import Status, UnreachableError
-from salver.planning.fastest.found import FastestMotion, FastestOptions, object_motion
+from salver.planning.fastest.options import FastestOptions
 from salver.planning.fastest.search import fastest
 from salver.planning.fastest.speeds import at_every_speed
 from salver.planning.follow.limits import LIMIT_EXCEEDED
 from salver.planning.trajopt.bound import least_by_friction, least_duration
 from salver.planning.trajopt.constraints.constraints import LEVEL_TOLERANCE, ContactConstraint
 from salver.planning.trajopt.exchange import SHORTEST, reached
+from salver.planning.trajopt.found import FastestMotion, object_motion
 from salver.planning.trajopt.problem import TransportProblem, transport_problem, with_failing_cases
 from salver.planning.trajopt.spline import SplineMotion
 from salver.planning.trajopt.watch import Watch

@@ -21,14 +21,14 @@ from scipy.sparse import coo_matrix
 
 from salver.errors import ScenarioError, Status, UnreachableError
 from salver.geometry import Array, interpolated, quat_wxyz_from_matrix
-from salver.planning.fastest.found import FastestMotion
 from salver.planning.fastest.planned import joint_plan, judged, slow_enough
 from salver.planning.fastest.speeds import at_every_speed
 from salver.planning.round import MultiLegPlan
 from salver.planning.trajopt.constraints.constraints import evaluate, worst_of
 from salver.planning.trajopt.constraints.obstacles import KeepOut
 from salver.planning.trajopt.curves import Grid, PathCurve
-from salver.planning.trajopt.exchange import CurveOf, optimise
+from salver.planning.trajopt.exchange import optimise
+from salver.planning.trajopt.found import CurveOf, FastestMotion
 from salver.planning.trajopt.problem import TransportProblem, transport_problem
 from salver.planning.trajopt.spline import RestSpline, SplineMotion
 from salver.scenario import Scenario
@@ -115,7 +115,7 @@ def retime(problem: TransportProblem, path: SplinePath, *, spans: int = 20, node
     bound = reachable_law(problem, path)
     if bound is None:
         status = Status("infeasible", "No time law keeps this path: the load does not even stand still on it.", False)
-        return FastestMotion(problem, law, np.zeros((law.size, 1)), np.inf, status, {}, (), 0.0, 0, curve_of=curve_of)
+        return FastestMotion(law, np.zeros((law.size, 1)), np.inf, problem, status, curve_of=curve_of)
     t, u = bound
     s = np.linspace(0.0, 1.0, 401)
     start = law.fit(s, np.interp(s, t / t[-1], u)[:, None])
@@ -123,9 +123,7 @@ def retime(problem: TransportProblem, path: SplinePath, *, spans: int = 20, node
     calm = _calm(problem, curve_of, law, float(t[-1])) if problem.cases else None
     begin = SplineMotion(law, start, 1.5 * float(t[-1])) if calm is None else calm  # jerk asks for more
     found = optimise(problem, curve_of, begin, nodes_per_span)
-    wall, result = time.perf_counter() - begun, (found.coefficients, found.duration, found.status, found.worst)
-    spent = wall, found.iterations
-    return FastestMotion(problem, law, *result, found.binding, *spent, lower_bound=float(t[-1]), curve_of=curve_of)
+    return replace(found, wall_time=time.perf_counter() - begun, lower_bound=float(t[-1]))
 
 
 def _calm(problem: TransportProblem, curve_of: CurveOf, law: RestSpline, duration: float) -> SplineMotion | None:

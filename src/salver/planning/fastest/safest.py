@@ -6,12 +6,13 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from salver.errors import ScenarioError, Status, UnreachableError
-from salver.planning.fastest.found import FastestMotion, FastestOptions
 from salver.planning.fastest.optimum import nearby
+from salver.planning.fastest.options import FastestOptions
 from salver.planning.fastest.planned import joint_plan, judged, solver_record
 from salver.planning.fastest.search import fastest
 from salver.planning.fastest.speeds import at_every_speed
 from salver.planning.seeds.starts import Ends, straight
+from salver.planning.trajopt.found import FastestMotion
 from salver.planning.trajopt.objectives import LeastMargin, Objective
 from salver.planning.trajopt.problem import transport_problem
 from salver.planning.trajopt.watch import Watch

@@ -15,8 +15,8 @@ import numpy as np
 
 from salver.errors import Status
 from salver.geometry import Array
-from salver.planning.fastest.found import FastestMotion, FastestOptions
 from salver.planning.fastest.optimum import DEGREE, NEAR, REFINED, few_pieces, optimum, refitted
+from salver.planning.fastest.options import FastestOptions
 from salver.planning.seeds.blocked import why_blocked, why_touching, why_unreached
 from salver.planning.seeds.starts import (
     ALONG,
@@ -31,6 +31,7 @@ from salver.planning.seeds.starts import (
 )
 from salver.planning.trajopt.curves import FreeCurve
 from salver.planning.trajopt.exchange import rough
+from salver.planning.trajopt.found import FastestMotion
 from salver.planning.trajopt.problem import TransportProblem
 from salver.planning.trajopt.programme import Iterate
 from salver.planning.trajopt.spline import RestSpline, SplineMotion
@@ -56,7 +57,7 @@ def fastest(
     if near is not None:
         # From a motion that was found, it is completed even when the search is ended: all else is slower by far.
         watched = Watch() if isinstance(near, FastestMotion) else watch
-        found = optimum(problem, options, SplineMotion(near.spline, near.coefficients, near.duration), watched, NEAR)
+        found = optimum(problem, options, near, watched, NEAR)
         if found.status.ok:
             return found
     watch.trying = "postures at both ends"
@@ -66,9 +67,9 @@ def fastest(
     if blocked is None:
         blocked = why_touching(problem, pairs) if pairs else why_unreached(problem)
     if blocked is not None:
-        spline = RestSpline(DEGREE, options.spans)
-        wall = time.perf_counter() - begun
-        return FastestMotion(problem, spline, np.zeros((spline.size, problem.n)), np.inf, blocked, {}, (), wall, 0)
+        spline, wall = RestSpline(DEGREE, options.spans), time.perf_counter() - begun
+        none = np.zeros((spline.size, problem.n))
+        return FastestMotion(spline, none, np.inf, problem, blocked, wall_time=wall)
     return replace(_Search(problem, options, watch, pairs, rng).best(), wall_time=time.perf_counter() - begun)
 
 
@@ -94,7 +95,6 @@ class _Search:
         first, further = list(self._new(self._first())), self._new(self._further())
         steps = len(first) + self.options.starts
         roughs: list[Rough] = []
-        self.watch.share = 0.0
         self._tried(first, roughs, steps)
         best: FastestMotion | None = None
         begun = 0
@@ -113,7 +113,7 @@ class _Search:
             if best is None or (found.status.ok, -found.duration) > (best.status.ok, -best.duration):
                 best = found
                 self.watch.best = best.duration if best.status.ok else None
-            self.watch.share = min(1.0, (len(first) + begun) / steps)
+            self.watch.reached((len(first) + begun) / steps)
             enough = begun >= self.options.starts
             if (best.status.ok and enough) or (not hopeful and enough) or self.watch.over():
                 break
@@ -142,8 +142,7 @@ class _Search:
     def _shorter(self, problem: TransportProblem, line: FastestMotion, name: str) -> FastestMotion:
         """The optimum near a safe straight path, or that path itself when there is no time or no optimum."""
         if not self.watch.over():
-            begin = SplineMotion(line.spline, line.coefficients, line.duration)
-            found = optimum(problem, self.options, begin, self.watch, NEAR)
+            found = optimum(problem, self.options, line, self.watch, NEAR)
             self.iterations += found.iterations
             if found.status.ok:
                 return found
@@ -157,7 +156,7 @@ class _Search:
             beat = self._beat(roughs)
             roughs.append(self._rough(*begin, beat=beat))
             vain = vain + 1 if self._beat(roughs) == beat else 0
-            self.watch.share = max(self.watch.share, min(1.0, done / steps))
+            self.watch.reached(done / steps)
             if self.watch.over() or (vain >= self.options.patience * self.options.starts and np.isfinite(beat)):
                 break
 

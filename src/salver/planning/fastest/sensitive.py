@@ -11,10 +11,11 @@ import numpy as np
 
 from salver.errors import ScenarioError
 from salver.geometry import Array
-from salver.planning.fastest.found import FastestMotion, FastestOptions
+from salver.planning.fastest.options import FastestOptions
 from salver.planning.fastest.safest import plan_best, quickest_within
 from salver.planning.object.cost import CostWeights, cost_residual, sensitivity_cost, tray_loop
 from salver.planning.trajopt.curves import Curve, FreeCurve, Grid
+from salver.planning.trajopt.found import FastestMotion
 from salver.planning.trajopt.objectives import Objective, Point, QuadraticModel
 from salver.planning.trajopt.problem import TransportProblem
 from salver.planning.trajopt.spline import RestSpline

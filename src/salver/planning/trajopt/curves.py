@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property, lru_cache
@@ -61,58 +62,53 @@ class Grid:
         return np.matmul(basis, parts).reshape(len(point), -1)
 
 
-class Curve(Protocol):
+@dataclass(frozen=True, eq=False)
+class Curve(ABC):
     """A parametrisation as the optimiser uses it; coefficients are (size, m)."""
 
-    @property
-    def problem(self) -> TransportProblem: ...
+    problem: TransportProblem
+    grid: Grid
 
     @property
-    def grid(self) -> Grid: ...
-
-    @property
+    @abstractmethod
     def width(self) -> int:
         """m, the number of curves."""
-        ...
 
+    @abstractmethod
     def motion(self, coefficients: Array, duration: float) -> Array:
         """q, dq, ddq, dddq at the points of the grid, z (4, P, n)."""
-        ...
 
     def by_duration(self, coefficients: Array, duration: float, z: Array) -> Array:
         """Derivative (4, P, n) of z by log T with fixed coefficients."""
-        ...
+        return np.asarray(-ORDERS * z)
 
+    @abstractmethod
     def columns(self, coefficients: Array, duration: float, parts: Array, point: Indices) -> Array:
         """Derivatives (r, size m) by the coefficients from those by z at points, parts (r, 4, n)."""
-        ...
 
+    @abstractmethod
     def fixed(self) -> tuple[int, int]:
         """Numbers of unknowns, of size m, that are fixed at the beginning and at the end."""
-        ...
 
     def equalities(self, coefficients: Array) -> tuple[Array, Array]:
         """A (k, size m), b (k,): a step d must satisfy A d = b."""
-        ...
+        return np.zeros((0, coefficients.size)), np.zeros(0)
 
     def inequalities(self, coefficients: Array) -> tuple[Array, Array]:
         """A (k, size m), b (k,): a step d must satisfy A d <= b."""
-        ...
+        return np.zeros((0, coefficients.size)), np.zeros(0)
 
+    @abstractmethod
     def repaired(self, coefficients: Array) -> Array | None:
         """Coefficients after a step, corrected to satisfy the equalities exactly; None when that failed."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)
-class FreeCurve:
+class FreeCurve(Curve):
     """Joint splines between the problem's ends, with control postures as coefficients (size, n), the ends included.
 
     For a moving start the quintic Hermite functions of its velocity and acceleration are added.
     """
-
-    problem: TransportProblem
-    grid: Grid
 
     @property
     def width(self) -> int:
@@ -138,9 +134,6 @@ class FreeCurve:
 
     def equalities(self, coefficients: Array) -> tuple[Array, Array]:
         return end_equalities(self.problem.arm, [(self.problem.start, 0), (self.problem.goal, -1)], coefficients)
-
-    def inequalities(self, coefficients: Array) -> tuple[Array, Array]:
-        return np.zeros((0, coefficients.size)), np.zeros(0)
 
     def repaired(self, coefficients: Array) -> Array | None:
         arm, limits = self.problem.arm, self.problem.limits
@@ -220,14 +213,12 @@ class JointPath(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class PathCurve:
+class PathCurve(Curve):
     """A monotonic time law u(t) along a given path, from 0 to 1; coefficients (size, 1).
 
     The control values are kept in order, which makes the spline monotonic (variation diminishing property).
     """
 
-    problem: TransportProblem
-    grid: Grid
     path: JointPath
     width = 1
 
@@ -236,9 +227,6 @@ class PathCurve:
         p0, p1, p2, p3 = self.path.derivatives(u[:, 0], 3)
         return np.stack([p0, p1 * u1, p2 * u1**2 + p1 * u2, p3 * u1**3 + 3 * p2 * u1 * u2 + p1 * u3])
 
-    def by_duration(self, coefficients: Array, duration: float, z: Array) -> Array:
-        return np.asarray(-ORDERS * z)
-
     def columns(self, coefficients: Array, duration: float, parts: Array, point: Indices) -> Array:
         by_law = self._by_law(self.grid.motion(coefficients, duration)[:, point])
         law = np.einsum("rkn,jkrn->rj", parts, by_law)
@@ -246,9 +234,6 @@ class PathCurve:
 
     def fixed(self) -> tuple[int, int]:
         return 1, 1
-
-    def equalities(self, coefficients: Array) -> tuple[Array, Array]:
-        return np.zeros((0, coefficients.size)), np.zeros(0)
 
     def inequalities(self, coefficients: Array) -> tuple[Array, Array]:
         backwards = np.eye(coefficients.size)[:-1] - np.eye(coefficients.size)[1:]

@@ -5,8 +5,8 @@ An end provides the error of a posture with its Jacobian, and the allowed postur
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
-from typing import Protocol
 
 import numpy as np
 
@@ -16,29 +16,25 @@ from salver.models.arm.arm_limits import JointLimits
 from salver.planning.postures import INSIDE, REACHED, PoseTarget, posture_at
 
 
-class End(Protocol):
-    """A boundary condition as the optimiser uses it."""
+class End(ABC):
+    """A boundary condition as the optimiser uses it. given: whether it fixes the posture."""
 
-    @property
-    def given(self) -> bool:
-        """Whether the end fixes the posture."""
-        ...
+    given = False
 
     def residual(self, arm: ArmModel, q: Array) -> tuple[Array, Array]:
         """Error (k,) of a posture q (n,), and its Jacobian J (k, n): a step dq must satisfy J dq = error."""
-        ...
+        return np.zeros(0), np.zeros((0, arm.n))
 
+    @abstractmethod
     def nearest(self, arm: ArmModel, limits: JointLimits, q: Array, iterations: int = 60) -> Array | None:
         """An allowed posture (n,) within the limits near q (n,); None when none was found."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)
-class AtPose:
+class AtPose(End):
     """At rest, with the load at a pose."""
 
     target: PoseTarget
-    given = False
 
     def residual(self, arm: ArmModel, q: Array) -> tuple[Array, Array]:
         return self.target.residual(arm, q)
@@ -49,7 +45,7 @@ class AtPose:
 
 
 @dataclass(frozen=True, eq=False)
-class AtPosture:
+class AtPosture(End):
     """In a posture q (n,), rad, with velocity dq, rad/s, and acceleration ddq, rad/s^2: at rest unless given.
 
     Only a start may be moving.
@@ -69,21 +65,13 @@ class AtPosture:
         """Velocity and acceleration, (2, n)."""
         return np.stack([x if len(x) else np.zeros(len(self.q)) for x in (self.dq, self.ddq)])
 
-    def residual(self, arm: ArmModel, q: Array) -> tuple[Array, Array]:
-        return np.zeros(0), np.zeros((0, arm.n))
-
     def nearest(self, arm: ArmModel, limits: JointLimits, q: Array, iterations: int = 60) -> Array | None:
         return self.q
 
 
 @dataclass(frozen=True)
-class Anywhere:
+class Anywhere(End):
     """At rest in any posture: a stop."""
-
-    given = False
-
-    def residual(self, arm: ArmModel, q: Array) -> tuple[Array, Array]:
-        return np.zeros(0), np.zeros((0, arm.n))
 
     def nearest(self, arm: ArmModel, limits: JointLimits, q: Array, iterations: int = 60) -> Array | None:
         return np.clip(q, limits.q_min + INSIDE, limits.q_max - INSIDE)

@@ -5,7 +5,7 @@ The exchange method for semi-infinite programmes (Hettich and Kortanek, SIAM Rev
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import time
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,6 +15,7 @@ from salver.geometry import Array, Indices
 from salver.planning.trajopt.constraints.constraints import evaluate, violated
 from salver.planning.trajopt.curves import Curve, Grid, united
 from salver.planning.trajopt.evaluation import MotionEvaluation
+from salver.planning.trajopt.found import CurveOf, FastestMotion
 from salver.planning.trajopt.objectives import Duration, Objective, Point, Scalar
 from salver.planning.trajopt.problem import TransportProblem, with_missed_cases
 from salver.planning.trajopt.programme import Programme
@@ -24,8 +25,6 @@ from salver.planning.trajopt.trust import Trust
 from salver.planning.trajopt.watch import Watch
 
 SHORTEST = Duration()
-
-CurveOf = Callable[[TransportProblem, Grid], Curve]
 
 
 @dataclass(frozen=True)
@@ -62,24 +61,6 @@ class ExchangeOptions:
         return cls(repair=4.0, added=1, finer=4, left=3e-4, excess=5e-4) if problem.cases else cls()
 
 
-@dataclass(frozen=True)
-class Checked:
-    """A motion that was checked on the fine grid: coefficients (size, m), duration and margin as in `Point`.
-
-    problem: with all load cases that were checked. worst: largest row of each block, <= 0 if met. binding: names of the
-    blocks that prevent a shorter motion: those that depend on time and are near their limit. iterations: of all rounds.
-    """
-
-    problem: TransportProblem
-    coefficients: Array
-    duration: float
-    margin: float
-    status: Status
-    worst: dict[str, float]
-    binding: tuple[str, ...]
-    iterations: int
-
-
 def programme_of(
     problem: TransportProblem,
     curve_of: CurveOf,
@@ -113,13 +94,13 @@ def optimise(
     gain: float = 1e-3,
     also: Array | None = None,
     beat: float = np.inf,
-) -> Checked:
+) -> FastestMotion:
     """The local optimum from a start motion, which satisfies the constraints between the nodes too.
 
     gain: relative improvement below which an iteration counts as idle. also: more nodes, s in [0, 1]. beat: s; the
     search ends early when a shorter duration is unlikely: added nodes only make it longer.
     """
-    watch, how = watch or Watch(), ExchangeOptions.of(problem)
+    began, watch, how = time.perf_counter(), watch or Watch(), ExchangeOptions.of(problem)
     spline = start.spline
     nodes = united(spline.nodes(nodes_per_span + how.added), problem.nodes)
     nodes = nodes if also is None else united(nodes, also)
@@ -133,11 +114,17 @@ def optimise(
         first = SqpOptions(iterations, watch, gain=5e-3, violation=1e-2, poor=0.6)
     solution = minimise(programme, begun, first, Trust(damping))
     done = solution.iterations
+
+    def found(status: Status, worst: dict[str, float], binding: tuple[str, ...]) -> FastestMotion:
+        spent = time.perf_counter() - began, done
+        motion = spline, point.coefficients, point.duration
+        return FastestMotion(*motion, problem, status, worst, binding, *spent, point.margin, curve_of=curve_of)
+
     for exchange in range(how.rounds + 1):
         point = solution.iterate.point
         if point.duration > beat:
             status = Status("beaten", f"No safe motion in less than {beat:.4f} s was found.", False)
-            return Checked(problem, point.coefficients, point.duration, point.margin, status, {}, (), done)
+            return found(status, {}, ())
         seen = _seen(fine, point)
         more = with_missed_cases(problem, seen, point.margin)
         if more is not None:  # fill levels and damping ratios without a row yet
@@ -161,8 +148,7 @@ def optimise(
         begun = programme.begin(start.coefficients, start.duration)
         solution = minimise(programme, begun, options, Trust(repair, 0.02))  # only rows near their limit
         done += solution.iterations
-    status = _status(solution, worst, objective.sought, fine, point, how)
-    return Checked(problem, point.coefficients, point.duration, point.margin, status, worst, binding, done)
+    return found(_status(solution, worst, objective.sought, fine, point, how), worst, binding)
 
 
 def _repair(

@@ -25,6 +25,7 @@ class Watch:
     share: float = 0.0
     best: float | None = None
     trying: str = ""
+    _part: tuple[int, int] = (0, 1)
     _begun: float = field(default_factory=time.perf_counter)
 
     def over(self) -> bool:
@@ -39,19 +40,11 @@ class Watch:
         """End the search at its next call of `over`."""
         self.ended = self.ended or INTERRUPTED
 
-    def part(self, first: float, size: float) -> Watch:
-        """A watch for a part of the search, which begins at the share `first` of the work and has the share `size`."""
-        return _Part(whole=self, first=first, size=size)
+    def begin(self, part: int, count: int) -> None:
+        """Begin a part, 0 for the first, of a search in `count` equal ones."""
+        self._part, self.best = (part, count), None
 
-
-@dataclass
-class _Part(Watch):
-    whole: Watch = field(default_factory=Watch)
-    first: float = 0.0
-    size: float = 1.0
-
-    def over(self) -> bool:
-        self.whole.share, self.whole.trying = self.first + self.size * self.share, self.trying
-        over = self.whole.over()
-        self.ended = self.whole.ended
-        return over
+    def reached(self, share: float) -> None:
+        """Report the share of the present part that is done."""
+        part, count = self._part
+        self.share = max(self.share, (part + min(1.0, share)) / count)

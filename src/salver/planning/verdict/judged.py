@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Self
+from typing import Self, TypeVar
 
 import numpy as np
 
@@ -85,6 +85,7 @@ class VerdictOptions:
         return max(block.margins[1] - self.spent, *kept, least)
 
 
+Kind = TypeVar("Kind", bound=Constraint)
 STANDARD = VerdictOptions()
 # Plans and stops need no more margin than their scenario's: no other motion goes on from them.
 PLANNED = VerdictOptions(contact=0.0, torque_rate=0.0, inside=0.0, spent=FINEST)
@@ -148,9 +149,9 @@ class Judged:
         more = {"jerk_before": before, "derived": derived, "moving": False}
         return cls(problem, motion, t, VerdictEvaluation(**(vars(whole) | more)), options)
 
-    def of_kind(self, *kinds: type[Constraint]) -> list[Constraint]:
+    def of_kind(self, *kinds: type[Kind]) -> list[Kind]:
         """The problem's constraints of exactly these classes; `others` treats the rest."""
-        return [constraint for constraint in self.problem.constraints if type(constraint) in kinds]
+        return [constraint for constraint in self.problem.constraints if type(constraint) in kinds]  # type: ignore[misc]
 
     def rows(self, constraint: Constraint, blocks: Iterable[Block] | None = None) -> Iterator[Block]:
         """A constraint's rows along the motion, or the given ones, with their margins. NaN counts as a violation; a
@@ -180,7 +181,6 @@ class Judged:
         deviation, the larger of both instants."""
         kind = LIMITS[order]
         for constraint in self.of_kind(JointLimit):
-            assert isinstance(constraint, JointLimit)
             middle, half = constraint.limits.range(kind)
             finite = np.flatnonzero(np.isfinite(half))
             if not len(finite) or order not in constraint.orders:

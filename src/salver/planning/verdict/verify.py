@@ -88,7 +88,6 @@ def torque_rate(judged: Judged) -> Iterator[Block]:
     before = after - slope[:, :, 2 * n :] @ (z[3] - judged.along.jerk_before)[:, :, None]
     half = np.minimum(judged.options.period / np.diff(judged.t), 1.0)[:, None] / 2  # share of a step, from either end
     for constraint in judged.of_kind(TorqueRateLimit):
-        assert isinstance(constraint, TorqueRateLimit)
         limit = constraint.limits.torque_rate
         some = np.flatnonzero(np.isfinite(limit))
         if len(some):
@@ -119,7 +118,6 @@ def contact(judged: Judged) -> Iterator[Block]:
     """C(p) w <= 0 at full speed for every p in the uncertain set: C has the facets of the contact wrench cone, and w is
     the tray's motion regressor with the deviation caused by p, plus the contribution of load dynamics."""
     for constraint in judged.of_kind(ContactConstraint):
-        assert isinstance(constraint, ContactConstraint)
         if constraint.speed.factor:
             yield from map(judged.at_peaks, judged.rows(replace(constraint, coarsely=True)))
 
@@ -128,7 +126,6 @@ def contact_standing(judged: Judged) -> Iterator[Block]:
     """C(p) w_0 <= 0 for every p, where w_0 is weight alone in each posture, with the arm's static deviation under p.
     Together with full speed this covers every lower speed: w is linear in the speed squared and the cone is convex."""
     for constraint in judged.of_kind(ContactConstraint):
-        assert isinstance(constraint, ContactConstraint)
         if not constraint.speed.factor:
             yield from judged.rows(replace(constraint, coarsely=True))
 
@@ -144,7 +141,6 @@ def at_rest(judged: Judged) -> Iterator[Block]:
     """`contact` and `load_limits` for a period of the slowest load after the end, while the arm settles: on a tilted
     tray a load that has swung back pushes more than when the tray stopped."""
     for constraint in judged.of_kind(AtRest):
-        assert isinstance(constraint, AtRest)
         yield from judged.rows(constraint.of, constraint.blocks(judged.along))
 
 
