@@ -13,6 +13,7 @@ import logging
 import os
 import zlib
 from collections.abc import Mapping
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -32,32 +33,30 @@ class Journal:
         self.records: dict[Item, Record] = {}
 
     def __enter__(self) -> Journal:
-        try:
-            self.path.parent.mkdir(parents=True, exist_ok=True)
-            self._lock = os.open(self._lock_path, os.O_RDWR | os.O_CREAT, 0o644)
-        except OSError as error:
-            raise SalverError(f"{self.path.parent} cannot be written to ({error.strerror}).") from None
-        try:
-            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            os.close(self._lock)
-            raise SalverError(
-                f"Another campaign is running in {self.path.parent}; wait until it ends or stop it."
-            ) from None
-        try:
-            self._repair()
-            self._file = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o644)
-        except OSError as error:
-            os.close(self._lock)
-            raise SalverError(f"{self.path} cannot be read and written ({error.strerror}).") from None
-        except SalverError:
-            os.close(self._lock)
-            raise
+        with ExitStack() as opened:
+            try:
+                self.path.parent.mkdir(parents=True, exist_ok=True)
+                lock = os.open(self._lock_path, os.O_RDWR | os.O_CREAT, 0o644)
+            except OSError as error:
+                raise SalverError(f"{self.path.parent} cannot be written to ({error.strerror}).") from None
+            opened.callback(os.close, lock)
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError:
+                raise SalverError(
+                    f"Another campaign is running in {self.path.parent}; wait until it ends or stop it."
+                ) from None
+            try:
+                self._repair()
+                self._file = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o644)
+            except OSError as error:
+                raise SalverError(f"{self.path} cannot be read and written ({error.strerror}).") from None
+            opened.callback(os.close, self._file)
+            self._opened = opened.pop_all()
         return self
 
     def __exit__(self, *_: object) -> None:
-        os.close(self._file)
-        os.close(self._lock)
+        self._opened.close()
 
     def append(self, record: Record) -> None:
         """Write a finished run to the disk. Raises SalverError when the disk is full or missing."""

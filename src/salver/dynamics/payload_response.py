@@ -62,8 +62,7 @@ class PayloadResponse:
 
     def at(self, index: Indices) -> PayloadResponse:
         """The response with wrenches at some instants only; limits stay those of the whole motion."""
-        whole, kept = (self, index) if self.whole is None or self.kept is None else (self.whole, self.kept[index])
-        return replace(self, whole=whole, kept=kept)
+        return replace(self, whole=self, kept=index)
 
     def only(self, payload: Payload) -> PayloadResponse:
         """The response with another uncertain set."""

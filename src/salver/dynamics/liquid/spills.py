@@ -10,6 +10,7 @@ from salver.dynamics.load_limits import LIGHTEST, LoadVerdict
 from salver.errors import Status
 from salver.geometry import Array
 from salver.models.load_dynamics import LEAST_WEIGHT
+from salver.wording import millimetres
 
 # Groups of its limits, in words.
 HIGH = "what they may reach"
@@ -41,14 +42,14 @@ class Spill(LoadVerdict):
         """Whether one liquid stays in its container, in one sentence. case: words for the parameters."""
         k = int(np.argmin(self.left))
         when = {"interface": self.name, "time": float(self.t[k]), "left": float(self.left[k])}
-        end = float(self.t[-1])
+        end, own = float(self.t[-1]), f"{self.name} {case}"
         if np.isfinite(self.left[k]) and self.left[k] < 0:
             first = float(self.t[np.argmax(self.left < 0)])
-            sentence = f"The liquid in {self.name} {case}comes {_mm(-self.left[k])} too high at {self.t[k]:.3f} s"
+            sentence = f"The liquid in {own}comes {millimetres(-self.left[k])} too high at {self.t[k]:.3f} s"
             return Status("spills", f"{sentence}, the first time at {first:.3f} s.", False, when | {"time": first})
         if self.steep.max() > 1:
             sentence = (
-                f"The waves in {self.name} {case}become {self.steep.max():.2f} times as steep as what the model "
+                f"The waves in {own}become {self.steep.max():.2f} times as steep as what the model "
                 "is valid for: they may break."
             )
             return Status("spills", sentence, False, when | {"time": float(self.t[np.argmax(self.steep > 1)])})
@@ -61,18 +62,14 @@ class Spill(LoadVerdict):
             )
             return Status("spills", sentence, False, when | {"time": float(self.t[k])})
         if self.after < 0:
-            sentence = f"The liquid in {self.name} {case}comes {_mm(-self.after)} too high after the motion."
+            sentence = f"The liquid in {own}comes {millimetres(-self.after)} too high after the motion."
             return Status("spills", sentence, False, when | {"time": end})
         if self.settled < 0:
-            sentence = (
-                f"The waves in {self.name} {case}are {_mm(-self.settled)} higher after the motion than is wanted."
-            )
+            sentence = f"The waves in {own}are {millimetres(-self.settled)} higher after the motion than is wanted."
             return Status("unsettled", sentence, False, when | {"time": end})
         if not np.isfinite(self.left[k]):
             return Status("holds", f"The liquid in {self.name} is kept in by its lid.", True, when)
-        sentence = f"The liquid in {self.name} stays {_mm(min(self.left[k], self.after))} below what it may reach."
+        sentence = (
+            f"The liquid in {self.name} stays {millimetres(min(self.left[k], self.after))} below what it may reach."
+        )
         return Status("holds", sentence, True, when)
-
-
-def _mm(metres: float) -> str:
-    return f"{1e3 * metres:.1f} mm"
