@@ -18,7 +18,7 @@ from salver import scenario as scenarios
 from salver.contact_margins import margins
 from salver.geometry import Array, exp, matrix_from_rpy
 from salver.models.contact.contact import cone_edges
-from salver.models.contact.wrench_cone import facets, margin, zero_moment_point
+from salver.models.contact.wrench_cone import cone_facets, margin, zero_moment_point
 from salver.models.uncertain.parameters import INERTIAL, inertial_vector, phi_of
 from salver.reports import style
 from salver.trajectory import MotionSamples
@@ -60,7 +60,7 @@ def acceleration() -> Any:
     wrench = np.zeros((len(a), 6))
     wrench[:, 0], wrench[:, 2] = cube.inertial.mass * a, cube.inertial.mass * 9.81
     least = (wrench @ np.linalg.pinv(cube.contacts.grasp_map).T).min(axis=1)
-    exact = margin(facets(cube.contacts), wrench)
+    exact = margin(cone_facets(cube.contacts).rows, wrench)
     figure = _figure(4.6, 2.6)
     axes = figure.add_subplot()
     axes.axhline(0, color=style.BLACK, linewidth=0.6)

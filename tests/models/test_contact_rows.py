@@ -12,7 +12,7 @@ from armless_scenarios import scenario
 from salver.geometry import GRAVITY_S, Array, exp
 from salver.models.bodies import Body
 from salver.models.contact.internal_wrench import internal_wrenches
-from salver.models.contact.wrench_cone import facets
+from salver.models.contact.wrench_cone import cone_facets
 from salver.models.contact_rows import ContactRows, contact_rows
 from salver.models.interfaces import networks, sure_contacts, to_tray
 from salver.models.rigid_body import RigidBody, inertia_matrix, wrench
@@ -78,7 +78,7 @@ def true_values(body: Body, values: dict[str, float], motion_E: MotionSamples, r
 def test_worst_case_is_never_optimistic(kind: str, turning: float) -> None:
     made = scenario([BOX | {"uncertainty": EVERYTHING}], uncertainty={"set": kind, "tilt_deg": [1.5, 2.0]})
     body, rows = made.payload.first, contact_rows(made.payload)[0]
-    least = facets(replace(body.contacts, friction=body.contacts.friction - 0.05))
+    least = cone_facets(replace(body.contacts, friction=body.contacts.friction - 0.05)).rows
     assert_allclose(rows.label.size % len(least), 0)
     motion = tray_motions(40, 1, turning)
     bound = rows.worst(vector(motion)).reshape(40, -1, len(least)).max(axis=1)
@@ -101,7 +101,7 @@ def test_corners_attain_the_worst_case_when_the_tray_does_not_turn() -> None:
     """Mass, centre of mass, inertia and friction: exact, row by row."""
     made = scenario([BOX | {"uncertainty": EVERYTHING | {"position": [0, 0]}}])
     body, rows = made.payload.first, contact_rows(made.payload)[0]
-    least = facets(replace(body.contacts, friction=body.contacts.friction - 0.05))
+    least = cone_facets(replace(body.contacts, friction=body.contacts.friction - 0.05)).rows
     motion = tray_motions(30, 3, 0.0)
     bound = rows.worst(vector(motion)).reshape(30, -1, len(least)).max(axis=1)
     half = EVERYTHING["com"]
@@ -120,7 +120,9 @@ def test_nominal_rows_are_the_facets_of_each_body() -> None:
     both = contact_rows(made.payload.nominal)
     assert [r.network.bodies[0].name for r in both] == ["box", "other"]
     for body, rows in zip(made.payload.bodies, both, strict=True):
-        assert_allclose(rows.worst(vector(motion)), true_values(body, {}, motion, facets(body.contacts)), atol=1e-12)
+        assert_allclose(
+            rows.worst(vector(motion)), true_values(body, {}, motion, cone_facets(body.contacts).rows), atol=1e-12
+        )
 
 
 def die(name: str, on: str, **more: object) -> dict:
@@ -140,9 +142,9 @@ def test_lower_of_two_dice_carries_both() -> None:
     rows = contact_rows(made.payload.nominal)[0]
     lower, upper = network.bodies
     total = sum(required_wrench(b, {}, motion) @ to_tray(b.p_EB - lower.p_EB, b.R_EB).T for b in network.bodies)
-    expected = total @ facets(lower.contacts).T / (0.04 * 9.81)
+    expected = total @ cone_facets(lower.contacts).rows.T / (0.04 * 9.81)
     assert_allclose(rows.worst(vector(motion))[:, rows.interface == 0], expected, atol=1e-12)
-    alone = required_wrench(upper, {}, motion) @ facets(network.interfaces[1].contacts).T / (0.02 * 9.81)
+    alone = required_wrench(upper, {}, motion) @ cone_facets(network.interfaces[1].contacts).rows.T / (0.02 * 9.81)
     assert_allclose(rows.worst(vector(motion))[:, rows.interface == 1], alone, atol=1e-12)
 
 

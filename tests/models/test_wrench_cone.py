@@ -11,7 +11,6 @@ from salver.geometry import exp
 from salver.models.contact.contact import ContactSet, support_contacts
 from salver.models.contact.wrench_cone import (
     cone_facets,
-    facets,
     friction_needed,
     margin,
     support_length,
@@ -60,7 +59,7 @@ def rectangle_cone(half_x: float, half_y: float, friction: float) -> np.ndarray:
     """A (16, 6) of a rectangular contact with |f_x|, |f_y| <= mu f_z at each point, moments at its centre.
 
     Closed form of Caron, Pham, Nakamura, "Stability of surface contacts for humanoid robots", ICRA 2015,
-    eqs 17-23. The same cone as `facets` of four corners with four edges at phase 45 degrees and sqrt(2) mu.
+    eqs 17-23. The same cone as `cone_facets` of four corners with four edges at phase 45 degrees and sqrt(2) mu.
     """
     x, y, mu = half_x, half_y, friction
     rows = [[s, 0, -mu, 0, 0, 0] for s in (1, -1)] + [[0, s, -mu, 0, 0, 0] for s in (1, -1)]
@@ -76,7 +75,7 @@ def rectangle_cone(half_x: float, half_y: float, friction: float) -> np.ndarray:
 def test_facets_agree_with_linear_programme(n: int, edges: int) -> None:
     rng = np.random.default_rng(n * 100 + edges)
     contacts = polygon_contacts(n, edges)
-    rows, grasp_map = facets(contacts), contacts.grasp_map
+    rows, grasp_map = cone_facets(contacts).rows, contacts.grasp_map
     assert (rows @ grasp_map).max() < 1e-11
     outside = 0
     for _ in range(12):
@@ -91,7 +90,7 @@ def test_facets_agree_with_linear_programme(n: int, edges: int) -> None:
 
 def test_every_facet_touches_five_independent_generators() -> None:
     contacts = polygon_contacts(8, 4)
-    rows, grasp_map = facets(contacts), contacts.grasp_map
+    rows, grasp_map = cone_facets(contacts).rows, contacts.grasp_map
     scale = np.array([1, 1, 1, *([1 / cone_facets(contacts).length] * 3)])
     for row in rows:
         active = (scale[:, None] * grasp_map)[:, np.abs(row @ grasp_map) < 1e-9]
@@ -102,7 +101,7 @@ def test_every_facet_touches_five_independent_generators() -> None:
 def test_number_of_facets_of_regular_polygons(n: int, count: int) -> None:
     polygon = shapes.cylinder(0.03, 0.1, n).base_polygon
     contacts = support_contacts(np.column_stack([polygon, np.full(n, -0.05)]), 0.3)
-    assert len(facets(contacts)) == count
+    assert len(cone_facets(contacts).rows) == count
 
 
 def test_rectangle_agrees_with_closed_form() -> None:
@@ -157,7 +156,7 @@ def test_how_far_a_pressure_point_is_beyond_an_edge_by_hand() -> None:
         wrench = np.array([0.0, 0.0, 1.0, y, -x, 0.0])
         assert (rows @ wrench).max() / (normal @ wrench) == pytest.approx(beyond)
     many = np.random.default_rng(0).normal(size=(2, 3, 6))
-    cone = facets(contacts)
+    cone = cone_facets(contacts).rows
     expected = [[margin(cone, one[None])[0] for one in each] for each in many]
     assert_allclose(margin(cone, many), expected, atol=1e-12)
 
@@ -169,7 +168,7 @@ def test_level_acceleration_by_hand() -> None:
     wrench = 0.256 * np.column_stack([a, 0 * a, 0 * a + G, 0 * a, 0 * a, 0 * a])
     assert_allclose(friction_needed(contacts, wrench), a / G, atol=1e-12)
     assert_allclose(tip_over_margin(contacts, wrench), 0.02 - 0.02 * a / G, atol=1e-12)
-    m = margin(facets(contacts), wrench)
+    m = margin(cone_facets(contacts).rows, wrench)
     assert m[0] > m[1] > 0 > m[3]
     assert abs(m[2]) < 1e-12
 
@@ -194,7 +193,7 @@ def test_friction_needed_is_where_the_wrench_enters_the_cone() -> None:
     assert np.all(needed <= 0.4)
     for f, mu in zip(wrench, needed, strict=True):
         for factor, inside in ((1.001, True), (0.999, False)):
-            rows = facets(support_contacts(points, mu * factor, 6, 0.1))
+            rows = cone_facets(support_contacts(points, mu * factor, 6, 0.1)).rows
             assert (margin(rows, f[None])[0] >= 0) == inside
 
 
@@ -249,7 +248,7 @@ def test_contacts_with_different_friction_and_normals() -> None:
     rng = np.random.default_rng(5)
     tilted = exp(np.array([[0.1, 0, 0], [0, 0.2, 0], [-0.1, 0, 0], [0, 0, 0.3]]))
     contacts = ContactSet(CUBE, tilted, np.array([0.2, 0.5, 0.3, 0.4]), 4, 0.0)
-    rows = facets(contacts)
+    rows = cone_facets(contacts).rows
     for _ in range(6):
         wrench, direction = (
             contacts.grasp_map @ rng.exponential(size=16),
@@ -261,7 +260,7 @@ def test_contacts_with_different_friction_and_normals() -> None:
 @pytest.mark.parametrize("count", [1, 2])
 def test_too_few_contacts_leave_directions_without_force(count: int) -> None:
     contacts = support_contacts(CUBE[:count], 0.5)
-    rows = facets(contacts)
+    rows = cone_facets(contacts).rows
     inside = contacts.grasp_map @ np.ones(4 * count)
     assert margin(rows, inside[None])[0] > -1e-12
     off = inside + np.array([0, 0, 0, 1e-3, 1e-3, 0])  # a moment that no force at these points gives
@@ -274,14 +273,14 @@ def test_opposing_contacts_have_no_facets() -> None:
     fingers = ContactSet(np.array([[-0.02, 0.0, 0.0], [0.02, 0.0, 0.0]]), turned, np.full(2, 0.5), 4)
     assert np.linalg.norm(fingers.grasp_map @ np.ones(8)) < 1e-12
     with pytest.raises(ValueError, match="can press against each other"):
-        facets(fingers)
+        cone_facets(fingers)
 
 
 def test_rectangle_whose_cone_defeats_the_hulls_merging() -> None:
     """Qhull stops at this one (many generators in one plane); the facets must come out all the same."""
     x, y = 0.05965631125602035 / 2, 0.0741424379364645 / 2
     contacts = support_contacts([[x, y, 0], [-x, y, 0], [-x, -y, 0], [x, -y, 0]], 0.4, 32)
-    rows, grasp_map = facets(contacts), contacts.grasp_map
+    rows, grasp_map = cone_facets(contacts).rows, contacts.grasp_map
     assert (rows @ grasp_map).max() < 1e-7
     rng = np.random.default_rng(6)
     for _ in range(8):

@@ -13,7 +13,7 @@ from salver.contact_margins import margins, values
 from salver.dynamics.load_cases import LoadCase
 from salver.dynamics.load_rows import LoadRows
 from salver.errors import ScenarioError
-from salver.models.contact.wrench_cone import facets
+from salver.models.contact.wrench_cone import cone_facets
 from salver.models.uncertain.parameters import Parameter
 from salver.planning.fastest import plan_fastest
 from salver.planning.fastest.options import EFFORTS
@@ -321,7 +321,7 @@ def test_what_the_support_gives_holds_the_waves_as_contact_rows_count_them(coffe
     (cup,) = line.margins.interfaces
     waves = line.margins.loads.nominal["cup"][0].wrench[0]
     assert np.abs(waves[:, :2]).max() > 0.01  # N
-    rows = facets(cup.interface.contacts)
+    rows = cone_facets(cup.interface.contacts).rows
     share = cup.exact / (-cup.wrench_B @ rows.T).min(axis=1)  # rows of one length there, of another here
     assert np.ptp(share) < 1e-6 * share.mean()
 

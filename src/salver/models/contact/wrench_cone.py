@@ -45,11 +45,6 @@ class Facets:
     length: float
 
 
-def facets(contacts: ContactSet) -> Array:
-    """A (n_f, 6) with A F <= 0 if and only if the contacts can transmit the wrench F_B (see `Facets.rows`)."""
-    return cone_facets(contacts).rows
-
-
 def cone_facets(contacts: ContactSet) -> Facets:
     """Facets of the k-edged contact wrench cone, cached by geometry."""
     length = support_length(contacts)
