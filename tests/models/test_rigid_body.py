@@ -31,7 +31,7 @@ def test_regressor_agrees_with_pinocchio(body):
     rng = np.random.default_rng(0)
     inertia = pin.Inertia(body.mass, body.com_B, body.inertia_com)
     assert body.phi == pytest.approx(inertia.toDynamicParameters())
-    assert body.spatial_inertia == pytest.approx(inertia.matrix())
+    assert spatial_inertia(body.phi) == pytest.approx(inertia.matrix())
     for _ in range(20):
         rotation, a, omega, alpha = exp(rng.normal(size=3)), *rng.normal(size=(3, 3))
         specific = rotation.T @ (a + np.array([0, 0, 9.81]))
@@ -47,7 +47,6 @@ def test_parameters_and_body_are_two_views_of_the_same_thing(body):
     assert again.com_B == pytest.approx(body.com_B)
     assert again.inertia_com == pytest.approx(body.inertia_com)
     assert phi_of(inertial_vector(body)) == pytest.approx(body.phi)
-    assert spatial_inertia(body.phi) == pytest.approx(body.spatial_inertia)
 
 
 def test_parameter_jacobian_is_the_derivative_of_phi():

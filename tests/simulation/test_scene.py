@@ -10,6 +10,7 @@ from salver import scenario as scenarios
 from salver.errors import ScenarioError
 from salver.geometry import exp, matrix_from_quat_wxyz, matrix_from_rpy
 from salver.models.arm.arm import load_arm
+from salver.models.rigid_body import spatial_inertia
 from salver.models.shapes.polygons import intersection
 from salver.scenario import parse
 from salver.simulation.scene.elements import FOOT_RADIUS, hull_name
@@ -155,7 +156,7 @@ def test_object_inertia_in_the_engine():
     body = scene.loads[0].inertial
     assert body.mass == 0.3
     assert body.com_B.tolist() == [0.003, -0.004, 0.01]
-    expected = body.spatial_inertia
+    expected = spatial_inertia(body.phi)
     expected[:3, 3:], expected[3:, :3] = R @ expected[:3, 3:], expected[3:, :3] @ R.T
     np.testing.assert_allclose(full, expected, rtol=0, atol=1e-12)
 

@@ -58,7 +58,7 @@ class InterfaceMargins:
             if self.whole.loads is not None and body.inner is not None:
                 swing = self.whole.loads.nominal[body.name][0].wrench[0]
                 wrench_E = wrench_E + swing @ network.share[self.index, j].T
-        if not network.determinate:
+        if network.internal.shape[2]:
             wrench_E = wrench_E + self.whole.nominal_values[self.network][1] @ network.internal[self.index].T
         upper = network.bodies[self.interface.upper]
         return np.asarray(wrench_E @ np.linalg.inv(to_tray(upper.p_EB, upper.R_EB)).T)

@@ -86,6 +86,8 @@ def _copy_meshes(spec: Any, folder: Path) -> None:
 
     Points written into the XML would do for MuJoCo; other readers of its scenes, USD's among them, want files.
     """
+    import trimesh
+
     for mesh in spec.meshes:
         (folder / MESHES).mkdir(exist_ok=True)
         stem = folder / MESHES / mesh.name.replace("/", "_").replace(":", "_")
@@ -94,15 +96,10 @@ def _copy_meshes(spec: Any, folder: Path) -> None:
             shutil.copyfile(mesh.file, target)
         else:  # a convex part, in the engine's own single precision
             target = stem.with_name(stem.name + ".stl")
-            target.write_bytes(_convex_stl(np.reshape(mesh.uservert, (-1, 3))))
+            hull = trimesh.convex.convex_hull(np.reshape(mesh.uservert, (-1, 3)))
+            target.write_bytes(bytes(hull.export(file_type="stl")))
             mesh.uservert, mesh.userface = [], []
         mesh.file = str(target.resolve())
-
-
-def _convex_stl(points: Array) -> bytes:
-    import trimesh
-
-    return bytes(trimesh.convex.convex_hull(points).export(file_type="stl"))
 
 
 def _add_servos(spec: Any, arm: ArmModel, stiffness: float = 4000.0, damping: float = 200.0) -> None:

@@ -46,10 +46,6 @@ class ContactNetwork:
     share: Array
     internal: Array
 
-    @property
-    def determinate(self) -> bool:
-        return self.internal.shape[2] == 0
-
 
 def networks(items: Sequence[Body]) -> tuple[ContactNetwork, ...]:
     """The networks of bodies, in the scenario's order; a single body on the tray is a network."""

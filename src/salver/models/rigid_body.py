@@ -58,14 +58,9 @@ class RigidBody:
         c = phi[1:4] / phi[0]
         return cls(float(phi[0]), c, inertia_matrix(phi[4:]) - parallel_axis(phi[0], c))
 
-    @property
-    def spatial_inertia(self) -> Array:
-        """M_b (6, 6) of eq (1), for the twist (v, omega) of the origin of B, in B."""
-        return spatial_inertia(self.phi)
-
 
 def spatial_inertia(phi: npt.ArrayLike) -> Array:
-    """M_b (..., 6, 6) of inertial parameters (..., 10): eq (1)."""
+    """M_b (..., 6, 6) of inertial parameters (..., 10), for the twist (v, omega) of the origin of B, in B: eq (1)."""
     phi = np.asarray(phi, dtype=float)
     matrix = np.zeros((*phi.shape[:-1], 6, 6))
     moment = hat(phi[..., 1:4])

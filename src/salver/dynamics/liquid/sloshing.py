@@ -117,14 +117,9 @@ class SloshingResponse(LoadResponse):
         """Bound (K,) on free waves after the motion in the worst case, m."""
         return self.modes.cases.highest(self.modes.amplitude(more=self.more_left))
 
-    @cached_property
-    def left_at_once(self) -> Array:
-        """Bound (K,) on crests after the motion, m; see `left`."""
-        return self.modes.left(None, self.more_left)
-
     def left(self, seconds: float | None = None) -> Array:
         """`SurfaceMotion.left` (K,) in the worst case, m."""
-        return self.left_at_once if seconds is None else self.modes.left(seconds, self.more_left)
+        return self.modes.left(seconds, self.more_left)
 
     # Derivatives (m, c) of rows (m,), each for one case and node, by unknowns of the motion (c,). Changes of the arm's
     # response are neglected, as its effect on the waves changes little.

@@ -98,13 +98,10 @@ def _apart(arm: ArmModel, hulls: Sequence[Any], shapes: Sequence[Sequence[Any]],
     """Number of postures (N, n) in which no shape that replaces one hull overlaps a shape that replaces the other."""
     two, of = pin.GeometryModel(), []
     for hull, some in zip(hulls, shapes, strict=True):
-        of.append([two.addGeometryObject(_like(hull, shape, len(two.geometryObjects))) for shape in some])
+        place = hull.parentJoint, hull.placement
+        parts = [pin.GeometryObject(f"{len(of)}:{k}", *place, shape) for k, shape in enumerate(some)]
+        of.append([two.addGeometryObject(part) for part in parts])
     return int(np.sum(~_overlaps(arm, two, list(itertools.product(*of)), postures).any(axis=1)))
-
-
-def _like(hull: Any, shape: Any, number: int) -> Any:
-    """A shape that replaces a link's hull."""
-    return pin.GeometryObject(f"{number}", hull.parentJoint, hull.placement, shape)
 
 
 def _overlaps(arm: ArmModel, parts: Any, pairs: Sequence[Pair], postures: Array) -> Mask:

@@ -122,7 +122,7 @@ def filled(
         detail=answer.detail,
         asked=asked,
         notes=joined(Markup('<p class="note">{}</p>').format(note) for note in notes),
-        tiles=sections.tile_list(tiles),
+        tiles=joined(Markup("<div><dt>{}</dt><dd>{}<small>{}</small></dd></div>").format(*tile) for tile in tiles),
         navigation=others + joined(Markup('<a href="#{}">{}</a>').format(key, title) for key, title in titles),
         replay=NOTHING if shown is None else Markup(asset("replay.html")),
         sections=made.html,

@@ -146,10 +146,6 @@ def margin_tiles(run: ReportedRun) -> list[Tile]:
     return [*shown, tile("Tip-over margin, worst case", tip, 1, " mm", otherwise="lifts")]
 
 
-def tile_list(shown: Iterable[Tile]) -> Markup:
-    return joined(Markup("<div><dt>{}</dt><dd>{}<small>{}</small></dd></div>").format(*tile) for tile in shown)
-
-
 RUNS = {
     "simulation": (
         "In simulation",
