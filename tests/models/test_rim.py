@@ -10,7 +10,7 @@ from armless_scenarios import scenario
 from salver.errors import ScenarioError
 from salver.geometry import exp
 from salver.models.bodies import Body
-from salver.models.contact.wrench_cone import facets, friction_needed, margin, tip_over_margin
+from salver.models.contact.wrench_cone import cone_facets, friction_needed, margin, tip_over_margin
 from salver.models.contact_rows import contact_rows
 from salver.models.interfaces import sure_contacts
 from salver.models.payload import Payload
@@ -131,7 +131,7 @@ def test_worst_case_is_attained_at_corners_of_the_ranges() -> None:
     body, (rows,) = made.payload.first, contact_rows(made.payload)
     (sure,) = sure_contacts(made.payload.networks[0], made.payload.tray_half, made.payload.uncertain)
     assert_allclose(sure.base.friction, MU - 0.06)
-    cone, rng = facets(sure), np.random.default_rng(3)
+    cone, rng = cone_facets(sure).rows, np.random.default_rng(3)
     w = np.zeros((40, 12))
     w[:, :3] = rng.normal(size=(40, 3)) * [3, 3, 2] + [0, 0, G]
     bound = rows.worst(w).reshape(40, -1, len(cone)).max(axis=1)
@@ -150,16 +150,16 @@ def test_cone_grows_with_friction_and_stays_within_what_base_and_walls_can_do(ed
     body = beside(box(against=against, yaw_deg=90.0), contact={"edges": edges, "edge_phase_deg": 10.0}).payload
     (contacts,) = (face.contacts for face in body.networks[0].interfaces)
     rng, before = np.random.default_rng(1), None
-    anything = facets(contacts.base), contacts.walls.grasp_map
+    anything = cone_facets(contacts.base).rows, contacts.walls.grasp_map
     for friction in (0.05, 0.3, 1.0, 4.0):
-        cone = facets(contacts.of_friction(friction))
+        cone = cone_facets(contacts.of_friction(friction)).rows
         if before is not None:
             inside = inside_of(before, rng)
             assert margin(cone, inside).min() > -1e-9
         before = cone
     # The base without the friction that presses it into a wall, and the walls' push, are in it.
     upright = contacts.base.grasp_matrix[:, 2::3].T
-    assert margin(facets(contacts), upright + 3.0 * anything[1].sum(axis=1)).min() > -1e-9
+    assert margin(cone_facets(contacts).rows, upright + 3.0 * anything[1].sum(axis=1)).min() > -1e-9
 
 
 def inside_of(cone: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -193,8 +193,8 @@ def test_no_turning_beside_the_wall_relies_on_a_preload() -> None:
     payload = beside(box(against="-x")).payload
     (contacts,) = (face.contacts for face in payload.networks[0].interfaces)
     overhang = np.array([[0.0, 0.0, 1.0, 0.0, 0.031, 0.0]])  # the centre of pressure is 1 mm beyond the base's edge
-    assert margin(facets(contacts), overhang)[0] < 0
-    assert margin(facets(contacts), overhang * [1, 1, 1, 1, -1, 1])[0] < 0
+    assert margin(cone_facets(contacts).rows, overhang)[0] < 0
+    assert margin(cone_facets(contacts).rows, overhang * [1, 1, 1, 1, -1, 1])[0] < 0
 
 
 MISTAKES = [

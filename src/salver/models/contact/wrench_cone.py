@@ -130,7 +130,7 @@ def friction_needed(contacts: ContactSet, wrench_B: Array) -> Array:
 def _friction_needed_beside_walls(contacts: ContactSet, wrench_B: Array) -> Array:
     """`friction_needed` of the base, interpolated between coefficients 20 % apart, to 1 %."""
     friction = np.geomspace(1e-3, 5.0, 48)
-    beyond = np.array([-margin(facets(contacts.of_friction(mu)), wrench_B) for mu in friction])  # (48, T)
+    beyond = np.array([-margin(cone_facets(contacts.of_friction(mu)).rows, wrench_B) for mu in friction])  # (48, T)
     first, column = np.argmax(beyond <= 0, axis=0), np.arange(len(wrench_B))
     before = np.maximum(first - 1, 0)
     high, low = beyond[before, column], beyond[first, column]
