@@ -96,7 +96,7 @@ def bulky(links: Links, share: float = 0.05, looks: int = 16) -> tuple[Pair, ...
 
 def _apart(arm: ArmModel, hulls: Sequence[Any], shapes: Sequence[Sequence[Any]], postures: Array) -> int:
     """Number of postures (N, n) in which no shape that replaces one hull overlaps a shape that replaces the other."""
-    two, of = pin.GeometryModel(), list[list[int]]()
+    two, of = pin.GeometryModel(), list[Any]()
     for hull, some in zip(hulls, shapes, strict=True):
         place = hull.parentJoint, hull.placement
         parts = [pin.GeometryObject(f"{len(of)}:{k}", *place, shape) for k, shape in enumerate(some)]
