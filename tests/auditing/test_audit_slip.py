@@ -73,6 +73,13 @@ def standing(noise, rate):
     return AuditedMotion(MotionSamples(t, zero, zero, zero, level, zero, zero), recording=quality)
 
 
+def test_a_motion_is_unsure_where_it_is_too_much_by_less_than_its_error():
+    """0.5 m/s^2 by noise, 0.1 between samples and 0.2 by what swings in the load."""
+    motion = replace(standing(1e-9, 1.0), acceleration_error=0.5, missed=0.1)
+    borne = Borne(motion, np.array([-0.9, -0.7, -1e-9, 0.0, 0.3]), 5.0, pushed=0.2)
+    assert borne.unsure.tolist() == [False, True, True, False, False]
+
+
 def test_what_samples_are_too_few_to_show_is_said_where_most_is_missing():
     """Of 5 m/s^2 of reserve, samples leave open 6 from 1 s on, for 0.1 s: a block would move by 5 mm."""
     motion = standing(1e-9, 500.0)

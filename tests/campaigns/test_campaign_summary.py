@@ -36,6 +36,9 @@ def test_the_excess_over_the_tube_is_measured_where_the_motion_is():
     assert found["tube_excess_time"] == 0.25
     assert found["tube_excess_settled"] == pytest.approx(-0.05 / 0.2)  # 0.15 N off, radius 0.2
     assert found["cone_least"] == 0.75
+    assert tube_scalars(_FlatPlan(), t[:1], coefficients[:1]) == {}
+    coefficients[2, 0] = np.nan  # a run that broke off
+    assert tube_scalars(_FlatPlan(), t, coefficients) == {}
 
 
 def record(stem, run, outcome, slip):

@@ -6,6 +6,7 @@ import csv
 from collections.abc import Callable
 from dataclasses import fields, replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,10 +17,11 @@ from salver.cli import app
 from salver.errors import FileFormatError, SalverError, ScenarioError
 from salver.geometry import Array
 from salver.learning import Log, SensorBounds, identify, read_log
-from salver.learning.load.identify import LoggedRun, identify_runs
+from salver.learning.load.identify import OPTIONS, LoggedRun, _of_this_arm, identify_runs
 from salver.learning.load.narrowing import prior
 from salver.learning.load.ranges import NAMES, WIDTH, fieller
 from salver.learning.load.sensors import SensedArm, Sensors
+from salver.models.arm.arm import load_arm
 from salver.models.uncertain.parameters import inertial_vector
 from salver.planning.plan import Plan, load_plan
 from salver.scenario import load
@@ -382,3 +384,19 @@ def test_files_that_are_no_logs_are_refused(plan: Plan, tmp_path: Path) -> None:
         read_log(written(tmp_path / "a.csv", log, ["t", "q1", "q2", *(f"x{k}" for k in range(11))]), 7)
     with pytest.raises(FileFormatError, match="is no log"):
         read_log(tmp_path / "log.txt", 7)
+
+
+def test_torques_of_the_empty_run_may_be_off_by_a_share_of_the_largest_that_the_motion_needs() -> None:
+    """Torques that pass through zero on the way, so that a share of the least would be nothing."""
+    case = load("panda-cube")
+    arm = load_arm(case.arm, case.tray)  # type: ignore[arg-type]
+    most = 4.0 * arm.limits.torque
+    model = np.outer(np.cos(np.linspace(0.0, np.pi, 51)), most)
+    allowed = OPTIONS.foreign * most + 0.1 * arm.limits.torque
+    log = SimpleNamespace(source="empty.csv")
+    _of_this_arm(arm, SimpleNamespace(tau=np.tile(0.95 * allowed, (51, 1)), model=model), log)  # type: ignore[arg-type]
+    off = np.where(np.arange(7) == 3, 1.05, -0.9) * allowed
+    with pytest.raises(
+        FileFormatError, match=r"empty\.csv: the torque of panda_joint4 is .* N m from what panda needs"
+    ):
+        _of_this_arm(arm, SimpleNamespace(tau=np.tile(off, (51, 1)), model=model), log)  # type: ignore[arg-type]

@@ -186,6 +186,21 @@ def test_noise_of_the_sensors_is_as_large_as_asked_for_and_of_the_seed(fast, of_
 
 
 @pytest.mark.slow
+def test_a_loop_closed_on_the_first_object_keeps_it_where_it_should_be_though_it_creeps():
+    """Soft contacts creep by 0.14 mm. Closed on the joints, the tray keeps its place and the cube is off by as much;
+    closed on the cube's own pose it is the other way round, whatever else is carried."""
+    cube = scenarios.load("panda-cube").objects[0].model_dump(exclude_unset=True)
+    two = [{**cube, "at": [0.03, 0.0]}, {**cube, "name": "other", "at": [-0.05, 0.02], "yaw_deg": 30.0}]
+    plan = quick(objects=two, contact__condition="exact", arm__start_posture=None)
+    by_object = replace(plan, scenario=plan.scenario.with_changes(physics__feedback="object"))
+    joints, seen = simulate(plan), simulate(by_object)
+    assert joints.outcome == seen.outcome == "holds"
+    creep = np.linalg.norm(joints.creep_E[:, 0], axis=1).max()
+    assert joints.tray_e_p.max() < 0.3 * creep < 0.8 * creep < joints.e_p.max()
+    assert seen.e_p.max() < 0.3 * creep < 0.8 * creep < seen.tray_e_p.max()
+
+
+@pytest.mark.slow
 def test_figures_of_the_summary_are_those_of_the_record(fast):
     """With every command kept, each figure is the largest (or least) of what is recorded."""
     plan = replace(fast, scenario=fast.scenario.with_changes(physics__settle_after=0.05))
