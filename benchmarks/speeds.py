@@ -328,6 +328,11 @@ def table(kind: str, lines: list[Line]) -> Iterator[str]:
         yield f"| {' | '.join(cells)} |"
 
 
+def costly(line: Line) -> bool:
+    """Whether holding at every speed costs more than 2 % of the duration, or a plan is missing."""
+    return not line.get("any") or not line.get("full") or line["any"] > 1.02 * line["full"]
+
+
 def totals(lines: list[Line]) -> tuple[Counter[str], Counter[str]]:
     """Outcomes of all runs of plans for every speed, and of those for full speed only, at half speed."""
     every, half = Counter[str](), Counter[str]()
@@ -388,13 +393,21 @@ def pieces() -> dict[str, str]:
     """What docs/speeds.md says in numbers, from docs/data/speeds.jsonl."""
     known = read(DATA)
     kinds = {kind: [line for line in known if line["kind"] == kind] for kind in GROUPS}
-    out = {kind: "\n".join([summary(lines), "", *table(kind, lines)]) for kind, lines in kinds.items() if lines}
+    shaken = kinds.pop("shaken")
+    shown = kinds | {"survey": [line for line in kinds["survey"] if costly(line)]}
+    out = {kind: "\n".join([summary(lines), "", *table(kind, shown[kind])]) for kind, lines in kinds.items() if lines}
+    runs = sum((Counter(line["outcomes"]["shaken"]) for line in shaken if line.get("outcomes")), Counter[str]())
+    out["shaken"] = (
+        f"Plans for a tray that shakes were run in the engine on one that does: {held(runs)} runs of\n"
+        f"{sum(bool(line.get('any')) for line in shaken)} plans hold, at corners of their ranges "
+        "(`python benchmarks/speeds.py --only shaken`)."
+    )
     loads = kinds["loads"]
     price, level = (
         100 * np.median([a / b - 1 for a, b in pairs])
         for pairs in ([(line["any"], line["full"]) for line in loads], [(line["any"], line["level"]) for line in loads])
     )
-    every, half = totals(known)
+    every, half = totals([line for lines in kinds.values() for line in lines])
     out["findings"] = (
         f"- A plan that holds at every speed takes {price:.1f} % longer than one for full speed alone (median of the\n"
         f"  ten loads).\n- In the physics engine {held(every)} runs of such plans hold at other speeds; of plans for\n"
