@@ -130,7 +130,10 @@ def test_the_start_posture_follows_the_start_and_is_left_out_where_the_arm_canno
     assert "start_posture" not in change(CUBE, SCENARIO_DIR, [(["arm", "model"], "ur10")])
 
 
-def test_the_first_object_moves_on_a_tray_that_stays():
+@pytest.mark.parametrize("against", ["", "-x"])
+def test_the_first_object_moves_on_a_tray_that_stays(against):
+    """Against the rim it moves along the wall alone."""
+
     def tray(text):
         scenario = checked(text, SCENARIO_DIR)
         first = scenario.payload.first
@@ -140,6 +143,8 @@ def test_the_first_object_moves_on_a_tray_that_stays():
         ]
 
     text = (SCENARIO_DIR / "panda-cube-yaw.toml").read_text()
+    if against:
+        text = changed(text, [(["tray", "rim"], {"height": 0.02}), (["objects", 0, "against"], against)])
     np.testing.assert_allclose(
         tray(change(text, SCENARIO_DIR, [(["objects", 0, "at"], [0.03, -0.02])])), tray(text), atol=1e-5
     )

@@ -85,7 +85,8 @@ def _first(before: Scenario, data: dict[str, Any], changes: Sequence[tuple[Key, 
     for key, value in changes:
         match list(key):
             case ["objects", 0, "at"]:
-                found += _tray_stays(before, np.append(np.subtract(value, before.objects[0].at), 0.0))
+                moved = np.where(before.bodies[0].pushed, 0.0, np.subtract(value, before.objects[0].at))
+                found += _tray_stays(before, np.append(moved, 0.0))
             case ["objects", 0] if value is None:
                 found += _tray_stays(before, before.bodies[1].p_EB - before.bodies[0].p_EB)
             case ["objects", int(k), "uncertainty", *_] if "uncertainty" not in data["objects"][k]:

@@ -101,9 +101,10 @@ def asked(run: ReportedRun) -> str:
     turned = np.rad2deg(np.linalg.norm(log(s.motion.start.rotation.T @ s.motion.goal.rotation)))
     what = " and ".join(_thing(run, i) for i in range(len(s.objects)))
     carrier = f"The arm {Path(s.arm.model).stem}" if s.arm else "A tray"
+    rim = f" with a rim of {100 * s.tray.rim_height:.3g} cm" if s.tray.rim else ""
     parts = [f"{abs(across[i]):.2f} m along {axis}" for i, axis in enumerate("xyz") if abs(across[i]) > 5e-3]
     text = (
-        f"{carrier} carries {what}, loose on a {s.tray.size[0] * 100:.0f} × {s.tray.size[1] * 100:.0f} cm tray, "
+        f"{carrier} carries {what}, loose on a {s.tray.size[0] * 100:.0f} × {s.tray.size[1] * 100:.0f} cm tray{rim}, "
         f"{far:.2f} m far ({', '.join(parts) or 'on the spot'}) from rest to rest in {plan.duration:.2f} s"
     )
     if turned > 0.05:
@@ -121,7 +122,8 @@ def _thing(run: ReportedRun, i: int) -> str:
         "box": lambda: " × ".join(f"{100 * x:.3g}" for x in shape.size) + " cm",  # type: ignore[union-attr]
         "cylinder": lambda: f"radius {100 * shape.radius:.3g} cm, height {100 * shape.height:.3g} cm",  # type: ignore[union-attr]
     }.get(shape.type, lambda: f"{100 * run.bodies[i].solid.height:.3g} cm high")()
-    return f"the {item.name} ({size}, {1e3 * item.mass:.4g} g, friction {item.friction:g})"
+    where = ", against the rim" if item.sides else ""
+    return f"the {item.name} ({size}, {1e3 * item.mass:.4g} g, friction {item.friction:g}{where})"
 
 
 def _unknown(run: ReportedRun) -> str:
