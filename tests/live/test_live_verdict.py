@@ -266,6 +266,26 @@ def test_the_margin_of_torque_rate_is_more_than_the_verdict_may_miss(motion):
     assert np.min(missed) > -0.1, missed  # the jerk's jump is not so large that the most is elsewhere
 
 
+def test_a_torque_rate_that_rises_and_falls_between_two_near_knots_is_seen():
+    """About the vertical, with a jerk that is zero at two knots 2.4 ms apart and a parabola between: at its top the
+    torque changes half as fast again as it may."""
+    problem = replace(transport_problem(sv.load_scenario("panda-cube")), keep_out=None)
+    q = problem.start.q
+    mass, limit = problem.arm.mass_matrix(q)[0, 0], problem.limits.torque_rate[0]
+
+    def with_top(share):
+        h, jerk = 2.4e-3, share * limit / mass
+        knots = [(0.0, 0.0, 0.0, 0.0), (0.2, 0.02, 0.2, 0.0)]
+        knots.append((0.2 + h, 0.02 + 0.2 * h + 0.1 * jerk * h**3, 0.2 + jerk * h**2 / 3, 2 * jerk * h / 3))
+        t, *states = np.array([*knots, (0.6, 0.1, 0.0, 0.0)]).T
+        turned = [np.outer(x, np.eye(7)[0]) for x in states]
+        return JointMotion(t, q + turned[0], *turned[1:])
+
+    assert with_top(1.5).jerk(np.array([0.2012]))[0, 0] == pytest.approx(1.5 * limit / mass)
+    assert verify(problem, with_top(0.8)).ok
+    assert verify(problem, with_top(1.5)).what == "torque rate of panda_joint1"
+
+
 @pytest.mark.parametrize(("name", "share"), [("panda-cube", -1.0), ("panda-tall-bottle", 0.1)])
 def test_a_bound_stands_only_for_rows_that_are_surely_far(name, share):
     """Further than 2 % of the weight and than twice a margin, so that the sign of every row is right. share: that is

@@ -141,7 +141,7 @@ class Planner:
     ) -> tuple[Committed | None, Status]:
         """What is committed, along its own path at another speed factor, reached in so many s at the latest."""
         options, within, began = self.speed, self.speed.soonest, time.perf_counter()
-        glance = replace(EXACT, step=options.glance, instants=1, step_with_dynamics=options.glance)
+        glance = replace(EXACT, step=options.glance, instants=1, each=1, step_with_dynamics=options.glance)
         while within <= latest and time.perf_counter() - began < job.budget:
             profile = job.base.run.then(job.begins, factor, within)
             if profile.possible and not (profile.over and factor == 0.0):

@@ -40,6 +40,8 @@ class VerdictOptions:
             of the time, and contact rows rise by more than `contact` between instants.
         instants: least number for a motion without load dynamics, but no closer than `period`. Stops of 0.2 s change
             fast: between instants `step` apart they exceeded torque rate limits by up to 1.8 %, contact by 0.2 %.
+        each: least number between two knots, but no closer than `period`: the jerk is a parabola there. With 1, a live
+            motion with knots 3.6 ms apart exceeded a torque rate limit by 3 % between two instants.
         step_with_dynamics: s, instead of `step` with load dynamics, whose cases are expensive.
         deriving: derivatives of the dynamics are computed at every such instant and at knots, and are linear between.
             They multiply the small deviation: contact rows change by less than 2e-4 (test_live_verdict.py). With
@@ -64,6 +66,7 @@ class VerdictOptions:
 
     step: float = 2.5e-3
     instants: int = 160
+    each: int = 4
     step_with_dynamics: float = 4e-3
     at_rest_instants: int = 16
     deriving: int = 3
@@ -133,7 +136,9 @@ class Judged:
         """The motion with instants at all knots and evenly spaced ones between."""
         closer = max(motion.duration / options.instants, options.period)
         step = options.step_with_dynamics if problem.cases else min(options.step, closer)
-        counts = np.maximum(1, np.ceil(np.diff(motion.t) / step - 1e-9)).astype(int)
+        apart = np.diff(motion.t)
+        each = np.minimum(options.each, np.ceil(apart / options.period))
+        counts = np.maximum(each, np.ceil(apart / step - 1e-9)).astype(int)
         counts[0] += max(0, 4 - int(counts.sum()))  # a filter of cubics needs five
         t, z = motion.evenly(counts)
         before, knots = z[3].copy(), np.append(0, np.cumsum(counts))
