@@ -240,7 +240,7 @@ def test_a_campaign_one_of_whose_workers_died_goes_on_and_gives_the_table_of_one
     journal, killed = run_dir / "campaign" / "journal.jsonl", []  # with how many runs done
 
     def kill_one():
-        deadline = time.monotonic() + 30
+        deadline = time.monotonic() + 120
         while not killed and time.monotonic() < deadline:
             done = journal.read_bytes().count(b"\n") if journal.is_file() else 0
             for pid in _children(os.getpid()) if done else []:

@@ -30,7 +30,7 @@ def on(monkeypatch):
 
 
 def wait_for(condition) -> bool:
-    until = time.monotonic() + 10
+    until = time.monotonic() + 60
     while not condition() and time.monotonic() < until:
         time.sleep(0.01)
     return condition()

@@ -76,6 +76,14 @@ def controller(plan: Plan, checks: list[Check], monkeypatch: pytest.MonkeyPatch)
         assert each.error is None
 
 
+def until(condition: Callable[[], Any]) -> None:
+    """Wait for what the controller does in its own time, however long that takes on a busy machine."""
+    end = time.monotonic() + 60.0
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(1e-3)
+
+
 def run(directory: Path, **options: Any) -> execute.Execution:
     return execute.run_plan(directory, "ur", "127.0.0.1", **options)
 
@@ -234,8 +242,7 @@ def test_an_arm_that_was_moved_since_it_was_seen_is_held_where_it_is(plan: Plan,
     robot.late = deque([moved] * 15)
     driven.start()
     driven.read()
-    time.sleep(0.05)
-    assert len(robot.commands) > 0
+    until(lambda: len(robot.commands) > 0)
     assert np.abs(np.array(robot.commands) - moved).max() < 1e-12
 
 
@@ -257,8 +264,7 @@ def test_a_clock_that_jumps_on_the_way_to_the_start_does_not_make_the_arm_jump(p
     driven.move(lambda q: execute.approach(q, start, arm))
     assert np.abs(np.diff(robot.commands, axis=0)).max() / 2e-3 < 0.11 * np.pi
     assert np.abs(robot.commands[-1] - start).max() < 1e-12
-    time.sleep(0.2)
-    assert robot.outputs["output_int_register_24"] == 0  # the program was told to end
+    until(lambda: robot.outputs["output_int_register_24"] == 0)  # the program was told to end
 
 
 def test_ctrl_c_on_the_way_to_the_start_stops_the_arm(plan: Plan, controller: Make) -> None:
@@ -269,9 +275,7 @@ def test_ctrl_c_on_the_way_to_the_start_stops_the_arm(plan: Plan, controller: Ma
     arm = load_arm(plan.scenario.arm, plan.scenario.tray)  # type: ignore[arg-type]
     with pytest.raises(SalverError, match=r"The arm was stopped on its way to the start\."):
         driven.move(lambda q: execute.approach(q, start, arm))
-    time.sleep(0.2)
-    assert robot.outputs["output_int_register_24"] == 0
-    assert np.abs(robot.dq).max() == 0.0
+    until(lambda: robot.outputs["output_int_register_24"] == 0 and not robot.dq.any())
     assert np.abs(robot.q - start).max() > 0.01
 
 
@@ -364,7 +368,7 @@ def test_messages_between_states_delay_none(plan: Plan, controller: Make) -> Non
     for _ in range(5):
         driven.read()
         driven.write(q, Sensed(ArmState(q, 0 * q), np.ones(6, dtype=bool), 2e-3))
-    assert time.monotonic() - began < 1.0
+    assert time.monotonic() - began < 4.0  # delayed by one state each, it would be 5 s
 
 
 def test_nobody_at_the_address_and_no_remote_control_are_told(
@@ -389,9 +393,10 @@ def test_a_plan_for_another_arm_is_refused_before_it_is_connected(rig: Any) -> N
 
 
 def test_the_newest_of_several_states_is_read(controller: Make) -> None:
-    controller(lockstep=False)
+    robot = controller(lockstep=False)
     driven = ur.URRobot("127.0.0.1", 1.0, np.zeros(3))
     driven.start()
     assert driven.read()[1] == 0.0
-    time.sleep(0.05)
+    begun = robot.t
+    until(lambda: robot.t > begun + 0.02)
     assert driven.read()[1] > 0.01
