@@ -43,6 +43,9 @@ def test_slope_of_what_is_told_agrees_with_differences() -> None:
     def value(step: float) -> float:
         return objective.value(curve, Point(q + step * along, 1.5))
 
+    # Of the covariance of all ten, the block of mass and first moment.
+    covariance = np.linalg.inv(objective._seen(curve, Point(q, 1.5))[0])[:4, :4]
+    assert value(0.0) == pytest.approx(0.5 * np.linalg.slogdet(covariance)[1], rel=1e-9)
     slope = objective.model(curve, Point(q, 1.5)).slope @ along.ravel()
     assert (value(1e-4) - value(-1e-4)) / 2e-4 == pytest.approx(slope, rel=1e-4)
 

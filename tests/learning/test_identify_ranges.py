@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +16,7 @@ import salver as sv
 from salver.errors import SalverError
 from salver.geometry import Array
 from salver.learning import Identified, SensorBounds, identify
+from salver.learning.load.narrowing import _within
 from salver.learning.load.ranges import WIDTH, Estimate, consistent, intervals, slid
 from salver.learning.load.sensors import SensedArm, Sensors
 from salver.models.bodies import Body
@@ -242,6 +244,14 @@ def test_an_inertia_that_the_scenario_or_the_shape_does_not_allow_is_told(plan: 
         true[4:] *= times
         with pytest.raises(SalverError, match=said):
             found(plan, true, 1, {"objects__0__uncertainty": WIDE | more})
+
+
+@pytest.mark.parametrize(("k", "unit"), [(0, "kg"), (1, "m"), (3, "m"), (4, "kg m^2"), (9, "kg m^2")])
+def test_what_logs_and_scenario_say_apart_is_told_in_its_unit(k: int, unit: str) -> None:
+    low, high = np.arange(10.0), np.arange(10.0) + 0.5
+    words = f"The logs put {INERTIAL[k]} between {k + 2} and {k + 2.5} {unit}, the scenario between {k} and {k + 0.5}:"
+    with pytest.raises(SalverError, match=re.escape(words)):
+        _within(k, (low + 2, high + 2), (low, high), (low, high))
 
 
 def test_joint_torques_say_that_they_show_no_inertia(tmp_path: Path) -> None:
