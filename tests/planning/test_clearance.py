@@ -19,7 +19,9 @@ from salver.planning.fastest import FastestOptions, fastest, transport_problem
 from salver.planning.follow.clearance import sweep
 from salver.planning.follow.limits import verdict
 from salver.planning.make import make_plan
-from salver.planning.seeds.blocked import why_blocked, why_unreached
+from salver.planning.seeds.around import FreeSpace
+from salver.planning.seeds.blocked import why_blocked, why_touching, why_unreached
+from salver.planning.seeds.starts import _stray_at_rest, ends
 from salver.planning.trajopt.ends import AtPose
 from salver.reports.pages import charts
 from salver.reports.pages.meshes import obstacle_meshes
@@ -316,6 +318,39 @@ def test_an_end_that_no_posture_reaches_without_a_collision_is_told_where_no_pai
     why = why_unreached(transport_problem(cube.with_changes(obstacles=[ball])))
     told = r"No posture was found at the goal in which nothing touches: panda_\w+ and ball do in the best"
     assert re.match(told, why.sentence)
+
+
+def beside_the_goal(cube: scenario.Scenario, gap: float) -> scenario.Scenario:
+    """The cube with a ball of 3 cm beside the tray at the goal, at a distance in m."""
+    p_SE, R_SE = transport_problem(cube).goal.target.tray_pose  # type: ignore[union-attr]
+    centre = np.array([0.5 * cube.tray.size[0] + 0.03 + gap, 0.0, -0.5 * cube.tray.thickness])
+    ball = {"type": "sphere", "name": "ball", "radius": 0.03, "position": tuple(p_SE + R_SE @ centre)}
+    return cube.with_changes(obstacles=[ball])
+
+
+@pytest.mark.parametrize("gap", [1e-3, 3e-3, 5.2e-3, 0.03])  # m; plans ask for 5 mm
+def test_a_way_around_begins_and_ends_however_narrow_it_is_there(gap: float) -> None:
+    cube = scenario.load("panda-cube").with_changes(motion__goal_yaw="fixed", arm__start_posture=None)
+    problem = transport_problem(beside_the_goal(cube, gap))
+    pair = ends(problem, np.random.default_rng(0), few=1)[0]
+    space = FreeSpace.between(problem, np.stack([pair.start, pair.goal]), 10)
+    assert space.nearest(pair.start) is not None
+    assert space.nearest(pair.goal) is not None
+
+
+def test_an_end_that_is_nearer_to_an_obstacle_than_the_arm_strays_there_is_refused_before_the_search() -> None:
+    """A ball beside the tray at the goal, at 0.4 times and at 4 times the tracking error of the arm at rest there."""
+    cube = scenario.load("panda-cube").with_changes(motion__goal_yaw="fixed", arm__start_posture=None)
+    free = transport_problem(cube)
+    stray = _stray_at_rest(free, ends(free, np.random.default_rng(0), few=1)[0].goal)
+    for share, blocked in ((0.4, True), (4.0, False)):
+        problem = transport_problem(beside_the_goal(cube, share * stray))
+        why = why_touching(problem, ends(problem, np.random.default_rng(0), few=1))
+        assert (why is not None) == blocked
+        if why is not None:
+            told = r"No posture was found at the goal in which nothing touches: tray and ball are [\d.]+ mm apart in "
+            told += r"the best, where the arm strays by [\d.]+ mm; 0.05 m higher one was found\."
+            assert re.fullmatch(told, why.sentence)
 
 
 @pytest.mark.slow

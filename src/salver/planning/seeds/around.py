@@ -46,7 +46,8 @@ class FreeSpace:
         parts, required = problem.keep_out.parts, problem.keep_out.required
         least = parts.clearance(ends).min(axis=0)
         room = 0.01  # m: distance beyond the required one that a path keeps if its ends do
-        apart = np.minimum(required + room, np.maximum(0.9 * least, np.minimum(required, least)))
+        kept = np.where(required < least, np.maximum(0.9 * least, required), 0.9 * least)  # at the ends, too
+        apart = np.minimum(required + room, kept)
         parts = parts.only(range(len(parts.pairs)))
         for request, distance in zip(parts.data.collisionRequests, apart, strict=True):
             request.security_margin = float(distance)

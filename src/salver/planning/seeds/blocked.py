@@ -16,7 +16,7 @@ from salver.models.tray_motion import N_MOTION
 from salver.models.uncertain.worst_case import WorstCase
 from salver.planning.follow.limits import COLLISION, blocked_end
 from salver.planning.postures import REACHED, PoseTarget, posture_at
-from salver.planning.seeds.starts import Ends, guess
+from salver.planning.seeds.starts import Ends, guess, room
 from salver.planning.trajopt.ends import AtPose, AtPosture
 from salver.planning.trajopt.problem import TransportProblem
 
@@ -104,23 +104,25 @@ def why_touching(problem: TransportProblem, pairs: list[Ends]) -> Status | None:
     if any(pair.free for pair in pairs):
         return None
     assert problem.keep_out is not None
-    parts = problem.keep_out.parts
-    depth = np.array([-parts.clearance(np.stack([pair.start, pair.goal])).min(axis=1) for pair in pairs])
-    least = int(depth.max(axis=1).argmin())
-    end = int(depth[least].argmax())
-    return _touching(problem, ("start", "goal")[end], np.stack([pairs[least].start, pairs[least].goal])[end : end + 1])
+    left = np.array([[room(problem, pair.start), room(problem, pair.goal)] for pair in pairs])
+    best = int(left.min(axis=1).argmax())
+    end = int(left[best].argmin())
+    return _touching(problem, ("start", "goal")[end], np.stack([pairs[best].start, pairs[best].goal])[end : end + 1])
 
 
 def _touching(problem: TransportProblem, where: str, postures: Array) -> Status | None:
     """Status that names what touches in the best of postures (N, n) at an end; None if nothing does in one of them."""
     if problem.keep_out is None:
         return None
-    parts = problem.keep_out.parts
-    best_of = int(parts.clearance(postures).min(axis=1).argmax())
-    touch = parts.first_touch(postures[best_of : best_of + 1])
-    if touch is None:
+    parts, left = problem.keep_out.parts, [room(problem, q) for q in postures]
+    at = postures[int(np.argmax(left))][None]
+    distance = parts.clearance(at)[0]
+    if max(left) > 0.0:
         return None
-    best = f"{touch.first} and {touch.second} do in the best"
+    first, second = (parts.names[k] for k in parts.pairs[int(distance.argmin())])
+    near = float(distance.min())
+    apart = f"are {1e3 * near:.2g} mm apart in the best, where the arm strays by {1e3 * (near - max(left)):.2g} mm"
+    best = f"{first} and {second} {apart if near > 0.0 else 'do in the best'}"
     told = f"No posture was found at the {where} in which nothing touches: {best}{_higher(problem, where)}."
     return Status(COLLISION, told, False)
 
@@ -133,7 +135,7 @@ def _higher(problem: TransportProblem, where: str) -> str:
     for rise in np.linspace(0.05, 0.5, 10):
         raised = replace(end.target, p_SB=end.target.p_SB + np.array([0.0, 0.0, rise]))
         for q, missed in _sought(problem, raised):
-            if missed < REACHED and problem.keep_out.parts.first_touch(q[None]) is None:
+            if missed < REACHED and room(problem, q) > 0.0:
                 return f"; {rise:.2g} m higher one was found"
     return ""
 

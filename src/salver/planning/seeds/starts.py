@@ -61,7 +61,7 @@ USUAL = EndOptions()
 @dataclass(frozen=True, eq=False)
 class Ends:
     """Postures (n,) at the start and at the goal. cost: estimated duration of a motion between them, s, plus penalties
-    near joint limits and obstacles. free: whether both are collision-free."""
+    near joint limits and obstacles. free: whether both are collision-free, with the tracking error at rest."""
 
     start: Array
     goal: Array
@@ -245,7 +245,8 @@ class _Found:
         cost, free = _cost(problem, start, goal, self.options), True
         if problem.keep_out is not None:
             distance = problem.keep_out.parts.clearance(np.stack([start, goal]))
-            free = bool(distance.min() > APART_FROM_TOUCHING)
+            left = (room(problem, q) for q in ([goal] if problem.start_posture is not None else [start, goal]))
+            free = min(float(distance.min()), *left) > APART_FROM_TOUCHING
             near = float((distance - problem.keep_out.required).min())
             cost += self.options.too_near * max(0.0, 0.03 - near)
         self.pairs.append(Ends(start, goal, cost, free))
@@ -335,6 +336,13 @@ def between(problem: TransportProblem, pair: Ends) -> TransportProblem:
     postures = (pair.start, pair.goal)
     stray = np.array([_stray_at_rest(problem, q) for q in postures])
     return replace(problem, keep_out=problem.keep_out.kept_by(np.stack(postures), stray))
+
+
+def room(problem: TransportProblem, q: Array) -> float:
+    """Least distance of two parts in a posture (n,), m, less what the tracking error at rest takes of a short one."""
+    assert problem.keep_out is not None
+    distance = float(problem.keep_out.parts.clearance(q[None]).min())
+    return distance - _stray_at_rest(problem, q) if 0.0 < distance < CLEARANCE.safety else distance
 
 
 def _stray_at_rest(problem: TransportProblem, q: Array) -> float:
