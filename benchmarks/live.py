@@ -4,6 +4,8 @@ python benchmarks/live.py [-n RUNS] [--engine EVERY] [--seconds S]
     python benchmarks/live.py -n 1000 --length 10 --engine 1 --data docs/data/live-long.json    # long streams
     python benchmarks/live.py --liquids -n 4 --engine 1    # open liquids
     python benchmarks/live.py -n 100 --kinds arrivals    # how long new goals take beside the best known
+    python benchmarks/live.py --kinds obstacles [--virtual]    # balls and posts that come at the load, in real time
+    python benchmarks/live.py -n 150 --kinds faults    # while everything around them fails
 
 Runs are kept in docs/data/live.json, of liquids in live-liquids.json, and are not made again (--again: all anew), so
 that counts can be gone on with. `make pages` writes docs/live.md and a table of docs/liquids.md from them.
@@ -26,6 +28,8 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests" / "helpers"))
 import salver as sv
 from live_arrivals import HIGHEST, LOWEST, arrival, arrived
+from live_faults import faults_in_words, faulty
+from live_obstacles import table, throws
 from live_page import faster, row
 from live_runs import EVERY, drive, executed, halted, in_turn, rows_of
 from live_streams import SECONDS, STREAMS, clipped, stream
@@ -46,7 +50,7 @@ SILENCE = 1.4  # s after a stream
 LAGS = np.arange(0.0, 0.06, 1e-3)  # s
 NOTHING = Status("optimal", "", True)
 DOCS = Path(__file__).parent.parent / "docs"
-DATA, LIQUIDS_DATA = DOCS / "data" / "live.json", DOCS / "data" / "live-liquids.json"
+DATA, LIQUIDS_DATA, FAULTS_DATA = (DOCS / "data" / f"{name}.json" for name in ("live", "live-liquids", "live-faults"))
 
 
 class Planned:
@@ -90,7 +94,7 @@ def goals(scenario: sv.Scenario, rng: np.random.Generator) -> tuple[Planned, tup
     return live, in_turn(states, drive(live, 1.6, begins=2.0)), {"changes": len(wishes)}
 
 
-KINDS, ARRIVALS = ["goals that change", *STREAMS], "arrivals"
+KINDS, ARRIVALS, FAULTS, OBSTACLES = ["goals that change", *STREAMS], "arrivals", "faults", "obstacles"
 
 
 def twists(scenario: sv.Scenario, told, seconds: float) -> tuple[Planned, tuple, dict[str, float]]:
@@ -148,6 +152,13 @@ def run(name: str, kind: str, k: int, engine: bool, beside: bool, seconds: float
     return found
 
 
+def failed(name: str, k: int, engine: bool) -> dict[str, Any]:
+    """The k-th run with a load in which everything else fails. engine: there too."""
+    rng = drawn(name, FAULTS, k)
+    found, problem, motion = faulty(sv.load_scenario(name), rng)
+    return found | ({"lost": lost(problem, motion, rng)} if engine else {})
+
+
 def _speed(problem: TransportProblem, motion: JointMotion, t: float) -> float:
     q, dq, _ = motion.sample(t)
     return float(np.linalg.norm((problem.arm.body_jacobian(q[0]) @ dq[0])[:3]))
@@ -178,15 +189,24 @@ def main() -> None:
     parser.add_argument("--engine", type=int, default=4, help="every so many of them in the engine too")
     parser.add_argument("--filter", type=int, default=4, help="and every so many as a filter does them")
     parser.add_argument("--length", type=float, default=SECONDS, help="s of a stream")
-    parser.add_argument("--kinds", nargs="*", default=KINDS, help=f"some of them only, or {ARRIVALS}")
+    parser.add_argument(
+        "--kinds", nargs="*", default=KINDS, help=f"some of them only, {ARRIVALS}, {FAULTS}; or {OBSTACLES}"
+    )
     parser.add_argument("--seconds", type=float, default=np.inf, help="begin no further run after so long")
     parser.add_argument("--again", action="store_true", help="forget what is kept")
+    parser.add_argument("--virtual", action="store_true", help="of obstacles: planning has a core of its own")
     parser.add_argument("--liquids", nargs="*", choices=LIQUIDS, help="of open liquids: these, or all")
     parser.add_argument("--data", type=Path, help="where runs are kept")
     asked = parser.parse_args()
     wet = asked.liquids is not None
-    asked.data = asked.data or (LIQUIDS_DATA if wet else DATA)
+    asked.data = asked.data or (LIQUIDS_DATA if wet else FAULTS_DATA if asked.kinds == [FAULTS] else DATA)
     scenarios = (asked.liquids or LIQUIDS) if wet else SCENARIOS
+    if asked.kinds == [OBSTACLES]:
+        came = {name: throws(name, asked.n, asked.virtual) for name in scenarios}
+        path = DATA.with_name(f"live-obstacles-{'virtual' if asked.virtual else 'real'}.json")
+        write_atomic(path, json.dumps(came, indent=1, default=lambda x: x.item()) + "\n")
+        print(table(came))
+        return
     begun = time.monotonic()
     runs = read_json(asked.data) if asked.data.is_file() and not asked.again else {}
     each = [(name, kind) for name in scenarios for kind in asked.kinds]
@@ -199,11 +219,16 @@ def main() -> None:
                 kept.append(
                     arrival(sv.load_scenario(name), drawn(name, kind, k))
                     if kind == ARRIVALS
+                    else failed(name, k, beside[0])
+                    if kind == FAULTS
                     else run(name, kind, k, *beside, asked.length)
                 )
                 keep(asked.data, runs)
                 if kept[-1].get("worst", 0.0) > 0 or kept[-1].get("lost"):
                     print(f"{name}, {kind}, run {k}: {kept[-1]['worst']:.2e}, lost: {kept[-1].get('lost')}", flush=True)
+    for name in scenarios:
+        if faults := runs.pop(f"{name}, {FAULTS}", []):
+            print(f"{name}: {faults_in_words(faults)}")
     changes = [arrived(name, kept) for name in scenarios if (kept := runs.pop(f"{name}, {ARRIVALS}", []))]
     rows = [row(*what.split(", "), kept) for what, kept in runs.items() if kept]
     print("\n".join(rows), faster(runs), ";\n".join(changes), sep="\n", flush=True)

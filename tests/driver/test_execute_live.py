@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 
 import salver as sv
 import salver.driver.live as module
+from live_runs import EVERY, LEAD, PATIENCE
 from pylibfranka_stand_in import Library
 from salver.cli import app
 from salver.driver.execution import Watchdog
@@ -20,7 +21,7 @@ from salver.driver.robots.franka import within_fr3
 from salver.driver.robots.simulated import SimulatedRobot
 from salver.driver.signals import Signals
 from salver.errors import SalverError
-from salver.live import Live
+from salver.live import Live, LiveCourse
 from salver.live.script import Prompter, script
 from salver.planning.plan import load_plan
 from salver.trajectory import JointMotion
@@ -458,3 +459,19 @@ def test_options_of_a_run_are_set_from_the_command(tmp_path):
     (tmp_path / "s.jsonl").write_text("\n".join(lines(goal, goal)))
     result = CliRunner().invoke(app, [*command, "-o", str(tmp_path / "out"), "--json"])
     assert "1 goals are queued already, which is the most" in result.stdout
+
+
+def test_what_a_course_gave_stays_what_it_was(cube):
+    """A loop keeps references of the periods before, to which an arm that follows late is compared."""
+    live = Live(cube, lead=LEAD)
+    course = LiveCourse(live)
+    live.goto((0.45, 0.1, 0.45))
+    for k in range(300):
+        course.instant(1e-3 * k)
+        if k % EVERY == 0:
+            live.plan(PATIENCE)
+    before = course.at(0, 0.0)
+    kept = [x.copy() for x in before]
+    course.instant(0.3)
+    assert all(np.array_equal(x, y) for x, y in zip(before, kept, strict=True))
+    assert all(np.any(x != y) for x, y in zip(course.at(0, 0.0), kept, strict=True))
