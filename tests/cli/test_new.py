@@ -12,6 +12,7 @@ from salver import scenario
 from salver.cli import app
 from salver.errors import UnreachableError
 from salver.planning.make import make_plan
+from transport_problems import ROUGH
 
 RUNNER = CliRunner()
 ANSWERS = {
@@ -93,7 +94,7 @@ def test_what_cannot_be_carried_comes_with_what_helps(tmp_path):
         {"motion__start__position": [0.6, -0.15, 0.4], "motion__goal__position": [0.6, 0.15, 0.4]},
         {"tray__size": [0.15, 0.15]},
     ):
-        assert make_plan(near.with_changes(**changes), "fastest").ok
+        assert make_plan(near.with_changes(**changes), "fastest", options=ROUGH).ok
 
 
 @pytest.mark.slow
