@@ -43,6 +43,10 @@ class Definition:
         """Whether the runs of `other` are the first runs of this one."""
         return other.n <= self.n and {**asdict(self), "n": 0} == {**asdict(other), "n": 0}
 
+    def stop_at(self, run: int, duration: float) -> float | None:
+        """Time of the stop request of run number `run` of a plan of a duration, s; None without stops."""
+        return instant_of_run(self.seed, run, duration) if self.stops else None
+
     def in_words(self) -> str:
         return (
             f"{self.n} runs of {' and '.join(self.plans)} (scenario {self.scenario}), method {self.method}, "
@@ -156,5 +160,4 @@ def parameters_of_run(directory: str | Path, run: int, folder: str = DEFAULT_FOL
 
 def stop_of_run(directory: str | Path, run: int, duration: float, folder: str = DEFAULT_FOLDER) -> float | None:
     """Time of the stop request of run number `run` of a directory's campaign, s, or None without stops."""
-    definition = read_definition(directory, folder)
-    return instant_of_run(definition.seed, run, duration) if definition.stops else None
+    return read_definition(directory, folder).stop_at(run, duration)

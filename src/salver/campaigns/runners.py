@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from salver.campaigns.definition import Definition, instant_of_run, samples, seed_of_run
+from salver.campaigns.definition import Definition, samples, seed_of_run
 from salver.errors import SalverError
 from salver.geometry import Array
 
@@ -58,11 +58,6 @@ class Context:
             s: Experiment(plan) if isinstance(plan, Plan) else RoundExperiment(plan) for s, plan in self._plans.items()
         }
 
-    def _stop_at(self, stem: str, run: int) -> float | None:
-        if not self.definition.stops:
-            return None
-        return instant_of_run(self.definition.seed, run, self._plans[stem].duration)
-
     def parameters(self, run: int) -> dict[str, float]:
         names, values = self._samples
         return dict(zip(names, map(float, values[run]), strict=True))
@@ -72,11 +67,11 @@ class Context:
         begin = time.perf_counter()
         drawn = [self.parameters(run) for run in runs]
         if self.definition.engine == "physics":
-            each = [
-                (p, seed_of_run(self.definition.seed, k), self._stop_at(stem, k))
+            experiment, duration = self._experiments[stem], self._plans[stem].duration
+            results = [
+                _physics(experiment, p, seed_of_run(self.definition.seed, k), self.definition.stop_at(k, duration))
                 for k, p in zip(runs, drawn, strict=True)
             ]
-            results = [_physics(self._experiments[stem], *one) for one in each]
         else:
             results = _closed_loop(self._plans[stem], runs, drawn)  # type: ignore[arg-type]
         seconds = (time.perf_counter() - begin) / len(runs)

@@ -19,7 +19,7 @@ import numpy as np
 import pinocchio as pin
 
 from salver.geometry import Array, matrix_from_rpy
-from salver.models.arm.urdf import LARGEST_LINK
+from salver.models.arm.urdf import LARGEST_LINK, end_of
 from salver.models.shapes.convex_shapes import Triangles, convex, convex_pieces
 
 SIZES = {"box": ("size",), "sphere": ("radius",), "cylinder": ("radius", "length"), "capsule": ("radius", "length")}
@@ -205,7 +205,7 @@ def _capsules(
     if mass <= 0 or inertial is None:
         return []
     placement, entries = _origin(inertial), inertial.find("inertia")
-    joints = [joint for joint in root.findall("joint") if _parent(joint) == name]
+    joints = [joint for joint in root.findall("joint") if end_of(joint, "parent") == name]
     ends = [np.zeros(3), *(_origin(joint).translation for joint in joints)]
     segments = [(end, placement.translation) for end in ends]
     length = float(sum(np.linalg.norm(b - a) for a, b in segments))
@@ -222,11 +222,6 @@ def _capsule_radius(volume: float, length: float) -> float:
     """Radius (m) of a capsule about a segment of a length (m) that holds a volume (m^3)."""
     roots = np.roots([4 / 3 * np.pi, np.pi * length, 0.0, -volume])
     return float(roots.real.max())  # one root is positive; the real parts of the others are not
-
-
-def _parent(joint: ElementTree.Element) -> str:
-    parent = joint.find("parent")
-    return "" if parent is None else parent.get("link", "")
 
 
 def _capsule(link: str, start: Array, end: Array, radius: float) -> LinkShape:

@@ -87,16 +87,17 @@ def read_chain(path: Path, flange: str, package_dirs: Sequence[Path] = (), longe
         if element.tag == "link" and element.get("name") in beyond:
             root.remove(element)
         elif element.tag == "joint":
-            if _end(element, "child") in beyond:
+            if end_of(element, "child") in beyond:
                 root.remove(element)
-            elif _end(element, "child") not in links:
+            elif end_of(element, "child") not in links:
                 element.set("type", "fixed")
-                _drop(element, "mimic")
+                for mimic in element.findall("mimic"):
+                    element.remove(mimic)
             else:
                 _on_the_chain(element, path)
         elif element.tag in ("gazebo", "transmission"):
             root.remove(element)
-    moving = [j for j in root.findall("joint") if _end(j, "child") in links and j.get("type") != "fixed"]
+    moving = [j for j in root.findall("joint") if end_of(j, "child") in links and j.get("type") != "fixed"]
     if len(moving) > MOST_JOINTS:
         raise ScenarioError(
             f"The URDF {path} has {len(moving)} joints that move between its root and {flange}; an arm may have at "
@@ -245,7 +246,7 @@ def _links_to(flange: str, joints: Sequence[ElementTree.Element], path: Path) ->
     """Links from the root to the flange."""
     to_child: dict[str, ElementTree.Element] = {}
     for joint in joints:
-        child = _end(joint, "child")
+        child = end_of(joint, "child")
         if child in to_child:
             raise ScenarioError(
                 f"The URDF {path} closes a chain: the link {child} hangs on the joints {to_child[child].get('name')} "
@@ -254,7 +255,7 @@ def _links_to(flange: str, joints: Sequence[ElementTree.Element], path: Path) ->
         to_child[child] = joint
     links = [flange]
     while links[0] in to_child:
-        parent = _end(to_child[links[0]], "parent")
+        parent = end_of(to_child[links[0]], "parent")
         if parent in links:
             raise ScenarioError(
                 f"The URDF {path} closes a chain: following parents from {flange}, the link {parent} comes again; an "
@@ -267,7 +268,7 @@ def _links_to(flange: str, joints: Sequence[ElementTree.Element], path: Path) ->
 def _beyond(flange: str, joints: Sequence[ElementTree.Element]) -> set[str]:
     """Links that hang on the flange, directly or not."""
     beyond = {flange}
-    while grown := {_end(j, "child") for j in joints if _end(j, "parent") in beyond} - beyond:
+    while grown := {end_of(j, "child") for j in joints if end_of(j, "parent") in beyond} - beyond:
         beyond |= grown
     return beyond - {flange}
 
@@ -321,11 +322,7 @@ def _by_position(joint: ElementTree.Element, path: Path) -> tuple[float, float] 
     return offset, deceleration
 
 
-def _drop(element: ElementTree.Element, tag: str) -> None:
-    for child in element.findall(tag):
-        element.remove(child)
-
-
-def _end(joint: ElementTree.Element, which: str) -> str:
+def end_of(joint: ElementTree.Element, which: str) -> str:
+    """Name of the link at an end of a joint: "parent" or "child"."""
     element = joint.find(which)
     return "" if element is None else element.get("link", "")
