@@ -1,7 +1,7 @@
 """Defects of recordings: what loggers, sensors and software make of a motion before an audit reads it.
 
 Each defect takes a recorder (the true motion, its sensor and its rate) and returns time stamps and channels as they
-stand in the file. `LISTED` were looked at while the audit was made; `HELD_OUT` were not.
+stand in the file. `LISTED` were looked at while the audit was made; `HELD_OUT` and `LATER` were not.
 """
 
 from __future__ import annotations
@@ -13,6 +13,8 @@ from typing import Any
 
 import numpy as np
 from scipy import signal
+from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import Rotation
 
 from audit_recordings import Motion
 from salver.geometry import exp, quat_wxyz_from_matrix
@@ -238,8 +240,6 @@ def centimetres(r: Recorder) -> Samples:
 
 def resampled(r: Recorder) -> Samples:
     """A cubic through samples of a slower sensor."""
-    from scipy.interpolate import CubicSpline
-
     every = int(r.rng.choice([5, 10, 20]))
     t = r.t[::every]
     y = CubicSpline(t, r.at(t), axis=0)(np.minimum(r.t, t[-1]))
@@ -249,6 +249,126 @@ def resampled(r: Recorder) -> Samples:
 def single_precision(r: Recorder) -> Samples:
     """Times of the day in s, in single precision: steps of 4 ms."""
     return np.float32(40_000.0 + r.t).astype(float), r.at(r.t)
+
+
+# A third set, made after the audit recognised those above -------------------------------------------------------
+
+
+def restamped(r: Recorder) -> Samples:
+    """Packets of samples are dropped, and the rest is stamped evenly."""
+    keep, n = np.ones(len(r.t), dtype=bool), len(r.t)
+    for k in r.rng.integers(5, n - 5, r.rng.integers(1, 6)):
+        keep[k : k + r.rng.integers(2, 15)] = False
+    return r.t[: keep.sum()], r.at(r.t[keep])
+
+
+def two_clocks(r: Recorder) -> Samples:
+    """Position and orientation, or half the joints, by clocks that drift apart by up to 1 %."""
+    y, late = r.at(r.t), r.at(r.t * (1 + r.uniform(1e-4, 1e-2)) + r.uniform(1e-4, 5e-3))
+    return r.t, np.column_stack([y[:, :3], late[:, 3:]])
+
+
+def one_unit_wrong(r: Recorder) -> Samples:
+    """One column in degrees, or in cm or mm."""
+    y, factor = r.at(r.t), np.rad2deg(1) if r.motion.arm is not None else r.rng.choice([1e2, 1e3])
+    y[:, r.rng.integers(7 if r.motion.arm is not None else 3)] *= factor
+    return r.t, y
+
+
+def signs_flipped(r: Recorder) -> Samples:
+    """Quaternions q and -q, at random."""
+    y = r.at(r.t)
+    y[:, 3:] *= r.rng.choice([-1.0, 1.0], (len(y), 1))
+    return r.t, y
+
+
+def w_last(r: Recorder) -> Samples:
+    """Quaternions x, y, z, w under the names w, x, y, z; the tray's heading is any."""
+    return r.t, _turned(r, r.at(r.t))[:, [0, 1, 2, 4, 5, 6, 3]]
+
+
+def transposed(r: Recorder) -> Samples:
+    """The inverse of each rotation; the tray's heading is any."""
+    return r.t, _turned(r, r.at(r.t)) * [1, 1, 1, 1, -1, -1, -1]
+
+
+def y_up(r: Recorder) -> Samples:
+    """Axes of a motion capture system, whose second one is up."""
+    y = r.at(r.t)
+    w, x, a, b = np.sqrt(0.5) * y[:, 3:].T
+    return r.t, np.column_stack([y[:, [0, 2]], -y[:, 1], w + x, x - w, a + b, b - a])
+
+
+def wrapped(r: Recorder) -> Samples:
+    """Straight lines between Euler angles, or joints, of a slower sensor, which wrap at 180 degrees."""
+    every = int(r.rng.choice([1, 2, 5]))
+    slow = r.t[::every]
+    y, turn = r.at(slow), Rotation.from_euler("z", np.pi - r.rng.uniform(-0.05, 0.05))
+    if r.motion.arm is not None:
+        joint = r.rng.integers(7)
+        y[:, joint] -= 2 * np.pi * (y[:, joint] > np.median(y[:, joint]))
+        return r.t, _lines(r.t, slow, y)
+    angles = (turn * Rotation.from_quat(y[:, 3:], scalar_first=True)).as_euler("ZYX")
+    back = Rotation.from_euler("ZYX", _lines(r.t, slow, angles)).as_quat(scalar_first=True)
+    return r.t, np.column_stack([_lines(r.t, slow, y[:, :3]), back])
+
+
+def joints_in_another_order(r: Recorder) -> Samples:
+    y = r.at(r.t)
+    first = r.rng.integers(6)
+    y[:, [first, first + 1]] = y[:, [first + 1, first]]
+    return r.t, y
+
+
+def filled_gaps(r: Recorder) -> Samples:
+    """Gaps of 50 to 400 ms, filled by a cubic through what is left."""
+    y, keep = r.noisier(1e-5).at(r.t), np.ones(len(r.t), dtype=bool)
+    for k in r.rng.integers(5, len(y) - 5, r.rng.integers(1, 4)):
+        keep[k : k + round(r.rate * r.uniform(0.05, 0.4))] = False
+    keep[[0, 1, -2, -1]] = True
+    return r.t, _unit_of(r, CubicSpline(r.t[keep], y[keep], axis=0)(r.t))
+
+
+def begun(r: Recorder) -> Samples:
+    """Begins while the tray moves."""
+    keep = r.t > r.rng.uniform(0.1, 0.6) * r.t[-1]
+    return r.t[keep], r.at(r.t[keep])
+
+
+def resampled_by_lines(r: Recorder) -> Samples:
+    """Straight lines between samples at another rate, no multiple."""
+    slow = np.arange(0, r.motion.duration, 1 / min(r.rate / r.rng.uniform(1.1, 6), 300.0))
+    return r.t, _unit_of(r, _lines(r.t, slow, r.at(slow)))
+
+
+def two_publishers(r: Recorder) -> Samples:
+    """Every other sample is from a second sensor, which is late and has an offset."""
+    y, other = r.at(r.t), r.at(r.t - r.uniform(1e-3, 2e-2))
+    other[:, :3] += r.uniform(1e-5, 1e-3) * r.rng.standard_normal(3)
+    y[1::2] = other[1::2]
+    return r.t, _unit_of(r, y)
+
+
+def extrapolated(r: Recorder) -> Samples:
+    """Lost samples are replaced by going on at the last speed."""
+    y, k = r.at(r.t), 2
+    while k < len(y):
+        count = 1 if r.rng.random() > 0.03 else int(r.rng.integers(2, 8))
+        for i in range(k, min(k + count - 1, len(y))):
+            y[i] = 2 * y[i - 1] - y[i - 2]
+        k += count
+    return r.t, _unit_of(r, y)
+
+
+def _lines(t: np.ndarray, slow: np.ndarray, y: np.ndarray) -> np.ndarray:
+    return np.column_stack([np.interp(t, slow, c) for c in y.T])
+
+
+def _turned(r: Recorder, y: np.ndarray) -> np.ndarray:
+    """Poses with the world turned by some heading."""
+    turn = Rotation.from_euler("z", r.rng.uniform(-np.pi, np.pi))
+    quat = (turn * Rotation.from_quat(y[:, 3:], scalar_first=True)).as_quat(scalar_first=True)
+    return np.column_stack([turn.apply(y[:, :3]), quat])
 
 
 def _scaled(r: Recorder, factor: float) -> Samples:
@@ -278,8 +398,16 @@ HELD_OUT: tuple[Callable[[Recorder], Samples], ...] = (
     interpolated, moving_average, exponential, savitzky_golay, median_filtered, rounded_stamps, bursts, lost,
     clock_step, offset, wrong_marker, heavy_tails, deadband, frozen, swapped, centimetres, resampled, single_precision,
 )  # fmt: skip
-POSES_ONLY = {"kilometres", "millimetres", "centimetres", "offset", "wrong_marker"}
-DEFECTS = {defect.__name__: defect for defect in (*LISTED, *HELD_OUT)}
+LATER: tuple[Callable[[Recorder], Samples], ...] = (
+    restamped, two_clocks, one_unit_wrong, signs_flipped, w_last, transposed, y_up, wrapped, joints_in_another_order,
+    filled_gaps, begun, resampled_by_lines, two_publishers, extrapolated,
+)  # fmt: skip
+POSES_ONLY = {
+    "kilometres", "millimetres", "centimetres", "offset", "wrong_marker",
+    "signs_flipped", "w_last", "transposed", "y_up",
+}  # fmt: skip
+JOINTS_ONLY = {"joints_in_another_order"}
+DEFECTS = {defect.__name__: defect for defect in (*LISTED, *HELD_OUT, *LATER)}
 
 
 def record(rng: Any, motion: Motion, defect: str, folder: Path) -> tuple[Path, float, float]:

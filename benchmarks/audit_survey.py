@@ -35,7 +35,7 @@ from typing import Any
 
 import numpy as np
 
-from audit_defects import DEFECTS, HELD_OUT, LISTED, POSES_ONLY, record
+from audit_defects import DEFECTS, HELD_OUT, JOINTS_ONLY, LATER, LISTED, POSES_ONLY, record
 from audit_recordings import JOINTS, POSES, draw, write
 from audit_rivals import loses, outcome_of
 from salver.auditing import audit
@@ -123,7 +123,7 @@ def damaged(seed: int, names: tuple[str, ...], index: int) -> Damaged:
     rng = np.random.default_rng([seed, list(DEFECTS).index(defect), index // len(names)])
     while True:
         scenario, motion, *_, need = draw(rng)
-        if motion.arm is None or defect not in POSES_ONLY:
+        if defect not in (JOINTS_ONLY if motion.arm is None else POSES_ONLY):
             break
     seen = ""
     with tempfile.TemporaryDirectory() as folder:
@@ -154,7 +154,7 @@ def table_of_defects(cases: list[Damaged]) -> str:
         wrong = sum(c.wrong for c in some)
         return f"| {title} | {len(some)} | {count['holds']} | {count['does_not_hold']} | {open_} | {wrong} |"
 
-    for title, kinds in (("looked at", LISTED), ("others", HELD_OUT)):
+    for title, kinds in (("looked at", LISTED), ("others", HELD_OUT), ("third set", LATER)):
         names = [kind.__name__ for kind in kinds]
         lines += [
             row(name.replace("_", " "), some) for name in names if (some := [c for c in cases if c.defect == name])
@@ -233,7 +233,7 @@ def main() -> None:
     parser.add_argument("--engine", choices=["lost", "doubt"], default="lost")
     parser.add_argument("--json", type=Path, help="add the cases to this file, a line each")
     parser.add_argument("--defects", action="store_true", help="recordings with defects; -n of each")
-    parser.add_argument("--only", choices=[*DEFECTS, "listed", "held_out"], help="only such defects")
+    parser.add_argument("--only", choices=[*DEFECTS, "listed", "held_out", "later"], help="only such defects")
     parser.add_argument(
         "--docs", type=Path, nargs="+", help="write such files (of a seed, of a held-out one, of defects) to the page"
     )
@@ -247,7 +247,7 @@ def main() -> None:
         return
     began = time.perf_counter()
     if options.defects:
-        groups = {"listed": LISTED, "held_out": HELD_OUT, None: (*LISTED, *HELD_OUT)}
+        groups = {"listed": LISTED, "held_out": HELD_OUT, "later": LATER, None: (*LISTED, *HELD_OUT, *LATER)}
         names = tuple(kind.__name__ for kind in groups.get(options.only, ())) or (options.only,)
         found = []
         with ProcessPoolExecutor(options.jobs, mp_context=get_context("spawn")) as pool:

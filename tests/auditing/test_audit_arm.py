@@ -91,7 +91,11 @@ def test_joints_beside_a_tray_motion_tell_of_the_arm(ur10, tmp_path):
         found = audited(names, other, in_memory=names is own)
         assert found.arm == NOT_CHECKED
         assert re.search(f"The joints in the file are not used: .*({why})", found.motion.notes[-1])
-    assert audited([f"joint{k}" for k in range(1, 7)], q).arm == NOT_CHECKED
+    unknown = audited([f"Joint{k}" for k in range(1, 7)], q)
+    assert unknown.arm == NOT_CHECKED
+    names = ", ".join(arm.joint_names)
+    assert unknown.motion.notes[-1].endswith(f"Joint5, Joint6 are not used: the arm's joints are {names}.")
+    assert not audited(["force_x"], q[:, :1]).motion.notes
     tray[1:3], T_twice = [tray[1]] * 2, np.array([*T[:2], T[1], *T[3:]])
     columns_twice = dict(
         zip(["t", "x", "y", "z", "qw", "qx", "qy", "qz"], np.column_stack([T_twice, tray]).T, strict=True)

@@ -191,3 +191,67 @@ def test_a_plan_in_four_digits_is_not_said_to_lose_its_load(fastest, of, rate):
         columns = dict(zip(("x", "y", "z", "qw", "qx", "qy", "qz"), poses.T, strict=True))
     found = sv.audit({"t": t, **{name: np.round(x, 4) for name, x in columns.items()}}, plan.scenario)
     assert found.outcome == "cannot_tell"
+
+
+SHAKEN = truth(T, shake=2 * 4.905 / (2 * np.pi * 18) ** 2)  # twice the friction there is
+
+
+def test_axes_of_which_another_is_up_give_no_verdict():
+    """Motion capture with its second axis up; the load stays, and on a tray that stands on edge it would not."""
+    y_up = {"x": truth(T)[:, 0], "y": truth(T)[:, 2], "z": -truth(T)[:, 1]}
+    half = {"qw": 0.5**0.5 + 0 * T, "qx": -(0.5**0.5) + 0 * T, "qy": 0 * T, "qz": 0 * T}
+    verdict = audit({"t": T, **y_up, **half}, CUBE).nominal
+    assert verdict.details["reasons"] == ["leaning"]
+    assert "leans by 90 deg at its first sample" in verdict.sentence
+
+
+def test_two_sources_that_take_turns_are_told_from_a_shake():
+    p = truth(T)
+    p[1::2] = truth(T - 0.008)[1::2]
+    assert codes(found(p)) == ["alternating"]
+    assert "alternating" in judged(p).nominal.details["reasons"]
+    assert "alternating" not in codes(found(SHAKEN))
+
+
+@pytest.mark.parametrize("rate", [70.0, 210.0])
+def test_lines_between_samples_of_a_slower_sensor_are_no_jolts(rate):
+    slow = np.arange(0.0, 2.01, 1 / rate)
+    p = np.stack([np.interp(T, slow, x) for x in truth(slow).T], axis=1)
+    assert "interpolated" in codes(found(p, noise=0.0))
+    assert judged(p, noise=0.0).outcome == "cannot_tell"
+
+
+def test_samples_that_go_on_at_the_last_speed_are_no_jolts():
+    p = truth(T, shake=2e-4)
+    for k in range(20, 980, 40):
+        for i in range(k, k + 5):
+            p[i] = 2 * p[i - 1] - p[i - 2]
+    assert "interpolated" in codes(found(p, noise=0.0))
+    assert judged(p, noise=0.0).outcome == "cannot_tell"
+
+
+@pytest.mark.parametrize("noise", [0.0, 2e-5])
+def test_a_shake_in_one_direction_lies_on_no_lines(noise):
+    assert "interpolated" not in codes(found(SHAKEN, noise=noise))
+    assert judged(SHAKEN, noise=noise).outcome == "does_not_hold"
+
+
+def test_one_column_in_another_unit_is_noisier():
+    """Across the motion, in cm: 100 times the noise, and 2 m to the side that nobody notices."""
+    p = seen(truth(T)).p
+    p[:, 2] *= 100
+    (defect,) = [each for each in found(p, noise=0.0).defects if each.code == "unit" and "noisy" in each.clause]
+    assert defect.systematic
+    assert judged(p, noise=0.0).outcome == "cannot_tell"
+
+
+@pytest.mark.parametrize("beyond", [0.05, 0.5])
+def test_a_recorded_joint_far_out_of_its_range_gives_no_verdict(beyond):
+    """Joint 4 of a Panda goes up to -0.07 rad; encoders may have another zero, and not by half a radian."""
+    arm = load_arm(CUBE.arm, CUBE.tray)
+    q = np.tile(np.array([0.08, 1.04, -0.78, -0.0698 + beyond, -2.2, 0.84, 1.12]), (len(T), 1))
+    q[:, 3] -= 0.02 * (1 - np.cos(3 * T))
+    verdict = audit({"t": T, **dict(zip(arm.joint_names, q.T, strict=True))}, CUBE).nominal
+    assert ("range" in verdict.details.get("reasons", [])) == (beyond > 0.1)
+    if beyond > 0.1:
+        assert "panda_joint4 is up to 0.5 rad out of its range" in verdict.sentence

@@ -16,12 +16,11 @@ from salver.trajectory import JointMotion
 from salver.wording import listed
 
 NOT_CHECKED = Status("not_checked", "Not checked: whether an arm can follow the motion, and what it would touch.", True)
-STEP = 5e-3  # s between postures; clearance is also checked between them
 
 
-def arm_status(samples: JointSamples, arm: ArmModel, scenario: Scenario) -> Status:
-    """Whether joints stay in their ranges at all samples, and nothing collides, at postures `STEP` apart and between
-    them. The sentence of a good status begins with what was not checked."""
+def arm_status(samples: JointSamples, arm: ArmModel, scenario: Scenario, step: float = 5e-3) -> Status:
+    """Whether joints stay in their ranges at all samples, and nothing collides, at postures `step`, s, apart and
+    between them. The sentence of a good status begins with what was not checked."""
     samples = reordered(samples, arm.joint_names)
     t, q = commanded_motion(samples)[:2] if samples.commanded else (samples.t, samples.q)
     beyond = np.maximum(arm.limits.q_min - q, q - arm.limits.q_max)
@@ -34,7 +33,7 @@ def arm_status(samples: JointSamples, arm: ArmModel, scenario: Scenario) -> Stat
         parts = arm_geometry(arm, scenario.payload.bodies, scenario.around)
     except UnknownShapeError as error:
         return Status(NOT_CHECKED.code, f"{NOT_CHECKED.sentence} {error}", True)
-    keep = np.unique(np.clip(np.searchsorted(t, np.arange(t[0], t[-1], STEP)), 0, len(t) - 1))
+    keep = np.unique(np.clip(np.searchsorted(t, np.arange(t[0], t[-1], step)), 0, len(t) - 1))
     keep = np.union1d(keep, [0, len(t) - 1])
     t, q = t[keep], q[keep]
     dq = np.gradient(q, t, axis=0)

@@ -12,21 +12,21 @@ from scipy.interpolate import BPoly
 from salver.geometry import Array
 from salver.motion_files.samples import JointSamples
 
-LONGEST, SHORTEST = 64, 3  # largest and least number of instants in a piece; 64 resolve a quintic to 0.1 %
-FINE = 2e-3  # s between instants, if that gives fewer
-_ALIKE = 30.0  # factor between velocities and differences of positions above which their units differ
-_AT_SPEED = 1e-3  # rad/s, above which an end is not at rest
 
-
-def commanded_motion(samples: JointSamples) -> tuple[Array, Array, Array, Array]:
+def commanded_motion(
+    samples: JointSamples, fine: float = 2e-3, each: tuple[int, int] = (3, 64)
+) -> tuple[Array, Array, Array, Array]:
     """t, q, dq, ddq of waypoints with velocities. Each waypoint is there twice, because the acceleration of cubics
-    jumps at it."""
+    jumps at it.
+
+    fine: s between instants. each: least and largest number of instants in a piece; 64 resolve a quintic to 0.1 %.
+    """
     assert samples.dq is not None
     given = [samples.q, samples.dq, *([samples.ddq] if samples.ddq is not None else [])]
     curve = BPoly.from_derivatives(samples.t, np.stack(given, axis=1))
     step = np.diff(samples.t)
     parts = []
-    for count in np.unique(counts := np.clip(np.ceil(step / FINE), SHORTEST, LONGEST).astype(int)):
+    for count in np.unique(counts := np.clip(np.ceil(step / fine), *each).astype(int)):
         k = np.flatnonzero(counts == count)
         inner = np.linspace(0, 1, count + 1)
         inner[0], inner[-1] = 1e-9, 1 - 1e-9
@@ -36,14 +36,18 @@ def commanded_motion(samples: JointSamples) -> tuple[Array, Array, Array, Array]
     return t, q, dq, ddq
 
 
-def open_questions(samples: JointSamples) -> list[tuple[str, str]]:
-    """Doubts (code, sentence) about the motion that the controller will make of the file."""
+def open_questions(samples: JointSamples, alike: float = 30.0, at_rest: float = 1e-3) -> list[tuple[str, str]]:
+    """Doubts (code, sentence) about the motion that the controller will make of the file.
+
+    alike: factor between velocities and differences of positions above which their units differ. at_rest: rad/s, above
+    which an end is not at rest.
+    """
     assert samples.dq is not None
     found = []
     step = np.diff(samples.t)
     moved = float(np.sum(np.abs(np.diff(samples.q, axis=0))))
     told = float(np.sum(0.5 * np.abs(samples.dq[1:] + samples.dq[:-1]) * step[:, None]))
-    if told > 1e-3 and not told / _ALIKE < moved < told * _ALIKE:  # a stop at every waypoint tells nothing
+    if told > 1e-3 and not told / alike < moved < told * alike:  # a stop at every waypoint tells nothing
         clause = (
             f"the velocities would move the joints by {told:.3g} rad in all, the positions by {moved:.3g} rad: the "
             "times are not in s, or the velocities not in rad/s"
@@ -51,6 +55,6 @@ def open_questions(samples: JointSamples) -> list[tuple[str, str]]:
         found.append(("clock", clause))
     for end, k in (("starts", 0), ("ends", -1)):
         speed = float(np.abs(samples.dq[k]).max())
-        if speed > _AT_SPEED:
+        if speed > at_rest:
             found.append(("speed", f"it {end} at {speed:.3g} rad/s, and how the arm comes to rest is not in it"))
     return found

@@ -1,6 +1,7 @@
 """Defects of a recording by logger, sensor or software, found in the samples and repaired if that is sound.
 
-In this order: a wrong unit, repeated samples, jitter of the clock, spikes and jumps. They are searched for in the
+In this order: a wrong unit, repeated samples, jitter of the clock, two sources that take turns, interpolation, spikes
+and jumps. They are searched for in the
 channels as they are in the file: a pose, or joint positions.
 """
 
@@ -10,7 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.ndimage import median_filter
+from scipy.ndimage import maximum_filter1d, median_filter
 
 from salver.auditing.noise import resolution
 from salver.auditing.options import AuditOptions
@@ -19,8 +20,6 @@ from salver.geometry import Array
 from salver.motion_files.samples import JointSamples, Samples
 
 REACH = 0.5  # m, lever arm with which rotations of a joint are converted to displacements
-MANY = 3  # more spikes or jumps count as systematic
-_LEAST_SAMPLES = 16  # with fewer samples no defects are searched for
 
 
 @dataclass(frozen=True)
@@ -74,8 +73,9 @@ def repaired(channels: Channels, options: AuditOptions) -> Channels:
     """The repaired samples, with the defects that were found."""
     if not np.ptp(channels.y, axis=0).any():
         return channels
-    for step in (_in_metres, _without_repeats, _with_even_clock, _without_breaks):
-        if len(channels.t) >= _LEAST_SAMPLES:
+    known = _in_metres, _without_repeats, _with_even_clock, _of_one_sensor, _not_on_lines, _without_breaks, _in_one_unit
+    for step in known:
+        if len(channels.t) >= options.fewest:
             channels = step(channels, options)
     return channels
 
@@ -85,9 +85,8 @@ def _in_metres(channels: Channels, options: AuditOptions) -> Channels:
     far = float(np.abs(channels.y[:, :3]).max())
     if not channels.pose or options.nearest < far < options.furthest:
         return channels
-    return channels.having(
-        Defect("unit", f"the tray is up to {far:.2g} m from the origin: positions must be in m", systematic=True)
-    )
+    clause = f"the tray is up to {far:.2g} m from the origin: positions must be in m"
+    return channels.having(Defect("unit", clause, systematic=True))
 
 
 # Repeated samples ---------------------------------------------------------------------------------------------
@@ -180,6 +179,51 @@ def _with_even_clock(channels: Channels, options: AuditOptions) -> Channels:
     return channels.having(defect, t=best)
 
 
+# Samples of another source, or of none -------------------------------------------------------------------------
+
+
+def _of_one_sensor(channels: Channels, options: AuditOptions) -> Channels:
+    """Add a defect if every other sample lies to one side, as of two sensors that take turns: neighbours deviate to
+    opposite sides over four samples. Noise does so over two, and a vibration at almost half the sampling rate."""
+    away = off_cubic(channels.t, channels.scaled)
+    square = float(np.sum(away**2))
+    odd, even = (float(np.sum(away[k:] * away[:-k])) for k in (3, 4))
+    size = float(np.sqrt(square / len(away)))
+    if not (even > options.alternating * square and odd < -options.alternating * square and size > 4 * channels.step):
+        return channels
+    clause = f"every other sample lies {1e3 * size:.2g} mm beside those between: two sources take turns in the file"
+    return channels.having(Defect("alternating", clause, systematic=True))
+
+
+def _not_on_lines(channels: Channels, options: AuditOptions) -> Channels:
+    """Add a defect if samples lie on the straight line through their neighbours, where those around are forty times
+    as far off theirs."""
+    t, y = channels.t, channels.scaled
+    share = ((t[1:-1] - t[:-2]) / (t[2:] - t[:-2]))[:, None]
+    bend = np.linalg.norm(y[1:-1] - y[:-2] - share * (y[2:] - y[:-2]), axis=1)
+    around = maximum_filter1d(bend, 9)
+    bends = around > 40 * max(channels.step, 1e-9) * np.sqrt(y.shape[1])
+    straight = int(np.count_nonzero(bends & (40 * bend <= around)))
+    if straight < max(3.0, options.straight * np.count_nonzero(bends)):
+        return channels
+    clause = f"{straight} samples lie on straight lines through others: they were interpolated or extrapolated"
+    return channels.having(Defect("interpolated", clause, systematic=True))
+
+
+def _in_one_unit(channels: Channels, options: AuditOptions) -> Channels:
+    """Add a defect if white noise shows that one column has another unit."""
+    y = channels.y[:, :3] if channels.pose else channels.y
+    away = off_cubic(channels.t, y)
+    square = np.sum(away**2, axis=0) + 1e-300
+    beside = [np.sum(away[k:] * away[:-k], axis=0) / square for k in (1, 2)]
+    white = (np.abs(beside[0] + 0.8) < 0.15) & (np.abs(beside[1] - 0.4) < 0.15)  # as the differences of white noise
+    noise = np.sqrt(square[white] / len(away))
+    if white.any() and noise.max() > options.uneven * noise.min():
+        clause = f"one column is {noise.max() / noise.min():.0f} times as noisy as another: its unit is another"
+        return channels.having(Defect("unit", clause, systematic=True))
+    return channels
+
+
 # Spikes and jumps ---------------------------------------------------------------------------------------------
 
 
@@ -214,7 +258,7 @@ def _without_breaks(channels: Channels, options: AuditOptions) -> Channels:
             if kind == "spike"
             else f"the position jumps by {sizes[k]:.3g} mm from {t[k - 1]:.3f} s to {t[k]:.3f} s{many}"
         )
-        defects.append(Defect(kind, clause, systematic=sum(map(len, breaks.values())) > MANY))
+        defects.append(Defect(kind, clause, systematic=kind == "jump" or len(sizes) > 1))
     keep = np.setdiff1d(np.arange(n), list(breaks["spike"]))
     return channels.having(*defects, t=t[keep], y=(y / channels.metres)[keep])
 

@@ -10,7 +10,7 @@ from salver.auditing.motion import AuditedMotion, Doubt
 from salver.auditing.options import DEFAULT
 from salver.auditing.slip import Slip, hidden, left_over, slide
 from salver.errors import Status
-from salver.geometry import Array, Mask
+from salver.geometry import Array, Mask, lean
 
 CANNOT_TELL = "cannot_tell"
 
@@ -19,14 +19,16 @@ CANNOT_TELL = "cannot_tell"
 class Borne:
     """A motion with the acceleration reserve of the load, nominal or in the worst case.
 
-    reserve (T,): m/s^2, additional acceleration in any direction at which the load still holds. rest: the reserve at
-    rest on a level tray. pushed: m/s^2, unknown acceleration by the reaction of liquids and pendulums.
+    reserve (T,): m/s^2, additional acceleration in any direction at which the load still holds. rest, begun: the
+    reserves at rest on a level tray, and in the first posture. pushed: m/s^2, unknown acceleration by the reaction of
+    liquids and pendulums.
     """
 
     motion: AuditedMotion
     reserve: Array
     rest: float
     pushed: float = 0.0
+    begun: float = np.inf
 
     @property
     def error(self) -> Array:
@@ -53,8 +55,8 @@ class Borne:
         return "edge", f"at {self.motion.samples.t[k]:.3f} s the motion may or may not be too much: {known}"
 
     def errors(self) -> list[Doubt]:
-        """Errors of the samples that could explain a violation: their defects, and violations that are shorter than a
-        vibration of the highest frequency."""
+        """Errors of the samples that could explain a violation: their defects, a first posture in which nothing
+        would stay, and violations that are shorter than a vibration of the highest frequency."""
         if self.motion.recording is None:
             return []
         t, highest = self.motion.samples.t, max(self.motion.options.highest, DEFAULT.highest)
@@ -65,6 +67,13 @@ class Borne:
             least = np.arccos(max(self.rest, 0.0) / (max(self.rest, 0.0) + most)) / (np.pi * highest)
             step = (t[min(last, len(t) - 1)] - t[max(first - 1, 0)]) / (last - first + 1)
             lasting |= bool((last - first) * step > 0.5 * least)
+        if self.begun < 0:
+            leans = np.rad2deg(lean(self.motion.samples.R_SB[:1]))[0]
+            clause = (
+                f"the tray leans by {leans:.0f} deg at its first sample, where nothing would stay at rest: the order "
+                "of the columns, the convention of the rotations, the axes or the arm's base are others"
+            )
+            return [*self.motion.suspect, ("leaning", clause)]
         if lasting or not len(over):
             return list(self.motion.suspect)
         clause = f"at {t[over[0]]:.3f} s the motion is too much for a shorter time than any shake up to {highest:g} Hz"

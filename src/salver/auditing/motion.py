@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from salver.auditing.commanded import commanded_motion, open_questions
-from salver.auditing.defects import Channels, channels_of, repaired
+from salver.auditing.defects import Channels, Defect, channels_of, repaired
 from salver.auditing.noise import NoiseLevel, Oscillations, filtered_at
 from salver.auditing.options import DEFAULT, AuditOptions
 from salver.auditing.recorded import LEVER, Sensor, read_motion, sensor_of
@@ -21,9 +21,6 @@ from salver.trajectory import JointMotion, MotionSamples
 
 if TYPE_CHECKING:
     from salver.models.arm.arm import ArmModel
-
-LEAST_DEGREES = 12.0  # larger angles that fit the joints' ranges as degrees count as degrees
-SUSPECT_STEP = 0.5  # s between samples, above which times are probably in ms
 
 Doubt = tuple[str, str]  # a code, and a clause with the remedy
 
@@ -94,21 +91,34 @@ def tray_motion(
             notes=(*samples.notes, note),
             options=options,
         )
-    found = repaired(channels_of(samples), options)
+    found = _in_ranges(repaired(channels_of(samples), options), samples.q, arm)
     poses = [arm.tray_pose(q) for q in found.y]
     quat = continuous(quat_wxyz_from_matrix(np.array([R for _, R in poses])))
     seen = TraySamples(found.t, np.array([p for p, _ in poses]), quat, "E", samples.source, samples.notes)
     return _recorded(seen, _gains(arm, found), found, options)
 
 
-def check_radians(q: Array, arm: ArmModel, source: str, form: str = "csv") -> None:
+def _in_ranges(found: Channels, q: Array, arm: ArmModel) -> Channels:
+    """Add a defect if recorded positions q (N, n) are further out of the joints' ranges than another zero explains."""
+    beyond = np.maximum(arm.limits.q_min - q, q - arm.limits.q_max).max(axis=0)
+    j = int(np.argmax(beyond))
+    if beyond[j] <= DEFAULT.beyond:
+        return found
+    clause = (
+        f"{arm.joint_names[j]} is up to {beyond[j]:.3g} {arm.unit(j)} out of its range: its unit, the order of the "
+        "columns or the arm is another"
+    )
+    return found.having(Defect("range", clause, systematic=True))
+
+
+def check_radians(q: Array, arm: ArmModel, source: str, form: str = "csv", least: float = 12.0) -> None:
     """Raise FileFormatError for positions q (N, n) outside the joints' ranges that would be inside as degrees.
 
-    form: format of the file.
+    form: format of the file. least: larger angles that fit as degrees count as such.
     """
     low, high = arm.limits.q_min, arm.limits.q_max
     turned = np.deg2rad(q)
-    if np.abs(q).max() > LEAST_DEGREES and np.all((turned >= low) & (turned <= high)):
+    if np.abs(q).max() > least and np.all((turned >= low) & (turned <= high)):
         beyond = np.maximum(q - high, low - q)
         k, j = np.unravel_index(int(np.argmax(beyond)), beyond.shape)
         if beyond[k, j] > 0:
@@ -180,7 +190,7 @@ def _recorded(
 
 def _sampling(t: Array, step: float, options: AuditOptions) -> list[Doubt]:
     found = []
-    if step >= SUSPECT_STEP:
+    if step >= options.slowest:
         clause = f"samples come every {step:g} s, as if the times were in ms: if they are, give --units ms"
         found.append(("clock", clause))
     if len(t) < options.fewest:

@@ -20,7 +20,6 @@ from salver.auditing.spline import fit
 from salver.geometry import Array
 
 RESOLVED = 0.4  # share of the sampling rate up to which accelerations are resolved
-_SHORTEST = 8  # samples of the shortest window for a spectrum
 CONJUGATE = np.array([1.0, -1.0, -1.0, -1.0])  # times a quaternion: its conjugate
 
 
@@ -179,15 +178,15 @@ def filtered_at(t: Array, y: Array, drop: float, fewest: int) -> float:
 
 
 def standing_out(
-    residual: Array, rate: float, level: NoiseLevel, negligible: float, false_alarm: float
+    residual: Array, rate: float, level: NoiseLevel, negligible: float, false_alarm: float, shortest: int = 8
 ) -> list[Oscillations]:
     """Oscillations in residuals (N, d) above the noise, in windows of all lengths from the shortest.
 
     negligible: amplitude of accelerations, unit/s^2, below which an oscillation is ignored. false_alarm: probability
-    that noise alone gives an oscillation.
+    that noise alone gives an oscillation. shortest: samples of the shortest window.
     """
     n, d = residual.shape
-    lengths = [_SHORTEST << k for k in range(11) if _SHORTEST << k < n] + [min(n, _SHORTEST << 11)]
+    lengths = [shortest << k for k in range(11) if shortest << k < n] + [min(n, shortest << 11)]
     quantile = chdtri(2 * d, false_alarm / (len(lengths) * 4 * n)) / 2
     out = []
     for length in lengths:

@@ -16,6 +16,7 @@ class AuditOptions:
         acceleration at the highest frequency.
     noise: standard deviation of the samples, m (rad for joints); None: estimated. Half as sensitive to motion.
     longest_gap: s, longest gap that is interpolated; None: 0.02 s, or 3.5 steps. Longer guesses are judged.
+    slowest: s between samples from which on times are taken for ms. Slower recordings are judged.
     fewest: least number of samples of a verdict. Recordings must be twice as long.
     false_alarm: probability that noise counts as motion, for each kind of window. Slightly higher bandwidths.
     hideable: size of a vibration that is always found, standard deviations over its window. Noise hides twice as much.
@@ -27,8 +28,19 @@ class AuditOptions:
     fiercest: m/s^2, above the acceleration of any arm (the fastest delta robots reach it). Errors of the samples become
         violations.
     nearest, furthest: m, distances from the origin outside which positions are in another unit.
+    uneven: ratio of the noise of two columns above which their units differ; axes of one sensor differ by less than
+        ten. A column in cm may not be noticed.
     drop: factor of power by which noise falls at a filter. Weaker filters are not detected.
     break_off: size of a spike or jump over the usual deviation from neighbours. Smaller ones become jolts.
+    alternating: correlation over four samples above which two sources take turns; 0 for noise, 1 for such sources. At
+        1 they are not noticed.
+    straight: share of samples on lines through their neighbours that is no chance: a shake has 2 % at its zeros. Fewer
+        interpolated recordings are noticed.
+    beyond: rad or m by which a recorded joint may be out of its range, as of another zero: angles in other units and
+        other orders of columns are further out. Fewer of these are noticed.
+    apart, turned: m, rad, by which the tray of a file may be from where its joints have it: a lag of 30 ms at 1 m/s and
+        3 rad/s, and 20 mm of calibration. Tables of two motions, or of another arm, are further apart; fewer of these
+        are noticed.
     softening: c of a sloshing mode whose frequency is f (1 - c (a / R)^2) at height a: 0.07 to 0.3 in cups 0.6 to 1.5 R
         deep, by nonlinear potential flow (potential_flow.py). Resonance is reported at a larger distance.
     runaway: ratio to linear sloshing above which resonance is reported. It is reported later.
@@ -39,6 +51,7 @@ class AuditOptions:
     highest: float = 50.0
     noise: float | None = None
     longest_gap: float | None = None
+    slowest: float = 0.5
     fewest: int = 32
     false_alarm: float = 0.005
     hideable: float = 7.0
@@ -50,8 +63,14 @@ class AuditOptions:
     fiercest: float = 150.0
     nearest: float = 2e-3
     furthest: float = 20.0
+    uneven: float = 30.0
     drop: float = 30.0
-    break_off: float = 8.0
+    break_off: float = 5.0
+    alternating: float = 0.6
+    straight: float = 0.05
+    beyond: float = 0.1
+    apart: float = 0.05
+    turned: float = 0.1
     softening: float = 0.3
     runaway: float = 1.25
     narrow: float = 0.025

@@ -19,8 +19,6 @@ from salver.trajectory import MotionSamples
 
 LEVER = 0.1  # m, lever arm with which rotations are converted to displacements
 FASTER = 2.0  # ratio of bandwidth to the frequency to be followed; its acceleration is then accurate to 2 %
-_PER_PERIOD = 12  # judged instants in each period of the bandwidth; peaks are then accurate to 0.9 %
-_GROWTH = 1.7  # largest factor by which the bandwidth grows in an iteration
 OUTER = 2  # samples at each end between which the acceleration of the curve is not determined
 
 
@@ -91,9 +89,9 @@ def read_motion(t: Array, p: Array, quat_wxyz: Array, sensor: Sensor, options: A
 
 
 def _follow(
-    t: Array, y: Array, level: NoiseLevel, rate: float, negligible: float, options: AuditOptions
+    t: Array, y: Array, level: NoiseLevel, rate: float, negligible: float, options: AuditOptions, growth: float = 1.7
 ) -> tuple[Fit, Array]:
-    """A spline, and its bandwidth (N,), raised until the residuals are noise."""
+    """A spline, and its bandwidth (N,), raised until the residuals are noise, by up to `growth` in an iteration."""
     most, least = RESOLVED * rate, min(RESOLVED * rate, 1.5 / (t[-1] - t[0]))
     # Up to this bandwidth noise causes a negligible error of the acceleration (0.1 m/s^2).
     unit = options.certain * level.whole * (2 * np.pi) ** 2 * np.sqrt(0.4 / rate)  # times f^2.5
@@ -105,7 +103,7 @@ def _follow(
         curve = fit(t, y, bandwidth)
         residual = off(curve.spline(t), y)
         wanted = _wanted(standing_out(residual, rate, level, negligible, options.false_alarm), len(t))
-        raised = np.clip(FASTER * wanted, 1.2 * bandwidth, _GROWTH * bandwidth)
+        raised = np.clip(FASTER * wanted, 1.2 * bandwidth, growth * bandwidth)
         raised = np.minimum(most, np.where(wanted > 0, raised, bandwidth))
         if np.all(raised <= bandwidth * (1 + 1e-9)):
             return curve, bandwidth
@@ -124,10 +122,11 @@ def _wanted(kinds: list[Oscillations], n: int) -> Array:
     return wanted
 
 
-def _instants(t: Array, bandwidth: Array) -> Array:
-    """Instants that are dense enough for the bandwidth, including both ends."""
+def _instants(t: Array, bandwidth: Array, per_period: int = 12) -> Array:
+    """Instants that are dense enough for the bandwidth, including both ends; with 12 in each of its periods peaks are
+    accurate to 0.9 %."""
     fine = np.union1d(np.linspace(t[0], t[-1], 201), t)
-    dense = _PER_PERIOD * np.interp(fine, t, bandwidth)
+    dense = per_period * np.interp(fine, t, bandwidth)
     passed = np.concatenate([[0.0], np.cumsum(0.5 * (dense[1:] + dense[:-1]) * np.diff(fine))])
     grid = np.interp(np.linspace(0, passed[-1], max(100, int(np.ceil(passed[-1]))) + 1), passed, fine)
     grid[[0, -1]] = t[[0, -1]]

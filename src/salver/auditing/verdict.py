@@ -44,7 +44,6 @@ EDGES = 16  # of the friction pyramids, which are at most 2 % inside the round c
 
 AT_ONCE = 4096  # instants whose margins are computed at once
 SPILLS = ("spills", "unsettled")
-APART, TURNED = 0.05, 0.1  # m, rad, beyond which tray and joints of a file disagree: more than lags and calibration
 AT_REST = 1e-3  # m/s or rad/s, below which the tray is at rest
 
 
@@ -135,11 +134,12 @@ class Audit(Shown, Tabular):
     @cached_property
     def _borne(self) -> tuple[Borne, Borne]:
         """The motion with its reserve, nominal and in the worst case."""
-        still = Margins(self._model, np.zeros(1), at_rest()[None])
-        resting = (still.exact, still.exact_worst)
+        zero = np.zeros((1, 3))
+        begun = motion_vector(self.motion.samples.R_SB[:1], zero, zero, zero)
+        still = Margins(self._model, np.zeros(2), np.concatenate([at_rest()[None], begun]))
         nominal, worst = (
-            Borne(self.motion, 9.81 * margin, 9.81 * float(rest[0]), self._pushed(bool(case)))
-            for case, (margin, rest) in enumerate(zip(self.reserves, resting, strict=True))
+            Borne(self.motion, 9.81 * margin, 9.81 * resting[0], self._pushed(bool(case)), 9.81 * resting[1])
+            for case, (margin, resting) in enumerate(zip(self.reserves, (still.exact, still.exact_worst), strict=True))
         )
         return nominal, worst
 
@@ -392,7 +392,7 @@ def _beside(
     try:
         beside = read_for(scenario, path, joints_first=True, units=units)
         if not isinstance(beside, JointSamples):
-            return None
+            return next((note for note in beside.notes if note not in samples.notes), None)
         if not np.array_equal(beside.t, samples.t):
             raise SalverError(f"{beside.source} repeats times, with other joints but the same tray, or the reverse.")
         beside = reordered(beside, arm.joint_names)
@@ -409,11 +409,11 @@ def _with_joints(found: Audit, beside: JointSamples | str | None) -> Audit:
         return replace(found, motion=replace(motion, notes=(*motion.notes, beside)))
     if beside is None or arm is None:
         return found
-    doubts = (*motion.doubts, *_disagreement(motion.samples, beside, arm))
+    doubts = (*motion.doubts, *_disagreement(motion.samples, beside, arm, motion.options))
     return replace(found, joints=beside, motion=replace(motion, doubts=doubts))
 
 
-def _disagreement(tray: MotionSamples, joints: JointSamples, arm: ArmModel) -> list[Doubt]:
+def _disagreement(tray: MotionSamples, joints: JointSamples, arm: ArmModel, options: AuditOptions) -> list[Doubt]:
     """A doubt, if the joints do not carry the tray frame E where the tray's own samples have it."""
     some = np.unique(np.linspace(0, len(tray.t) - 1, 500).astype(int))
     q = np.column_stack([np.interp(tray.t[some], joints.t, each) for each in joints.q.T])
@@ -421,9 +421,10 @@ def _disagreement(tray: MotionSamples, joints: JointSamples, arm: ArmModel) -> l
     apart = np.linalg.norm(p_SE - tray.p_SB[some], axis=1)
     cosine = (np.einsum("tij,tij->t", R_SE, tray.R_SB[some]) - 1) / 2
     turned = np.arccos(np.clip(cosine, -1, 1))
-    if apart.max() <= APART and turned.max() <= TURNED:
+    off = np.maximum(apart / options.apart, turned / options.turned)
+    worst = int(np.argmax(off))
+    if off[worst] <= 1:
         return []
-    worst = int(np.argmax(np.maximum(apart / APART, turned / TURNED)))
     clause = (
         f"at {tray.t[some[worst]]:.2f} s the joints have the tray {1e3 * apart[worst]:.0f} mm and "
         f"{np.rad2deg(turned[worst]):.1f} deg from where the file's tray is: leave out the columns that are wrong, or "

@@ -46,7 +46,8 @@ _QUATERNION = re.compile(r"(?:pose[._])?(?:q|quat|quaternion|orientation)(?:[._]
 _POSE = ("px", "py", "pz", "qw", "qx", "qy", "qz")
 JointNames = Callable[[], tuple[str, ...]]
 
-APART = 0.02  # m, by which the distance of two points of the tray may change
+# m, by which the distance of two points of the tray may change: lags of one sample of 100 a second, at 1 m/s, of each.
+APART = 0.02
 LARGEST = 500_000_000  # bytes of a text file
 FORMAT = "salver motion"  # of JSON that salver wrote
 BAGS = (".bag", ".mcap", ".db3")
@@ -231,7 +232,9 @@ def of_table(
                 )
         pose = values[:, [place[name] for name in _POSE]]
         tray = tray_samples(t, units.length * pose[:, :3], pose[:, 3:], "B" if frame == "sb" else "E", source)
-        return replace(tray, notes=units.notes + tray.notes)
+        unknown = ", ".join(name for name in header if names and "joint" in name.lower())
+        said = f"The columns {unknown} are not used: the arm's joints are {', '.join(names)}."
+        return replace(tray, notes=(*units.notes, *tray.notes, *([said] if unknown else [])))
     if joints:
         size = units.of_joints(len(joints))
         rates = [_rates(header, values, tuple(joints), order) for order in (1, 2)]

@@ -31,7 +31,6 @@ OBJECT = "object_path"  # end of the name of a path of the object's frame B
 LARGEST_YAML, LARGEST_JSON = 5_000_000, 100_000_000  # bytes; YAML is read at about 0.2 MB/s
 LARGEST_BAG = 2_000_000_000  # bytes
 MOST_MESSAGES = 5_000_000
-DEEPEST = 8  # largest depth of a trajectory in a message
 _NESTED = ("trajectory", "joint_trajectory", "planned_trajectory", "msg", "goal")
 
 
@@ -109,9 +108,10 @@ def _yaml(text: str, path: Path) -> Any:
         raise FileFormatError(f"{path} is not YAML of a trajectory ({type(error).__name__}).") from None
 
 
-def _find_trajectory(data: Any, depth: int = 0) -> Mapping[str, Any] | None:
-    """The JointTrajectory in a message: itself, or inside a RobotTrajectory, an action goal or a list of one."""
-    if depth > DEEPEST:
+def _find_trajectory(data: Any, depth: int = 0, deepest: int = 8) -> Mapping[str, Any] | None:
+    """The JointTrajectory in a message: itself, or inside a RobotTrajectory, an action goal or a list of one; at most
+    `deepest` levels down."""
+    if depth > deepest:
         return None
     if isinstance(data, Mapping):
         if "joint_names" in data and "points" in data:

@@ -13,7 +13,6 @@ from salver.errors import UnsafeError
 UNSAFE = "UNSAFE"
 SPEED = "NOT AT EVERY SPEED"
 _SAID = re.compile(rf'({UNSAFE}|{SPEED}): ([^\n"]*)')
-_HEAD = 2000  # bytes at the beginning of a file that contain its verdict
 
 
 def one_line(text: str) -> str:
@@ -61,4 +60,4 @@ def _text(path: Path) -> str:
         path = path / "metadata.yaml"
         return path.read_text(encoding="utf-8", errors="replace") if path.is_file() else ""
     with open(path, "rb") as file:
-        return file.read(_HEAD).decode("utf-8", errors="replace")
+        return file.read(2000).decode("utf-8", errors="replace")
