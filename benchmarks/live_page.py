@@ -30,6 +30,7 @@ TABLE = f"| {' | '.join(COLUMNS)} |\n{'|---' * len(COLUMNS)}|"
 def pieces() -> dict[str, str]:
     """Tables and findings of both pages."""
     from live_arrivals import arrived
+    from live_faults import faults_in_words
 
     kept = {name: read_json(DATA / f"{name}.json") for name in ("live", "live-long", "live-liquids")}
     arrivals = {what: kept["live"].pop(what) for what in list(kept["live"]) if what.endswith(", arrivals")}
@@ -58,6 +59,10 @@ def pieces() -> dict[str, str]:
         "filter": faster(kept["live"]),
         "arrivals": "\n".join(f"- {arrived(what.split(', ')[0], each)}." for what, each in arrivals.items()),
         "obstacles": balls,
+        "faults": "\n".join(
+            f"- {what.split(', ')[0]}: {faults_in_words(each)}"
+            for what, each in read_json(DATA / "live-faults.json").items()
+        ),
         "loop": loop(),
         "speed": speed(),
         "nearest": f"The least distance of a constraint from its boundary (0) in any run, as a share of what it "
