@@ -1,4 +1,4 @@
-"""The notebooks run from top to bottom in a kernel of their own, and show what their text says."""
+"""The notebooks run from top to bottom, each without what another one named, and show what their text says."""
 
 import re
 from pathlib import Path
@@ -6,15 +6,26 @@ from pathlib import Path
 import nbclient
 import nbformat
 import pytest
+from jupyter_client.manager import AsyncKernelManager
 
 pytestmark = pytest.mark.slow
 NOTEBOOKS = Path(__file__).parents[2] / "examples" / "notebooks"
 
 
-def executed(name, folder):
-    """Text of all outputs, and the number of pages shown inline."""
+@pytest.fixture(scope="module")
+def executed():
+    """Runs a notebook in a folder; text of all outputs, and the number of pages shown inline. One kernel for all: it
+    takes two seconds to start."""
+    manager = AsyncKernelManager(kernel_name="python3")
+    yield lambda name, folder: _executed(manager, name, folder)
+    nbclient.util.run_sync(manager.shutdown_kernel)(now=True)
+
+
+def _executed(manager, name, folder):
     notebook = nbformat.read(NOTEBOOKS / f"{name}.ipynb", as_version=4)
-    nbclient.NotebookClient(notebook, timeout=300, resources={"metadata": {"path": folder}}).execute()
+    afresh = nbformat.v4.new_code_cell(f'%reset -f\n__import__("os").chdir({str(folder)!r})')
+    notebook.cells.insert(0, afresh)
+    nbclient.NotebookClient(notebook, km=manager, timeout=300).execute()
     text, frames = [], 0
     for cell in notebook.cells:
         for output in cell.get("outputs", []):
@@ -38,14 +49,14 @@ def test_every_notebook_is_run_here_and_kept_with_outputs_but_the_page():
         assert path.stat().st_size < 300_000, path
 
 
-def test_reproduce_the_paper(tmp_path):
+def test_reproduce_the_paper(executed, tmp_path):
     text, frames = executed("reproduce_the_paper", tmp_path)
     assert "<Plan panda-cube, method robust, duration 2.5 s, ok yes>" in text
     assert text.count("'holds'") == 2
     assert frames == 1
 
 
-def test_my_arm_and_bottle(tmp_path):
+def test_my_arm_and_bottle(executed, tmp_path):
     text, frames = executed("my_arm_and_bottle", tmp_path)
     assert "'ranges': 'holds'" in text
     assert "'nominal': 'holds'" not in text
@@ -53,14 +64,14 @@ def test_my_arm_and_bottle(tmp_path):
     assert (tmp_path / "my-bottle.yaml").is_file()
 
 
-def test_will_my_trajectory_slip(tmp_path):
+def test_will_my_trajectory_slip(executed, tmp_path):
     text, _ = executed("will_my_trajectory_slip", tmp_path)
     assert "<Audit panda-cube, verdict does not hold" in text
     assert "Everything holds in the worst case" in text
     assert "('slides', 'holds')" in text
 
 
-def test_your_own_load_and_arm(tmp_path):
+def test_your_own_load_and_arm(executed, tmp_path):
     text, frames = executed("your_own_load_and_arm", tmp_path)
     assert "{'20 %': 'holds', '5 %': 'slides'}" in text
     took = re.search(r"(\d\.\d+) s with friction known to 20 %, (\d\.\d+) s with 5 %", text)
