@@ -91,6 +91,8 @@ def test_a_systematic_error_does_not_average_out_over_logs(plan: Plan) -> None:
         (True, Defects(cable=1.0), "cable of .* looks"),
         (False, Defects(torque_bias=0.5), "torque_bias of joint . looks"),
         (False, Defects(delay=0.03), "delay of joint torques looks"),
+        (False, Defects(delay=0.1), "delay of joint torques looks (9[.]|10[.]|11[.])"),
+        (False, Defects(bandwidth=1.6), "delay of joint torques looks"),  # a filter of 0.1 s is late too
     ],
 )
 def test_beyond_its_bound_a_defect_that_shows_is_named(plan: Plan, wrist: bool, defects: Defects, said: str) -> None:

@@ -17,8 +17,6 @@ from salver.motion_files.samples import reordered
 from salver.scenario import Scenario
 
 GAP = 0.03  # s, longest distance between two samples
-LONGEST = 600.0  # s, longest log
-MOVES = 0.02  # rad, least movement of some joint in a log
 FORCE = ("fx", "fy", "fz", "tx", "ty", "tz")
 
 
@@ -104,8 +102,13 @@ def _read_csv(path: Path, n: int) -> dict[str, Array]:
     return found | {"t": found["t"][:, 0]}
 
 
-def check_times(t: Array, q: Array, source: str, planned: Array | None = None) -> None:
-    """Raise FileFormatError when times t (K,) and positions q (K, n) are not a log of a motion, planned as (L, n)."""
+def check_times(
+    t: Array, q: Array, source: str, planned: Array | None = None, longest: float = 600.0, moves: float = 0.02
+) -> None:
+    """Raise FileFormatError when times t (K,) and positions q (K, n) are not a log of a motion, planned as (L, n).
+
+    longest: s, of a log. moves: rad, least movement of some joint.
+    """
     step = np.diff(t)
     if not np.isfinite(t).all() or step.min() <= 0:
         k = int(np.argmin(step > 0))
@@ -113,9 +116,9 @@ def check_times(t: Array, q: Array, source: str, planned: Array | None = None) -
             f"{source}: its times do not grow from sample to sample: {t[k]:.9g} s is followed by {t[k + 1]:.9g} s "
             f"({np.count_nonzero(~(step > 0))} of {len(step)} steps)."
         )
-    if np.ptp(t) > LONGEST:
+    if np.ptp(t) > longest:
         raise FileFormatError(
-            f"{source} is {np.ptp(t):.4g} s long; at most {LONGEST:g} are accepted, and times are in s: cut it."
+            f"{source} is {np.ptp(t):.4g} s long; at most {longest:g} are accepted, and times are in s: cut it."
         )
     if step.max() > GAP:
         k = int(np.argmax(step))
@@ -125,8 +128,8 @@ def check_times(t: Array, q: Array, source: str, planned: Array | None = None) -
         )
     if planned is None:
         return
-    if np.ptp(q, axis=0).max() < MOVES:
-        raise FileFormatError(f"{source} has no motion in it: no joint moves by {MOVES:g} rad.")
+    if np.ptp(q, axis=0).max() < moves:
+        raise FileFormatError(f"{source} has no motion in it: no joint moves by {moves:g} rad.")
     if np.abs(q).max() > 12 and np.abs(np.ptp(np.deg2rad(q), axis=0) - np.ptp(planned, axis=0)).max() < 0.2:
         raise FileFormatError(f"{source}: its joint positions are in degrees; they must be in rad.")
 

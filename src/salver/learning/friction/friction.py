@@ -47,6 +47,9 @@ class FrictionOptions:
         shakes: vibration that the joints do not show, as a share of gravity, and that may start a slip.
         speed: deg/s of a tilt; doubled, the test is shorter and vibrates more.
         hold: s at the angle of a tilt.
+        step: s between the instants of a tilt.
+        steeper: rad, added to the angle that is needed.
+        most: largest friction that can be tested: a tilt of about 60 deg.
         harder: share by which a plan may press harder than the test; halved, tilts of the test itself count.
         spare: margin of a test to tipping, as a share of the weight, and additional friction that it demands.
     """
@@ -56,6 +59,9 @@ class FrictionOptions:
     shakes: float = 0.02
     speed: float = 4.0
     hold: float = 1.0
+    step: float = 0.02
+    steeper: float = 1e-3
+    most: float = 1.5
     harder: float = 0.1
     spare: float = 0.02
 

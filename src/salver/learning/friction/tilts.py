@@ -18,10 +18,6 @@ from salver.planning.plan import Plan
 from salver.scenario import Scenario
 from salver.trajectory import MotionSamples, SampledReference, smooth_step
 
-STEP = 0.02  # s
-STEEPER = 1e-3  # rad, added to the angle that is needed
-MOST = 1.5  # largest friction that can be tested: a tilt of about 60 deg
-
 
 def tilt_test(scenario: Scenario, shown: float, level: float | None = None) -> Plan:
     """Plan a tilt of the tray at the start pose, and back: a load that does not slide has at least friction
@@ -31,17 +27,17 @@ def tilt_test(scenario: Scenario, shown: float, level: float | None = None) -> P
     scenario has that friction. Raises ScenarioError when a load could tip, or the arm cannot make the tilt.
     """
     body = tested_load(scenario)
-    if not 0 < shown <= MOST:
-        raise ScenarioError(f"A friction of {shown:g} was asked for; it must be above 0 and at most {MOST:g}.")
+    if not 0 < shown <= OPTIONS.most:
+        raise ScenarioError(f"A friction of {shown:g} was asked for; it must be above 0 and at most {OPTIONS.most:g}.")
     lean = leaning(scenario, (OPTIONS.level if level is None else level) + OPTIONS.unseen)
 
     a = np.arctan(shown)  # (sin - lean) / (cos + lean) of the angle is `shown`
-    angle = float(a + np.arcsin(min(1.0, lean * (1 + shown) * np.cos(a))) + STEEPER)
+    angle = float(a + np.arcsin(min(1.0, lean * (1 + shown) * np.cos(a))) + OPTIONS.steeper)
     steepest = _headings(scenario)
     headings = [heading for heading, most in steepest if most >= angle]
     if not headings:
         most = steepest[0][1]
-        gentler = most - STEEPER
+        gentler = most - OPTIONS.steeper
         can = max(0.0, (np.sin(gentler) - lean) / (np.cos(gentler) + lean))
         raise ScenarioError(
             f"{body.name} could tip at {np.rad2deg(most):.1f} deg, and to show a friction of {shown:g} the tray must "
@@ -85,7 +81,7 @@ def _headings(scenario: Scenario) -> list[tuple[float, float]]:
     """Headings of a tilt, rad, with the largest angle, rad, at which no load of the set tips; the steepest first."""
     rows = [
         each.only(np.flatnonzero(~each.label.astype(bool)))
-        for each in contact_rows(_tested(scenario, 2 * MOST).payload)
+        for each in contact_rows(_tested(scenario, 2 * OPTIONS.most).payload)
     ]
     angles = np.deg2rad(np.arange(0.0, 61.0, 0.25))
     found = []
@@ -117,8 +113,8 @@ def _motion(scenario: Scenario, heading: float, t: Array, angle: Array, rate: Ar
 
 def _profile(angle: float) -> tuple[Array, Array, Array, Array]:
     """Times and angle with two derivatives, (T,) each, of a tilt by `angle`, rad, and back."""
-    one_way = max(STEP, 1.875 * np.rad2deg(angle) / OPTIONS.speed)
-    t = np.arange(0.0, 2 * one_way + OPTIONS.hold + STEP, STEP)
+    one_way = max(OPTIONS.step, 1.875 * np.rad2deg(angle) / OPTIONS.speed)
+    t = np.arange(0.0, 2 * one_way + OPTIONS.hold + OPTIONS.step, OPTIONS.step)
     t *= (2 * one_way + OPTIONS.hold) / t[-1]
     up, down = t / one_way, (t - one_way - OPTIONS.hold) / one_way
     share, rate, bend = ((smooth_step(up, k) - smooth_step(down, k)) / one_way**k for k in range(3))

@@ -51,6 +51,10 @@ class ChannelReading:
     motion: SensedMotion
     links: Array | None = None
 
+    @property
+    def sensor(self) -> str:
+        return "wrist" if self.links is None else "joint torques"
+
 
 def differences(motion: SensedMotion, without: SensedMotion, log: Log, empty: Log) -> list[ChannelReading]:
     """Readings of every sensor minus those of the empty run."""

@@ -22,7 +22,6 @@ from salver.learning.load.ranges import WIDTH, Estimate
 from salver.learning.load.systematic import Felt, SensorBounds, SystematicError, torque_errors, wrist_errors
 from salver.models.rigid_body import inertia_entries, parallel_axis
 
-SEEN = 4.0  # standard deviations beyond its bound from which on a systematic error is refused
 Key = tuple[str, int]  # an error's name, and the number of its run or -1
 
 
@@ -48,7 +47,7 @@ def solve(
 ) -> LoadSolution:
     """Estimate the load from the readings of all runs, each with a weight."""
     phi, spread = prior
-    delays = dict[str, float]()
+    delays = _first_delays(runs, bounds)
     for _ in range(3):  # linearised about the prior, then about the estimate
         errors, channels, information, pull = _normal(runs, weights, prior, phi, delays, bounds)
         known = np.diag(np.concatenate([1 / spread**2, np.ones(len(errors))]))
@@ -57,8 +56,7 @@ def solve(
         phi, seen = prior[0] + found[:10], found[10:]
         if phi[0] <= 0:  # no valid load to linearise about
             break
-        late = [(e.of, float(np.clip(x, -5, 5))) for e, x in zip(errors, seen, strict=True) if e.kind == "delay"]
-        delays = {sensor: x * bounds.delay for sensor, x in late}
+        delays = {e.of: x * bounds.delay for e, x in zip(errors, seen.clip(-20, 20), strict=True) if e.kind == "delay"}
     variance = np.diag(covariance)[10:]
     systematic = covariance[:10, 10:]
     noise = covariance[:10, :10] - systematic @ systematic.T
@@ -81,6 +79,20 @@ def solve(
     )
 
 
+def _first_delays(runs: Sequence[Sequence[ChannelReading]], bounds: SensorBounds) -> dict[str, float]:
+    """The delay of each sensor, s, from which to linearise: up to 20 bounds, that of the best least-squares load."""
+    tried, left = bounds.delay * np.arange(-20.0, 21.0, 2.0), dict[str, Array]()
+    for reading in (reading for readings in runs for reading in readings):
+        t, wide = reading.motion.t, reading.rows.shape[2]
+        square = []
+        for delay in tried:
+            rows = interpolated(t, reading.rows, t - delay).reshape(-1, wide)
+            values = reading.values.ravel()
+            square.append(np.sum((values - rows @ np.linalg.lstsq(rows, values, rcond=1e-8)[0]) ** 2))
+        left[reading.sensor] = left.get(reading.sensor, np.zeros(len(tried))) + square
+    return {sensor: float(tried[np.argmin(each)]) for sensor, each in left.items()}
+
+
 def _normal(
     runs: Sequence[Sequence[ChannelReading]],
     weights: Sequence[float],
@@ -96,7 +108,7 @@ def _normal(
     for number, (readings, weight) in enumerate(zip(runs, weights, strict=True)):
         for reading in readings:
             motion, links = reading.motion, reading.links
-            delay = delays.get("wrist" if links is None else "joint torques", 0.0)
+            delay = delays[reading.sensor]
             reading = replace(reading, rows=interpolated(motion.t, reading.rows, motion.t - delay))
             felt = Felt(motion.t, motion.q, reading.rows @ phi, np.stack([reading.rows @ x for x in slid]))
             own = list(wrist_errors(bounds, felt) if links is None else torque_errors(bounds, felt, links))
@@ -139,14 +151,15 @@ def _whitened(
     return white / size, values / size, size * level.share(told, noise.samples)
 
 
-def _denied(errors: Sequence[SystematicError], seen: Array, variance: Array) -> str | None:
+def _denied(errors: Sequence[SystematicError], seen: Array, variance: Array, least: float = 4.0) -> str | None:
     """A sentence about the systematic error that exceeds its bound most, or None: by the runs alone, without its prior,
-    it is m / (1 - v) +- (v / (1 - v))^.5 bounds."""
+    it is m / (1 - v) +- (v / (1 - v))^.5 bounds. least: standard deviations beyond its bound from which on it is
+    refused."""
     left = np.maximum(1 - variance, 1e-12)
     beyond = (np.abs(seen) / left - 1) / np.sqrt(variance / left)
     beyond[[error.kind == "filter_time" for error in errors]] = -np.inf  # smoothing of deviations has a similar effect
     worst = int(np.argmax(beyond))
-    if beyond[worst] <= SEEN:
+    if beyond[worst] <= least:
         return None
     error, times = errors[worst], abs(seen[worst]) / left[worst]
     return (

@@ -44,7 +44,6 @@ from salver.scenario import Scenario
 from salver.sensitivity.arm.terms import MotionTerms, motion_terms
 
 METHOD = "excite"
-SHORTEST, LONGEST = 0.3, 30.0  # s
 SOUGHT = 4  # entries of phi of interest: mass and first moment
 
 
@@ -107,14 +106,16 @@ class Information(Objective):
         return self.known + np.einsum("tck,tcl,t->kl", read, centred, time), centred, terms
 
 
-def plan_excite(scenario: Scenario, duration: float) -> Plan:
+def plan_excite(scenario: Scenario, duration: float, accepted: tuple[float, float] = (0.3, 30.0)) -> Plan:
     """Plan an excitation trajectory of a duration, s, from the scenario's start pose and back.
 
-    Raises ScenarioError for an unsuitable scenario, UnreachableError when no motion is found.
+    accepted: s, least and largest duration. Raises ScenarioError for an unsuitable scenario, UnreachableError when no
+    motion is found.
     """
     one_load(scenario, "an excitation trajectory")
-    if not SHORTEST <= duration <= LONGEST:
-        raise ScenarioError(f"A duration of {duration:g} s was asked for; it must be {SHORTEST:g} to {LONGEST:g}.")
+    shortest, longest = accepted
+    if not shortest <= duration <= longest:
+        raise ScenarioError(f"A duration of {duration:g} s was asked for; it must be {shortest:g} to {longest:g}.")
     start = scenario.motion.start.model_dump()
     there = scenario.with_changes(
         contact__condition="exact",

@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from salver.scenario import Scenario
 
 Ends = tuple[Array, Array]  # least and largest values (10,) of `INERTIAL`
-DENIED = 4.5  # standard deviations above which the logs contradict an inertia without a range
 
 
 def prior(scenario: Scenario) -> tuple[Array, Array]:
@@ -39,15 +38,18 @@ def half_ranges(scenario: Scenario) -> Array:
     return np.array([ranges.get(name, 0.0) for name in INERTIAL])
 
 
-def narrowed(scenario: Scenario, estimate: Estimate, within: Scenario, inside: bool) -> dict[str, Range]:
+def narrowed(
+    scenario: Scenario, estimate: Estimate, within: Scenario, inside: bool, denied_from: float = 4.5
+) -> dict[str, Range]:
     """Ranges of mass, centre of mass and inertia in the scenario's B, within those of `within`, a scenario of the same
-    load. inside: whether a mass inside the shape can have the scenario's inertia."""
+    load. inside: whether a mass inside the shape can have the scenario's inertia. denied_from: standard deviations
+    from which on the logs contradict an inertia without a range."""
     body, half = within.payload.first, half_ranges(within)
     nominal = inertial_vector(body.inertial)
     nominal[1:4] += body.com_G - scenario.payload.first.com_G
     off = slid(estimate)
     sure, likely, denied = (
-        (low - off, high + off) for low, high in (intervals(estimate, width) for width in (WIDTH, LIKELY, DENIED))
+        (low - off, high + off) for low, high in (intervals(estimate, width) for width in (WIDTH, LIKELY, denied_from))
     )
     before = nominal - half, nominal + half
     found = {name: _within(k, sure, before, likely) for k, name in enumerate(NAMES)}

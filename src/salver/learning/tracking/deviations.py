@@ -55,7 +55,6 @@ class DeviationFit:
 Fitted = Callable[[Array, JointMotion, Array], list[DeviationFit]]
 """A function of times t (K,), a plan and a deviation (K, n), with several fits."""
 STANDSTILL = 0.02  # rad/s, velocity over which Coulomb friction changes its sign
-_SAGGED = 2.0  # s before the log during which a wrong payload setting has acted
 
 
 def lag(t: Array, plan: JointMotion, rate: float, damping: float, delay: float, friction: float, joint: int) -> Array:
@@ -89,10 +88,11 @@ def of_lags(t: Array, plan: JointMotion, off: Array) -> list[DeviationFit]:
     return [DeviationFit(np.stack(bases, axis=2), tangent[..., :3]), DeviationFit(np.stack(rubbed, axis=2), tangent)]
 
 
-def under_torque(scenario: Scenario, model: Any, tray: int) -> Fitted:
+def under_torque(scenario: Scenario, model: Any, tray: int, sagged: float = 2.0) -> Fitted:
     """Fits of payload, delay, both, and both with friction, under salver's computed torque.
 
-    model: of the arm with its load. tray: frame of the tray in it.
+    model: of the arm with its load. tray: frame of the tray in it. sagged: s before the log during
+    which a wrong payload setting has acted.
     """
     kp, kd = scenario.control.kp[0], scenario.control.kd[0]
     body = scenario.payload.first
@@ -107,9 +107,9 @@ def under_torque(scenario: Scenario, model: Any, tray: int) -> Fitted:
             return np.stack([x, v, loop.acceleration(drive, x, v)])
 
         need, pulled = needed_at_tray(body, body.inertial.phi), terms.mass_inverse @ np.swapaxes(terms.jacobian, 1, 2)
-        payload = answer(np.einsum("tij,tj->ti", pulled, terms.w @ need.T), _SAGGED)
+        payload = answer(np.einsum("tij,tj->ti", pulled, terms.w @ need.T), sagged)
         heavier = pulled @ need[:, :6] @ terms.jacobian
-        again = answer(-np.einsum("tij,tj->ti", heavier, kp * payload[0] + kd * payload[1]), _SAGGED)
+        again = answer(-np.einsum("tij,tj->ti", heavier, kp * payload[0] + kd * payload[1]), sagged)
         rates = np.stack([dq, ddq, np.gradient(ddq, t, axis=0)])
         delays = [answer(late(terms, rates, 1.0)), answer(kd * ddq + kp * dq)]
         turned = np.moveaxis(terms.mass_inverse * np.tanh(dq / STANDSTILL)[:, None, :], 2, 0)
