@@ -88,6 +88,16 @@ def test_a_base_that_is_not_upright_stands_on_no_floor() -> None:
         assert cube.with_changes(arm__base_rpy_deg=turn, surroundings__floor="none").floor is None
 
 
+def test_what_an_upright_base_is_judged_by_is_as_before_bases_were_tilted() -> None:
+    """So that run directories from then are read: every key of the arm but the one that was renamed is as it is."""
+    upright = scenario.load("panda-cube").with_changes(arm__base_rpy_deg=(0.0, 0.0, 70.0))
+    keys = upright.model_dump(mode="json")["arm"]
+    del keys["base_rpy_deg"]
+    assert upright.resolved["arm"] == {**keys, "base_yaw_deg": 70.0}
+    tilted = upright.with_changes(arm__base_rpy_deg=(0.0, 90.0, 70.0), surroundings__floor=-0.5)
+    assert tilted.resolved == tilted.model_dump(mode="json")
+
+
 @pytest.mark.parametrize("height", [0.0, -0.25])
 def test_distances_from_the_floor_are_heights(height: float) -> None:
     """Of every link the height of the lowest corner of its hull; only what the arm stands on is not compared."""

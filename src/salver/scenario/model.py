@@ -291,9 +291,18 @@ class Scenario(Shown, Model):
         return copy
 
     @property
+    def resolved(self) -> dict[str, Any]:
+        """All keys with their values, for digests. A base that is upright has base_yaw_deg, so that plans from before
+        there was base_rpy_deg keep theirs."""
+        found = self.model_dump(mode="json")
+        if self.arm is not None and self.arm.base_rpy_deg[:2] == (0.0, 0.0):
+            found["arm"]["base_yaw_deg"] = found["arm"].pop("base_rpy_deg")[2]
+        return found
+
+    @property
     def digest(self) -> str:
         """Content hash: 12 hexadecimal digits of the resolved scenario."""
-        text = json.dumps(self.model_dump(mode="json"), sort_keys=True)
+        text = json.dumps(self.resolved, sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:12]
 
     def with_changes(self, **changes: Any) -> Scenario:
