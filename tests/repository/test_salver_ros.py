@@ -204,7 +204,7 @@ def test_a_twist_is_followed_and_decays_when_it_is_not_repeated() -> None:
         ("world", 0.3, (0.1, 0, 0), "The twist is 0.30 s old; it must be at most 0.1 s: set header.stamp."),
         ("world", np.nan, (0.1, 0, 0), "The twist is nan s old; it must be at most 0.1 s: set header.stamp."),
         ("world", 0.0, (np.nan, 0, 0), "The twist is refused: v has values that are not finite."),
-        ("world", 0.0, (100.0, 0, 0), "The twist is refused: v is 100; it must be at most 5 m/s, in S."),
+        ("world", 0.0, (100.0, 0, 0), "The twist is refused: v is 100; it must be at most 5 m/s."),
     ],
 )
 def test_a_wrong_twist_is_refused_in_a_sentence(resting: Carrier, frame: str, age: float, v: Any, told: str) -> None:
