@@ -7,7 +7,7 @@ from scipy.interpolate import BPoly
 
 from salver import trajectory
 from salver.geometry import exp, hat, log
-from salver.planning.passing import passed
+from salver.planning.verification import passed
 from salver.trajectory import (
     JointMotion,
     PolynomialReference,

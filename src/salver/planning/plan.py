@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -14,15 +13,15 @@ import numpy as np
 from salver.display import Shown
 from salver.errors import FileFormatError, ScenarioError, Status
 from salver.files import provenance
-from salver.geometry import Array, invert, log, matrix_from_quat_wxyz
+from salver.geometry import Array, invert, matrix_from_quat_wxyz
 from salver.models.uncertain.parameters import unshaken
 from salver.motion_files.verdict import SPEED, UNSAFE, one_line
 from salver.planning.extent import Extent, extent
-from salver.planning.object.conditions import TILT, apart, unit_of
 from salver.planning.object.cost import sensitivity_cost
 from salver.planning.object.evaluation import Evaluation, evaluate
 from salver.planning.plan_files import NEEDED, PlanFiles, read_plan, save_files
 from salver.planning.stop_library import StopLibrary
+from salver.planning.verification import Verification
 from salver.plots import Curves, Plotted
 from salver.scenario import Scenario
 from salver.scenario.warnings import warnings_of
@@ -45,55 +44,6 @@ STEERED = (
     1e-2,
     2e-3,
 )  # s, time step of the arrays and of the check for a motion whose jerk may jump at any time
-NEAR_ENOUGH = 1e-3  # m: largest distance at which a pose counts as passed; orientation by `passing.LEVER`
-BOUNDARY_TOLERANCE = 1e-9  # m, rad and their rates
-
-
-@dataclass(frozen=True)
-class Verification:
-    """Result of the plan's check, on a grid `FINER` times finer than the planner's.
-
-    instants: number of instants checked. boundary_error: largest error of pose, twist and acceleration at both ends (SI
-    units). slack: least contact condition minus its tube, in `unit`, at `time` (s), of the object or interface `body`.
-    passes: largest distance at which a via pose is passed, m (`salver.planning.passing`); infinite when they are passed
-    in another order. exactly: whether nothing is uncertain. shake: of the tray, in words; "" for none.
-    """
-
-    instants: int
-    boundary_error: float
-    slack: float
-    time: float
-    body: str
-    unit: str
-    passes: float = 0.0
-    exactly: bool = False
-    shake: str = ""
-
-    @property
-    def violation(self) -> float:
-        return max(0.0, -self.slack)
-
-    @property
-    def ok(self) -> bool:
-        return self.violation == 0 and self.boundary_error <= BOUNDARY_TOLERANCE and self.passes <= NEAR_ENOUGH
-
-    @property
-    def sentence(self) -> str:
-        where = f"{self.body}, at t = {self.time:.3f} s"
-        if self.violation > 0:
-            what = {TILT: "limit on tilt"}.get(
-                self.body, "room of what moves inside" if apart(self.body) else "contact condition"
-            )
-            return f"The {what} is missed by {self.violation:.3g} {self.unit} ({where})."
-        if self.boundary_error > BOUNDARY_TOLERANCE:
-            return f"The motion misses its start or goal by {self.boundary_error:.2g} (SI units)."
-        if self.passes > NEAR_ENOUGH:
-            return f"The motion misses a pose to pass by {1e3 * self.passes:.2g} mm, or passes them in another order."
-        kept = f"the contact condition keeps {self.slack:.3g} {self.unit} over its tube"
-        passed = f" Every pose to pass is passed within {1e3 * self.passes:.2g} mm." if self.passes else ""
-        exactly = ", for exactly these values" if self.exactly else ""
-        shaken = f" There is margin for a tray that shakes by {self.shake}." if self.shake else ""
-        return f"Checked at {self.instants} instants{exactly}: {kept} (least for {where}).{shaken}{passed}"
 
 
 @dataclass(frozen=True, repr=False)
@@ -237,42 +187,8 @@ class Plan(Shown, Tabular, Plotted):
 
     @cached_property
     def verification(self) -> Verification:
-        motion, samples = self.scenario.motion, self.evaluation.samples
-        ends = [0, -1]
-        goals = np.array([motion.start.position, motion.goal.position])
-        rotations = np.stack([motion.start.rotation, motion.goal.rotation])
-        turn = log(np.swapaxes(rotations, 1, 2) @ samples.R_SB[ends])
-        if motion.goal_yaw == "free":
-            turn[1] = np.cross(rotations[1, :, 2], samples.R_SB[-1, :, 2])
-        still = [x[ends] for x in (samples.v_S, samples.a_S, samples.omega_B, samples.alpha_B)]
-        error = max(float(np.abs(x).max()) for x in (samples.p_SB[ends] - goals, turn, *still))
-        slack, when, body = self._worst
-        unit = unit_of(self.scenario, body)
-        exactly, shake = self.uncertain.size == 0, self.uncertain.shake
-        shaken = shake.words if shake is not None else ""
-        return Verification(len(self._checked.t), error, slack, when, body, unit, self._passes(), exactly, shaken)
-
-    @property
-    def _worst(self) -> tuple[float, float, str]:
-        """Least slack of the check, its time (s) and its owner. With load dynamics the rest after the motion counts
-        too, for one period: on a tilted tray a load that has swung back pushes more."""
-        found, period = self._checked.worst(), self.scenario.payload.slowest_period
-        if period == 0.0 or found[0] < 0.0:
-            return found
-        count = int(np.ceil(len(self._checked.t) * (1 + period / self.duration)))
-        return min(found, evaluate(self.scenario, self.reference, count, period).worst(since=self.duration))
-
-    def _passes(self) -> float:
-        """Largest distance at which a via pose is passed, m; infinite when they are passed in another order."""
-        motion = self.scenario.motion
-        if not motion.through:
-            return 0.0
-        from salver.planning.passing import passed
-
-        free = motion.goal_yaw == "free"
-        found = passed(self.reference, [(np.array(p.position), p.rotation) for p in motion.through], free)
-        in_order = all(one < other for (one, _), (other, _) in pairwise(found))
-        return max(away for _, away in found) if in_order else float("inf")
+        """Boundary conditions, contact and via poses, checked on a fine grid."""
+        return Verification.of(self.scenario, self.reference, self._checked)
 
     @cached_property
     def margins(self) -> Margins:
@@ -371,12 +287,11 @@ class Plan(Shown, Tabular, Plotted):
         }
 
     def verify(self) -> Verification:
-        """Re-check boundary conditions and contact on the fine grid."""
+        """The check of boundary conditions, contact and via poses, on a fine grid."""
         return self.verification
 
     def summary(self) -> dict[str, Any]:
         """Content of `plan.json`."""
-        check = self.verification
         lowest = self.cone_coefficients - self.cone_radius
         out: dict[str, Any] = {
             "verdict": self.verdict,
@@ -390,17 +305,7 @@ class Plan(Shown, Tabular, Plotted):
             "condition": self.scenario.contact.condition,
             "weighting": self.scenario.objective.weighting,
             "cost": self.cost,
-            "verification": {
-                "ok": check.ok,
-                "sentence": check.sentence,
-                "instants": check.instants,
-                "boundary_error": check.boundary_error,
-                "least_slack": check.slack,
-                "time": check.time,
-                "unit": check.unit,
-                "object": check.body,
-                **({"passes": check.passes} if self.scenario.motion.through else {}),
-            },
+            "verification": self.verification.record(),
             "margins": {m.name: _margin_record(m) for m in self.margins.interfaces},
             "speeds": self.speeds.summary(),
             "least_cone_coefficient": float(self.cone_coefficients.min()),

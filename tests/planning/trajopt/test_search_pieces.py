@@ -21,7 +21,7 @@ from salver.planning.postures import INSIDE, PoseTarget
 from salver.planning.stops import along
 from salver.planning.trajopt.constraints.constraints import PER_METRE, REACH_BEYOND_TRAY, UNSEEN, Block, Clearance
 from salver.planning.trajopt.constraints.obstacles import CLEARANCE, KeepOut
-from salver.planning.trajopt.constraints.via_poses import ALLOWED, SCALE, Closest, PassPose, _blend
+from salver.planning.trajopt.constraints.via_poses import Closest, PassPose, _blend
 from salver.planning.trajopt.curves import launch_basis
 from salver.planning.trajopt.ends import Anywhere
 from salver.planning.trajopt.evaluation import MotionEvaluation
@@ -104,7 +104,7 @@ def test_where_a_motion_is_nearest_to_a_pose_is_found_in_whichever_piece_it_is(p
     z = np.stack([q, dq, 0 * q, 0 * q])
     motion = MotionEvaluation(None, 0, None, t, 1.0, z, np.arange(6), True, False)
     (rows,) = PassPose(arm, PoseTarget(*arm.tray_pose(there)), "a pose").blocks(motion)
-    assert rows.values == pytest.approx(np.full((1, 12), -ALLOWED / SCALE), abs=1e-4)  # as far within as can be
+    assert rows.values == pytest.approx(np.full((1, 12), -0.04), abs=1e-4)  # as far within as can be
 
 
 def test_what_is_known_at_nodes_is_linear_between_them() -> None:

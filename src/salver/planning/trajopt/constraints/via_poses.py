@@ -13,13 +13,11 @@ import numpy as np
 
 from salver.geometry import Array, Indices
 from salver.models.arm.arm import ArmModel
-from salver.planning.passing import LEVER
 from salver.planning.postures import PoseTarget
 from salver.planning.trajopt.constraints.constraints import Block, Constraint
 from salver.planning.trajopt.evaluation import MotionEvaluation
+from salver.planning.verification import LEVER
 
-ALLOWED = 4e-4  # m, tolerance of each of six rows: together they pass the plan's check
-SCALE = 1e-2  # m, scale of the rows
 WEIGHTS = np.array([1.0, 1.0, 1.0, LEVER, LEVER, LEVER])
 
 
@@ -82,19 +80,24 @@ def _blend(u: float, step: float) -> tuple[Array, Array]:
 
 @dataclass(frozen=True, eq=False)
 class PassPose(Constraint):
-    """The motion passes a pose, to within `salver.planning.plan.NEAR_ENOUGH`. name: of the rows."""
+    """The motion passes a pose, to within `salver.planning.verification.NEAR_ENOUGH`. name: of the rows.
+
+    allowed: m, tolerance of each of six rows; together they pass the plan's check. scale: m, of the rows.
+    """
 
     arm: ArmModel
     target: PoseTarget
     name: str
+    allowed: float = 4e-4
+    scale: float = 1e-2
 
     def blocks(self, motion: MotionEvaluation) -> Iterator[Block]:
         n, nodes = motion.n, motion.nodes
         t = motion.s[nodes] * motion.duration
         at = Closest.of(self.arm, self.target, t, *motion.at_nodes[:2])
         left, by_q = at.across @ at.error, at.across @ at.by_q
-        signed = np.vstack([by_q, -by_q]) / SCALE
-        values = (np.concatenate([left, -left]) - ALLOWED) / SCALE
+        signed = np.vstack([by_q, -by_q]) / self.scale
+        values = (np.concatenate([left, -left]) - self.allowed) / self.scale
 
         def by_state(which: int, row: Indices) -> Array:
             out = np.zeros((len(row), 4 * n))
@@ -113,5 +116,5 @@ class PassPose(Constraint):
             by_duration=(signed @ rates)[None],
             always=True,
             slows=0.0,
-            in_words=lambda excess: f"{1e3 * SCALE * excess:.3g} mm",
+            in_words=lambda excess: f"{1e3 * self.scale * excess:.3g} mm",
         )
