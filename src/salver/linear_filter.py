@@ -250,12 +250,6 @@ def _transition(kp: float, kd: float, cosine: Array, sine: Array) -> Array:
     return found
 
 
-def pushed(kp: float, kd: float, t: Array) -> Array:
-    """Impulse response (2, ...): x and x' t seconds after a unit impulse; the second column of `transition`."""
-    cosine, sine = _ringing(kp, kd, t)
-    return np.array([sine, cosine - 0.5 * kd * sine])
-
-
 def _ringing(kp: float, kd: float, t: Array) -> tuple[Array, Array]:
     """Real part, and imaginary part over omega, of e^((-sigma + i omega) t), the poles -sigma +- i omega."""
     sigma = 0.5 * kd

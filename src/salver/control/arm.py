@@ -117,7 +117,6 @@ class ArmController:
         space: "object" closes the loop on the object's pose, "joint" on the joints, for plans made in joint space.
         period: s between calls of `step`; the reference is sampled in advance at its multiples.
         limit_torque: saturate torques and torque rates at the maker's limits, as the robot does.
-        posture_gains: kp, 1/s^2, and kd, 1/s, of the posture task.
 
     After the end `step` holds the last posture, before t = 0 the first. A controller has one work space: use one in
     each thread.
@@ -135,7 +134,6 @@ class ArmController:
         space: Literal["object", "joint"] = "object",
         period: float = 1e-3,
         limit_torque: bool = True,
-        posture_gains: tuple[float, float] = POSTURE_GAINS,
     ) -> None:
         if space == "object" and reference is None:
             raise ValueError("a controller in object space needs the object's reference")
@@ -146,7 +144,7 @@ class ArmController:
         self._inertia = pin.Inertia(body.inertial.mass, _ORIGIN, body.inertial.inertia_com)
         self._turn, self._turning, self._carried = pin.SE3.Identity(), pin.Motion.Zero(), pin.Motion.Zero()
         self._kp, self._kd = np.repeat(gains.kp, 3), np.repeat(gains.kd, 3)
-        self._posture_gains = posture_gains if space == "object" else (gains.kp[0], gains.kd[0])
+        self._posture_gains = POSTURE_GAINS if space == "object" else (gains.kp[0], gains.kd[0])
         fixed = bodies if space == "joint" else bodies[1:]
         self._model = _with_object_frame(with_load(with_stand_ins(arm), fixed), body)
         self._data = self._model.createData()

@@ -12,8 +12,6 @@ from salver.errors import Status
 from salver.geometry import Array, lean
 from salver.trajectory import MotionSamples
 
-_WORTH, _LEVEL = 5e-3, 0.05  # m, deg: smaller extremes are left out of the sentence
-
 
 @dataclass(frozen=True)
 class Extent:
@@ -35,15 +33,15 @@ class Extent:
 
     @property
     def sentence(self) -> str:
-        """The extremes in one sentence."""
+        """The extremes in one sentence, without those below 5 mm and 0.05 deg."""
         lean, turn = np.rad2deg([self.lean, self.turn])
         parts = [
-            f"leans by up to {lean:.1f} deg" if lean > _LEVEL else "stays level",
-            f"turns by up to {turn:.1f} deg" if turn > _LEVEL else "keeps its heading",
+            f"leans by up to {lean:.1f} deg" if lean > 0.05 else "stays level",
+            f"turns by up to {turn:.1f} deg" if turn > 0.05 else "keeps its heading",
         ]
-        if self.rise > _WORTH:
+        if self.rise > 5e-3:
             parts.append(f"rises {self.rise:.2f} m above its ends")
-        if self.sink > _WORTH:
+        if self.sink > 5e-3:
             parts.append(f"sinks {self.sink:.2f} m below its ends")
         text = f"The tray {', '.join(parts)} and moves at up to {self.speed:.2f} m/s"
         if self.nearest is None:

@@ -26,11 +26,25 @@ REACHED = 1e-11  # m and rad: the pose error below which a posture counts as exa
 # decimals of a radian.
 START_DISTANCE = 5e-3  # m
 START_ANGLE = np.deg2rad(0.5)  # rad
-SEEDS = 48
 INSIDE = 0.01  # rad; distance of clamped joints from their limits, so that a motion can begin and end there
-_LARGEST_STEP = 0.4  # rad
-_LARGEST_JUMP = 1.0  # rad between neighbours of a path; more is another branch of the inverse kinematics
-_MIDDLE_STEPS = 30  # first steps, with null-space motion towards the middle of the joint ranges
+
+
+@dataclass(frozen=True)
+class PostureOptions:
+    """Options of inverse kinematics.
+
+    Attributes:
+        step: rad, of each joint in one step, at most; doubled, distant postures are reached sooner or missed.
+        jump: rad between neighbours of a path, at most; more is another branch of the inverse kinematics.
+        centred: number of first steps with null-space motion towards the middle of the joint ranges.
+    """
+
+    step: float = 0.4
+    jump: float = 1.0
+    centred: int = 30
+
+
+OPTIONS = PostureOptions()
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,10 +136,10 @@ def posture_at(
             if stuck.any():
                 jacobian = jacobian * ~stuck
                 step = least(jacobian, error)
-        if centring and iteration < _MIDDLE_STEPS:
+        if centring and iteration < OPTIONS.centred:
             pull = centring * (middle - q)
             step += pull - least(jacobian, jacobian @ pull)
-        q = q + step * min(1.0, _LARGEST_STEP / max(float(abs(step).max()), 1e-12))
+        q = q + step * min(1.0, OPTIONS.step / max(float(abs(step).max()), 1e-12))
         if limits is not None:
             q = np.minimum(np.maximum(q, low), high)
         error, jacobian = target.residual(arm, q)
@@ -137,12 +151,12 @@ def postures_along(arm: ArmModel, p_SE: Array, R_SE: Array, q: Array) -> tuple[A
     postures = np.tile(q, (len(p_SE), 1))
     for k in range(1, len(p_SE)):
         postures[k], size = posture_at(arm, PoseTarget(p_SE[k], R_SE[k]), postures[k - 1], iterations=12)
-        if size >= REACHED or np.abs(postures[k] - postures[k - 1]).max() > _LARGEST_JUMP:
+        if size >= REACHED or np.abs(postures[k] - postures[k - 1]).max() > OPTIONS.jump:
             return postures, k
     return postures, len(p_SE)
 
 
-def candidate_postures(arm: ArmModel, target: PoseTarget, seed: int = 0, seeds: int = SEEDS) -> list[Array]:
+def candidate_postures(arm: ArmModel, target: PoseTarget, seed: int = 0, seeds: int = 48) -> list[Array]:
     """Different postures within the joint limits that meet a target: from the middle of the joint ranges and from
     random guesses, which the seed determines."""
     rng = np.random.default_rng(seed)

@@ -24,11 +24,28 @@ from salver.geometry import Array
 if TYPE_CHECKING:
     from scipy.sparse import csc_matrix
 
-ACTIVE_SET_UNKNOWNS = 64  # up to so many the active-set method is always the faster one
-MOST_CHANGES = 2000  # of the active set; a programme of a few hundred rows takes about a hundred
-MOST_ITERATIONS = 100  # of the interior-point method, which takes about twenty
-DENSE = 0.25  # share of nonzero entries above which the band structure does not help
-CLOSE = 1e-4  # largest relative violation of a row that is accepted when the interior-point iterations run out
+
+@dataclass(frozen=True)
+class QuadraticOptions:
+    """Options of both methods.
+
+    Attributes:
+        unknowns: up to so many the active-set method is always the faster one.
+        dense: share of nonzero entries above which the band structure does not help; programmes near these two limits
+            take about the same time by both.
+        changes: of the active set, at most; a programme of a few hundred rows takes about a hundred.
+        iterations: of the interior-point method, at most; it takes about twenty.
+        close: largest violation of a row that is accepted when these run out.
+    """
+
+    unknowns: int = 64
+    dense: float = 0.25
+    changes: int = 2000
+    iterations: int = 100
+    close: float = 1e-4
+
+
+OPTIONS = QuadraticOptions()
 
 
 @dataclass(frozen=True)
@@ -80,7 +97,7 @@ def solve(programme: Quadratic, tolerance: float) -> Optimum | None:
 
 def _banded(programme: Quadratic) -> bool:
     """Whether there are many unknowns, of which each row involves only a few."""
-    return len(programme.cost) > ACTIVE_SET_UNKNOWNS and programme.share < DENSE
+    return len(programme.cost) > OPTIONS.unknowns and programme.share < OPTIONS.dense
 
 
 def active_set(programme: Quadratic, tolerance: float) -> Optimum | None:
@@ -99,7 +116,7 @@ def active_set(programme: Quadratic, tolerance: float) -> Optimum | None:
         lower,
         kind,
         primal_tol=tolerance,
-        iter_limit=MOST_CHANGES,
+        iter_limit=OPTIONS.changes,
     )
     if flag <= 0:
         return None
@@ -126,7 +143,7 @@ def interior_point(programme: Quadratic, tolerance: float) -> Optimum | None:
     settings = solver.settings
     settings.eps_abs = settings.eps_rel = tolerance
     settings.eps_duality_gap_abs = settings.eps_duality_gap_rel = tolerance
-    settings.max_iter = MOST_ITERATIONS
+    settings.max_iter = OPTIONS.iterations
     # The rows are scaled already; equilibration and the default step length would only cost iterations.
     settings.preconditioner_iter = 0
     settings.tau = 0.95
@@ -134,7 +151,7 @@ def interior_point(programme: Quadratic, tolerance: float) -> Optimum | None:
     equal = (form(p.equal), p.target) if len(p.target) else (None, None)
     solver.setup(form(p.hessian), p.cost, *equal, *rows, p.low, p.high)
     status, result = solver.solve(), solver.result
-    late = status == piqp.PIQP_MAX_ITER_REACHED and result.info.primal_res < max(CLOSE, tolerance)
+    late = status == piqp.PIQP_MAX_ITER_REACHED and result.info.primal_res < max(OPTIONS.close, tolerance)
     if status != piqp.PIQP_SOLVED and not late:
         return None
     return Optimum(

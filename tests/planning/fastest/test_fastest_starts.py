@@ -13,7 +13,7 @@ from salver.geometry import Array
 from salver.models.arm.known_arms import KNOWN_ARMS, robot_file
 from salver.planning.fastest import FastestOptions, fastest, transport_problem
 from salver.planning.follow.clearance import EXACT, RESOLUTION
-from salver.planning.seeds.around import LEAN, STEP, FreeSpace, way_around
+from salver.planning.seeds.around import FreeSpace, way_around
 from salver.planning.seeds.starts import (
     EndOptions,
     Ends,
@@ -70,10 +70,10 @@ def test_a_way_around_touches_nothing_stays_level_and_is_the_same_for_the_same_s
     assert len(way) != len(other) or not np.allclose(way, other)
     assert np.array_equal(way[0], pair.start)
     assert np.array_equal(way[-1], pair.goal)
-    assert np.linalg.norm(np.diff(way, axis=0), axis=1).max() <= 3 * STEP
+    assert np.linalg.norm(np.diff(way, axis=0), axis=1).max() <= 3 * FreeSpace.step
     assert problem.keep_out.parts.first_touch(way) is None
     lean = max(np.arccos(min(1.0, problem.arm.tray_pose(q)[1][2, 2])) for q in way)
-    assert lean <= 2 * LEAN + 1e-6
+    assert lean <= 2 * FreeSpace.level + 1e-6
     assert np.all(way >= problem.limits.q_min)
     assert np.all(way <= problem.limits.q_max)
 

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from salver.geometry import Array
 from salver.planning.fastest.options import FastestOptions
 from salver.planning.seeds.starts import Start
 from salver.planning.trajopt.curves import FreeCurve
@@ -17,9 +16,7 @@ from salver.planning.trajopt.problem import TransportProblem
 from salver.planning.trajopt.spline import RestSpline, SplineMotion
 from salver.planning.trajopt.watch import Watch
 
-DEGREE = 5
-REFINED = 0.5  # damping of the first step after spline pieces were added
-NEAR = 0.1  # damping of the first step from the optimum of a similar problem
+DEGREE = 5  # of motions, paths and time laws: four times differentiable, so the jerk is continuous
 
 
 def few_pieces(options: FastestOptions) -> RestSpline:
@@ -47,7 +44,8 @@ def nearby(
     The search begins at `found`, or at the path `begin` between the same ends.
     """
     options = options or FastestOptions()
-    start, damping = (found, NEAR) if begin is None else (begin.motion(found.problem, found.spline), REFINED)
+    start: SplineMotion = found if begin is None else begin.motion(found.problem, found.spline)
+    damping = options.near if begin is None else options.refined
     start, watch = replace(start, duration=duration), watch or Watch(options.time_limit)
     return optimum(found.problem, options, start, watch, damping, objective)
 
@@ -59,12 +57,11 @@ def optimum(
     watch: Watch,
     damping: float,
     objective: Objective = SHORTEST,
-    also: Array | None = None,
 ) -> FastestMotion:
     """The local optimum near a start, checked between the nodes.
 
     problem: what to solve. options: of the search. start: the initial motion. watch: reports progress and may end the
-    search. damping: of the first step. objective: what to minimise. also: additional nodes.
+    search. damping: of the first step. objective: what to minimise.
     """
     per_span = options.nodes_per_span
-    return optimise(problem, FreeCurve, start, per_span, watch, damping, objective, options.most, also=also)
+    return optimise(problem, FreeCurve, start, per_span, watch, damping, objective, options.most)

@@ -23,6 +23,8 @@ class FastestOptions:
         patience: the search of rough optima ends after `patience * starts` in a row without improvement.
         rough_gain: relative improvement below which the optimisation of a rough optimum stops, or another is no better.
         mendable: largest constraint violation of a rough optimum that is still refined.
+        refined, near: damping of the first step after spline pieces were added, and from the optimum of a similar
+            problem; larger values stay closer to it.
         iterations: limit per optimum, as a multiple of the default (60; 25 for a rough one).
         seed: of the random number generator.
         time_limit: s; None for no limit, which makes the result independent of the computer's speed.
@@ -36,6 +38,8 @@ class FastestOptions:
     patience: int = 6
     rough_gain: float = 1e-2
     mendable: float = 1e-2
+    refined: float = 0.5
+    near: float = 0.1
     iterations: float = 1.0
     seed: int = 0
     time_limit: float | None = None

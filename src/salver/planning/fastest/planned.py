@@ -32,8 +32,6 @@ if TYPE_CHECKING:
 
 _AT_SPEED = re.compile(r"( at [\d.]+ % of full speed| standing still)?( while the speed changes)?$")
 
-SLOWER = 1e-4, 1e-3, 4e-3, 1.6e-2  # shares of its duration by which a motion that fails its check is slowed
-
 
 def plan_fastest(
     scenario: Scenario, *, robust: bool = True, options: FastestOptions | None = None, watch: Watch | None = None
@@ -131,7 +129,7 @@ def slow_enough(
     """The motion and its plan, slowed down by the smallest of a few shares with which it passes the plan's check, which
     tests more instants than the optimiser does; unchanged if none is enough, which means an error of the optimiser."""
     if found.status.ok and not _passes(plan, robust):
-        for share in SLOWER:
+        for share in (1e-4, 1e-3, 4e-3, 1.6e-2):
             duration = found.duration * (1 + share)
             status = reached(SHORTEST.sought, duration) if found.status.code == "optimal" else found.status
             slower = replace(found, duration=duration, status=status)

@@ -21,6 +21,7 @@ from scipy.sparse import coo_matrix
 
 from salver.errors import ScenarioError, Status, UnreachableError
 from salver.geometry import Array, interpolated, quat_wxyz_from_matrix
+from salver.planning.fastest.optimum import DEGREE
 from salver.planning.fastest.planned import joint_plan, judged, slow_enough
 from salver.planning.fastest.speeds import at_every_speed
 from salver.planning.round import MultiLegPlan
@@ -38,7 +39,6 @@ from salver.trajectory import JointMotion, smooth_step
 if TYPE_CHECKING:
     from salver.planning.plan import Plan
 
-DEGREE = 5  # of the path and of the time law: four times differentiable, so the jerk is continuous
 PATH_TOLERANCE = 1e-3  # rad: by how much the path may miss a waypoint; closer waypoints count as equal
 
 

@@ -15,11 +15,10 @@ import numpy as np
 
 from salver.errors import Status
 from salver.geometry import Array
-from salver.planning.fastest.optimum import DEGREE, NEAR, REFINED, few_pieces, optimum, refitted
+from salver.planning.fastest.optimum import DEGREE, few_pieces, optimum, refitted
 from salver.planning.fastest.options import FastestOptions
 from salver.planning.seeds.blocked import why_blocked, why_touching, why_unreached
 from salver.planning.seeds.starts import (
-    ALONG,
     Ends,
     Start,
     around,
@@ -57,7 +56,7 @@ def fastest(
     if near is not None:
         # From a motion that was found, it is completed even when the search is ended: all else is slower by far.
         watched = Watch() if isinstance(near, FastestMotion) else watch
-        found = optimum(problem, options, near, watched, NEAR)
+        found = optimum(problem, options, near, watched, options.near)
         if found.status.ok:
             return found
     watch.trying = "postures at both ends"
@@ -133,7 +132,7 @@ class _Search:
             for slower in 2.0 ** np.arange(5):  # sixteen times the comfortable time at most
                 self.watch.trying = f"{line.name}, slowly"
                 slow = replace(begin, duration=slower * begin.duration)
-                found = optimum(problem, at_once, slow, Watch(), NEAR)
+                found = optimum(problem, at_once, slow, Watch(), self.options.near)
                 self.iterations += found.iterations
                 if found.status.ok:
                     return self._shorter(problem, found, line.name)
@@ -142,7 +141,7 @@ class _Search:
     def _shorter(self, problem: TransportProblem, line: FastestMotion, name: str) -> FastestMotion:
         """The optimum near a safe straight path, or that path itself when there is no time or no optimum."""
         if not self.watch.over():
-            found = optimum(problem, self.options, line, self.watch, NEAR)
+            found = optimum(problem, self.options, line, self.watch, self.options.near)
             self.iterations += found.iterations
             if found.status.ok:
                 return found
@@ -171,7 +170,7 @@ class _Search:
     def _new(self, begins: Iterable[Begin]) -> Iterator[Begin]:
         """The starts whose paths were not tried before: without obstacles a path around them is the straight one."""
         for problem, start in begins:
-            path = start.path(np.linspace(0, 1, ALONG))
+            path = start.sampled
             if all(np.abs(path - other).max() > 0.01 for other in self.tried):  # rad; nearer ones end alike
                 self.tried.append(path)
                 yield problem, start
@@ -216,11 +215,9 @@ class _Search:
     def _refined(self, problem: TransportProblem, found: Iterate) -> FastestMotion:
         """The optimum with all spline pieces near a rough one."""
         self.watch.trying = f"a motion of {found.duration:.3f} s, refined"
-        grid = found.curve.grid
         start = refitted(SplineMotion(self._few, found.coefficients, found.duration), self.options.spans)
-        also = np.setdiff1d(grid.s[grid.nodes], self._few.nodes(self.options.nodes_per_span))
-        damping = 0.7 if problem.cases else REFINED  # rough optima ignore load dynamics: a shorter first step
-        best = optimum(problem, self.options, start, self.watch, damping, also=also)
+        damping = 0.7 if problem.cases else self.options.refined  # rough optima ignore load dynamics
+        best = optimum(problem, self.options, start, self.watch, damping)
         self.iterations += best.iterations
         return best
 

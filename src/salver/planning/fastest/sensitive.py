@@ -30,20 +30,19 @@ if TYPE_CHECKING:
     from salver.planning.plan import Plan
 
 
-STEPS = 60  # of the integral of the cost, at least: in a sixtieth of a motion its acceleration is nearly linear
-
-
 @dataclass(frozen=True, eq=False)
 class SensitivityCost(Objective):
     """The cost of the first object's closed loop, eq (13), in units of `unit`, for a fixed duration in s.
 
-    The unit must be of the size of the cost: tolerances and the penalty on violations assume values of about 1.
+    The unit must be of the size of the cost: tolerances and the penalty on violations assume values of about 1. steps:
+    of the integral, at least; in a sixtieth of a motion its acceleration is nearly linear.
     """
 
     problem: TransportProblem
     spline: RestSpline
     duration: float
     unit: float
+    steps: int = 60
     sought = "least sensitive"
     _last: dict[str, tuple[Array, QuadraticModel]] = field(default_factory=dict, repr=False)
 
@@ -98,7 +97,7 @@ class SensitivityCost(Objective):
     @cached_property
     def t(self) -> Array:
         """Instants (T,), s, at which the cost is integrated."""
-        return self.loop.instants(self.duration, STEPS)
+        return self.loop.instants(self.duration, self.steps)
 
     @cached_property
     def fine(self) -> Array:
@@ -157,5 +156,5 @@ def _cost_of_line(scenario: Scenario) -> float:
     assert motion.duration is not None
     ends = (np.array(motion.start.position), np.array(motion.goal.position))
     line = min_jerk_line(motion.duration, *ends, motion.start.rotation, motion.goal.rotation)
-    t = loop.instants(motion.duration, STEPS)
+    t = loop.instants(motion.duration, SensitivityCost.steps)
     return sensitivity_cost(scenario, t, loop.along(line, t))

@@ -35,7 +35,6 @@ from salver.trajectory import (
 )
 
 MISSED = 1e-7  # N (or the row's own unit) by which a solution may violate a constraint
-_SMOOTH = 1e-9  # share of the jerk in the cost
 
 
 @dataclass(frozen=True)
@@ -55,10 +54,14 @@ class Linearisation:
 
 @dataclass(frozen=True)
 class Problem:
-    """The planning problem of a scenario. Constraints are imposed at the instants `t`, at least `nodes` of them."""
+    """The planning problem of a scenario. Constraints are imposed at the instants `t`, at least `nodes` of them.
+
+    smooth: share of the jerk in the cost; it only decides between references of equal cost.
+    """
 
     scenario: Scenario
     nodes: int
+    smooth: float = 1e-9
 
     @property
     def margin(self) -> float:
@@ -196,7 +199,7 @@ class Problem:
         forcing = self.loop.forcing(BodyMotion.of(still))
         pairs = zip(forcing, self.weights.rows[:2], self.loop.gains.kp, strict=True)
         settled = sum(float(np.sum((scale * part.value / kp) ** 2)) for part, scale, kp in pairs)
-        return _SMOOTH * self.duration * settled if settled > 0 else 1.0
+        return self.smooth * self.duration * settled if settled > 0 else 1.0
 
     def _blocks(self, basis: Array, offset: int) -> Array:
         """Expand a basis (T, m) of one axis to (T, 3, n_z): each axis has its own block of columns, from `offset`

@@ -20,7 +20,6 @@ from salver.planning.object.problem import MISSED, Linearisation, Problem
 from salver.planning.qp import Optimum, Quadratic
 
 TOLERANCE = 1e-9  # N (or the row's own unit): violation of a convex programme's constraint that is allowed
-PROGRAMME_TOLERANCE = 1e-12  # of the scaled rows: limits the accuracy of the lower bound
 
 
 @dataclass(frozen=True)
@@ -282,13 +281,12 @@ def solve_model(
     damping: float = 0.0,
     radius: float = np.inf,
     penalty: float | None = None,
-    most_rounds: int = 60,
 ) -> Step | None:
     """Minimise |r + J d|^2 + damping |d|^2 over |d_i| <= radius, goal met, all rows above the margin.
 
     penalty: on one common violation s >= 0 of all rows; None: the rows are hard constraints; infinite: only s is
-    minimised (a tiny weight of the cost decides between equal solutions). most_rounds: of adding tangents. Returns None
-    when the rows contradict each other.
+    minimised (a tiny weight of the cost decides between equal solutions). Returns None when the rows contradict each
+    other.
     """
     n, elastic = model.residual_jacobian.shape[1], penalty is not None
     if n == 0:  # the boundary conditions leave nothing free
@@ -301,7 +299,7 @@ def solve_model(
         unit = max(constant, 1e-12)
         hessian, gradient, penalty = 1e-6 * hessian / unit, 1e-6 * gradient / unit, 1.0
     programme, step = _Programme(hessian, gradient, model, radius, penalty), None
-    for rounds in range(1, most_rounds + 1):
+    for rounds in range(1, 61):  # of adding tangents
         answer = programme.solve()
         if answer is None:  # with a penalty: the latest tangents differ by rounding only, the last step is as good
             return step if elastic else None
@@ -372,7 +370,7 @@ class _Programme:
     def solve(self) -> tuple[Array, float, float, float] | None:
         """(d, s, dual value, sum of multipliers), or None when infeasible. The dual value is computed from the
         multipliers, so it is a bound even if the solver stopped early."""
-        found = qp.solve(self.quadratic, PROGRAMME_TOLERANCE)
+        found = qp.solve(self.quadratic, 1e-12)  # of scaled rows: it limits the accuracy of the lower bound
         if found is None:
             return None
         price = self.unit * float(np.sum(found.rows / self.norm) + np.abs(found.equal).max(initial=0.0))

@@ -18,16 +18,15 @@ from salver.geometry import Array
 from salver.models.arm.arm_geometry import ArmGeometry
 from salver.planning.trajopt.problem import TransportProblem
 
-STEP = 0.1  # rad, or m for a prismatic joint: from one posture to the next
-LEAN = 5e-4  # rad; tilt up to which a tray counts as level
-
 
 @dataclass(eq=False)
 class FreeSpace:
     """Free postures: without collision, within the joint limits and with a tilt of the tray of at most `lean`, rad.
 
     parts: geometry with the distances to keep, set for this space. looks: number of postures that may still be checked.
-    corrections: Newton steps at most, of projecting a posture to the tilt limit.
+    corrections: Newton steps at most, of projecting a posture to the tilt limit. step: rad, or m for a prismatic joint,
+    from one posture to the next; doubled, thin obstacles are passed through. level: rad, tilt up to which a tray counts
+    as level.
     """
 
     problem: TransportProblem
@@ -35,12 +34,14 @@ class FreeSpace:
     lean: float
     looks: int
     corrections: int = 6
+    step: float = 0.1
+    level: float = 5e-4
 
     @classmethod
     def between(cls, problem: TransportProblem, ends: Array, looks: int) -> FreeSpace:
         """The space of paths between end postures (N, n)."""
         up = [problem.arm.tray_pose(q)[1][2, 2] for q in ends]
-        lean = max(LEAN, *(float(np.arccos(np.clip(x, -1.0, 1.0))) + LEAN for x in up))
+        lean = cls.level + max(0.0, *(float(np.arccos(np.clip(x, -1.0, 1.0))) for x in up))
         if problem.keep_out is None:
             return cls(problem, None, lean, looks)
         parts, required = problem.keep_out.parts, problem.keep_out.required
@@ -88,11 +89,11 @@ class FreeSpace:
         found: list[Array] = []
         away = float(np.linalg.norm(target - q))
         while away > 1e-9 and self.looks > 0:
-            new = self.nearest(q + (target - q) * min(1.0, STEP / away))
-            if new is None or np.linalg.norm(new - q) > 3 * STEP:
+            new = self.nearest(q + (target - q) * min(1.0, self.step / away))
+            if new is None or np.linalg.norm(new - q) > 3 * self.step:
                 break
             left = float(np.linalg.norm(target - new))
-            if left > away - 0.2 * min(STEP, away):
+            if left > away - 0.2 * min(self.step, away):
                 break
             found.append(new)
             q, away = new, left

@@ -23,7 +23,6 @@ from salver.planning.trajopt.spline import RestSpline, SplineMotion
 from salver.trajectory import smooth_step
 
 APART = 0.3  # rad between pairs of ends that count as different
-ALONG = 31  # postures at which a path is checked
 
 
 @dataclass(frozen=True)
@@ -87,10 +86,15 @@ class Start:
         u = smooth_step(s)
         return interpolated(self._length, self.postures, u)
 
+    @cached_property
+    def sampled(self) -> Array:
+        """31 postures evenly along it, at which it is checked."""
+        return self.path(np.linspace(0, 1, 31))
+
     def least(self, problem: TransportProblem) -> float:
         """Estimated duration of a motion along it, s: the larger of what joint limits and what friction allow."""
         far = np.abs(np.diff(self.postures, axis=0)).sum(axis=0)
-        p_SE = np.array([problem.arm.tray_pose(q)[0] for q in self.path(np.linspace(0, 1, ALONG))])
+        p_SE = np.array([problem.arm.tray_pose(q)[0] for q in self.sampled])
         way = float(np.linalg.norm(np.diff(p_SE, axis=0), axis=1).sum())
         return float(np.hypot(least_duration(problem.limits, np.zeros_like(far), far), _by_contact(problem, way)))
 
@@ -380,7 +384,7 @@ def _different(problem: TransportProblem, postures: Iterable[Array]) -> list[Arr
 
 def open_to(problem: TransportProblem, start: Start) -> bool:
     """Whether a slow motion along a path is (nearly) possible: no collision, and no tilt at which the load slides."""
-    ups = [problem.arm.tray_pose(q)[1][2, 2] for q in start.path(np.linspace(0, 1, ALONG))]
+    ups = [problem.arm.tray_pose(q)[1][2, 2] for q in start.sampled]
     stays = np.arccos(np.clip(min(ups), -1, 1)) < np.arctan(_friction(problem))
     return bool(stays) and touches(problem, start) < CLEARANCE.touching
 
@@ -398,7 +402,7 @@ def touches(problem: TransportProblem, start: Start) -> float:
     """Largest violation of the required distances along a path, m; 0 without one."""
     if problem.keep_out is None:
         return 0.0
-    return max(0.0, problem.keep_out.depth(start.path(np.linspace(0, 1, ALONG))))
+    return max(0.0, problem.keep_out.depth(start.sampled))
 
 
 def braking_time(problem: TransportProblem) -> float:

@@ -19,10 +19,9 @@ from salver.planning.trajopt.spline import DERIVATIVES, RestSpline
 from salver.trajectory import smooth_step
 
 ORDERS = np.arange(float(DERIVATIVES))[:, None, None]  # of the rows of z
-SAME = 1e-9  # share of a duration: points closer than this count as equal
 
 
-def united(points: npt.ArrayLike, more: npt.ArrayLike, same: float = SAME) -> Array:
+def united(points: npt.ArrayLike, more: npt.ArrayLike, same: float = 1e-9) -> Array:
     """The sorted union of two sets of points; of points within `same`, which differ by rounding, only one is kept."""
     both = np.union1d(points, more)
     return both[np.append(True, np.diff(both) > same)]

@@ -1,4 +1,12 @@
-"""Evaluation of a joint motion at the points of a grid: the quantities that constraints and objectives need."""
+"""Evaluation of a joint motion at the points of a grid: the quantities that constraints and objectives need.
+
+    w(q, dq, ddq), tau(q, dq, ddq)                      the tray's motion regressor, joint torques (`terms`)
+    e'' + kd e' + kp e = M^-1 J^T dF(p),   dF = (d load / dp) w      the arm's deviation e (`response`)
+    x'' + 2 zeta omega x' + (omega^2 + ...) x = drive(w + dw)         modal states x of load dynamics (`loads`)
+
+dw is the change of w by e and by the reaction of x on the arm. At a speed factor s that changes at a rate r, with w_0 =
+(-g in E, 0) at rest, w becomes w_0 + s^2 (w - w_0) + r (twist, 0) (`felt`).
+"""
 
 from __future__ import annotations
 

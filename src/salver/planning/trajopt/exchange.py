@@ -92,18 +92,16 @@ def optimise(
     objective: Objective = SHORTEST,
     iterations: int = 60,
     gain: float = 1e-3,
-    also: Array | None = None,
     beat: float = np.inf,
 ) -> FastestMotion:
     """The local optimum from a start motion, which satisfies the constraints between the nodes too.
 
-    gain: relative improvement below which an iteration counts as idle. also: more nodes, s in [0, 1]. beat: s; the
-    search ends early when a shorter duration is unlikely: added nodes only make it longer.
+    gain: relative improvement below which an iteration counts as idle. beat: s; the search ends early when a shorter
+    duration is unlikely: added nodes only make it longer.
     """
     began, watch, how = time.perf_counter(), watch or Watch(), ExchangeOptions.of(problem)
     spline = start.spline
     nodes = united(spline.nodes(nodes_per_span + how.added), problem.nodes)
-    nodes = nodes if also is None else united(nodes, also)
     check = Grid.of(spline, Grid.of(spline, nodes, how.finer).s, 5)  # joint limits are checked on a finer grid
     fine = curve_of(problem, check)
 
@@ -242,6 +240,6 @@ def _between(
         marked[block.points[index]] = True
         if block.following is not None:
             marked[block.points[index + 1]] = True
-    slower = max(0.0, *(block.slows * largest[block.name] for block in blocks))
     binding = tuple(dict.fromkeys(b.name for b in blocks if b.by_time and largest[b.name] > -ExchangeOptions.binding))
+    slower = max(0.0, *(block.slows * largest[block.name] for block in blocks))
     return largest, binding, slower, np.flatnonzero(marked)

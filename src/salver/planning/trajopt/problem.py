@@ -1,4 +1,14 @@
-"""The transport problem: arm and load, the ends of the motion, and the constraints."""
+"""The transport problem: arm and load, the ends of the motion, and the constraints.
+
+    minimise    T, or another objective, over joint motions q(t), 0 <= t <= T
+    subject to  start(q(0)) = 0, goal(q(T)) = 0, dq = ddq = 0 at both ends           (a start may be moving)
+                q, dq, ddq, dddq, tau and dtau/dt within the arm's limits
+                c(p) . (w + dw(p)) + margin <= 0 for every p in the uncertain set     (contact, at every speed named)
+                e_z . R_SE e_z >= cos(max_tilt),   distance(pair) >= required,   limits of load dynamics
+
+w(q, dq, ddq) is the tray's motion regressor, dw(p) its change by the arm's deviation under a parameter error p; both
+that deviation and the load dynamics' modal states follow from the motion (`evaluation`).
+"""
 
 from __future__ import annotations
 

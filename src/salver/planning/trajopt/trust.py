@@ -8,8 +8,6 @@ import numpy as np
 
 from salver.geometry import Array
 
-SHRINK = 0.36  # largest relative reduction of sigma = T^2 in one iteration: 20 % of T
-
 
 @dataclass
 class Trust:
@@ -17,13 +15,14 @@ class Trust:
 
     damping: of the proximal term; small for a start near the optimum. depth: rows further than this from their limit
     are left out, for all blocks or for each (B,). penalty: per unit of violation. largest_shrink: reduction of the
-    scalar in one iteration.
+    scalar, sigma = T^2 or the margin, in one iteration; at most `shrink`: 20 % of T.
     """
 
     damping: float = 1.0
     depth: float | Array = 0.2
     penalty: float = 0.0
-    largest_shrink: float = SHRINK
+    largest_shrink: float = 0.36
+    shrink: float = 0.36
     least_damping: float = 0.0
 
     @property
@@ -57,7 +56,7 @@ class Trust:
             factor = 0.33 if ratio > 0.9 else 0.5 if ratio > 0.6 else 2.0 if ratio < 0.3 else 1.0
         self.damping = max(self.damping * factor, self.least_damping)
         if ratio > 0.3:
-            self.largest_shrink = min(1.5 * self.largest_shrink, SHRINK)
+            self.largest_shrink = min(1.5 * self.largest_shrink, self.shrink)
 
     def rejected(self) -> None:
         """Adapt to a rejected step."""

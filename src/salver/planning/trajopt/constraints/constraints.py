@@ -1,5 +1,13 @@
 """Constraints on a joint motion: each gives blocks of rows g <= 0, sampled along the motion, with derivatives.
 
+    JointLimit              (|q^(k) - middle_k| + deviation) / half_k - 1,   k = 0 to 3
+    TorqueLimit             (|tau| + deviation) / limit - 1
+    TorqueRateLimit         |tau_(i+1) - tau_i| / (t_(i+1) - t_i) / limit - 1
+    ContactConstraint       max over p of c(p) . (w + dw(p)), plus what load dynamics add
+    LevelConstraint         |e_x . R_SE^T e_z|, |e_y . R_SE^T e_z| - tolerance
+    TiltConstraint          (cos(largest) - e_z . R_SE e_z) / (1 - cos(largest))
+    Clearance               (required + deviation - distance) / 0.1 m
+
 The optimiser gets a list of `Constraint` objects; users can add subclasses (docs/extending.md). Rows are scaled such
 that 0 is the limit and 1 the size of the quantity: the limit itself, or the weight of an object.
 """
@@ -29,7 +37,6 @@ History = Callable[[Indices, Indices, Unknowns], Array]
 
 FINEST = 1e-4  # share of a limit kept at the points of the check, for peaks between them
 LEVEL_TOLERANCE = 1e-3  # rad; largest tilt of a level tray in the planner; contact is judged on the true motion
-LEVEL_SCALE = 1e-3  # rad, scale of the rows of "level": a tilt that matters to contact
 REACH_BEYOND_TRAY = 0.2  # m; lever arm that converts the tray's rotation error to a displacement of the load
 UNSEEN = -0.02  # a row that was left out of a programme is added when a step brings it above this
 PER_METRE = 10.0  # 1/m, scale of the rows of distances
@@ -361,17 +368,17 @@ def _of_the_weight(excess: float) -> str:
 
 @dataclass(frozen=True)
 class LevelConstraint(Constraint):
-    """Tray level within `LEVEL_TOLERANCE`."""
+    """Tray level within `LEVEL_TOLERANCE`; rows in rad."""
 
     def blocks(self, motion: MotionEvaluation) -> Iterator[Block]:
         up = motion.terms.R_SE[:, 2, :]  # the vertical, in E
 
         def gradient(i: Indices, f: Indices) -> Array:
-            sign = np.where(f < 2, 1.0, -1.0) / LEVEL_TOLERANCE
-            return padded(_vertical_q(motion)[i, f % 2] * (sign * LEVEL_SCALE)[:, None], motion.n)
+            sign = np.where(f < 2, 1.0, -1.0)
+            return padded(_vertical_q(motion)[i, f % 2] * sign[:, None], motion.n)
 
-        values = LEVEL_SCALE * both_sides(up[:, :2] / LEVEL_TOLERANCE)
-        margins = (50 * LEVEL_SCALE * 1e-3, 50 * LEVEL_SCALE * FINEST)
+        values = both_sides(up[:, :2], -LEVEL_TOLERANCE)
+        margins = (0.05 * LEVEL_TOLERANCE, 50 * FINEST * LEVEL_TOLERANCE)
         yield Block("tilt", values, gradient, motion.nodes, margins, scales=False, always=True, in_words=_deg)
 
 
