@@ -28,7 +28,7 @@ from salver.planning.seeds.starts import braking_time
 from salver.planning.stop_library import SAME, StopLibrary
 from salver.planning.trajopt.constraints.constraints import LEVEL_TOLERANCE
 from salver.planning.trajopt.constraints.obstacles import KeepOut
-from salver.planning.trajopt.curves import FreeCurve, Grid, launch_basis, united
+from salver.planning.trajopt.curves import FreeCurve, Grid, united
 from salver.planning.trajopt.ends import Anywhere, AtPosture
 from salver.planning.trajopt.evaluation import EASING
 from salver.planning.trajopt.exchange import optimise
@@ -321,14 +321,10 @@ def _braking(spline: RestSpline, state: AtPosture, duration: float) -> SplineMot
 
 def _fitted(problem: TransportProblem, guess: JointMotion, duration: float) -> Array:
     """Coefficients (size, n) of the motion closest to a guess in posture and acceleration, with the same ends."""
-    assert isinstance(problem.start, AtPosture)
     s, smooth = np.linspace(0.0, 1.0, 121), 0.1  # weight of acceleration, in normalised time, beside posture
-    q, _, ddq = guess.sample(s * guess.duration)
-    powers = np.array([duration, duration**2])[:, None, None]
-    launch = launch_basis(s)[:, :, :, None] * problem.start.rates[:, None, None, :]
-    basis = SPLINE.matrices(s)
-    q = q - (launch[:, 0] * powers).sum(axis=0)
-    ddq = ddq * duration**2 - (launch[:, 2] * powers).sum(axis=0)
+    curve, (q, _, ddq) = FreeCurve(problem, Grid.of(SPLINE, s)), guess.sample(s * guess.duration)
+    begun, basis = curve.motion(np.zeros((SPLINE.size, problem.n)), duration), curve.grid.basis
+    q, ddq = q - begun[0], (ddq - begun[2]) * duration**2
     ends = np.stack([q[0], q[-1]])
     rows = np.vstack([basis[0], smooth * basis[2]])
     target = np.vstack([q, smooth * ddq]) - rows[:, [0, -1]] @ ends
