@@ -171,26 +171,24 @@ def sensitivity(
     xi0: npt.ArrayLike = (),
     reference: SampledReference | None = None,
     Pi0: npt.ArrayLike | None = None,
-    Pi_xi0: npt.ArrayLike | None = None,
     tolerance: float = 1e-9,
     absolute_tolerance: float = 1e-12,
     corners: Sequence[float] = (),
 ) -> Sensitivity:
     """Integrate x, xi, Pi and Pi_xi together from t[0], and evaluate u and Theta, at increasing times t (T,).
 
-    reference: function of times that returns y_d, if the loop has no expression for it. Pi0 (n_x, n_p),
-    Pi_xi0 (n_xi, n_p): sensitivities of the initial state, default zero. tolerance: error estimated from the last
-    halving of the step, relative to each quantity's size; changes below absolute_tolerance, in the quantity's unit, are
+    reference: function of times that returns y_d, if the loop has no expression for it. Pi0 (n_x, n_p): sensitivity of
+    the initial state, default zero; that of the controller's is zero. tolerance: error estimated from the last halving
+    of the step, relative to each quantity's size; changes below absolute_tolerance, in the quantity's unit, are
     ignored. corners: instants at which the reference is not smooth.
     """
     t = np.asarray(t, dtype=float)
     n_x, n_xi, n_p = loop.x.numel(), loop.xi.numel(), loop.p.numel()
     p = _sized("p_nominal", p_nominal, (n_p,))
     Pi = np.zeros((n_x, n_p)) if Pi0 is None else _sized("Pi0", Pi0, (n_x, n_p))
-    Pi_xi = np.zeros((n_xi, n_p)) if Pi_xi0 is None else _sized("Pi_xi0", Pi_xi0, (n_xi, n_p))
     motion = np.concatenate([_sized("x0", x0, (n_x,)), _sized("xi0", xi0, (n_xi,))])
     # One matrix: a column with the motion itself, then a column of (Pi, Pi_xi) for each parameter.
-    state = np.column_stack([motion, np.vstack([Pi, Pi_xi])])
+    state = np.column_stack([motion, np.vstack([Pi, np.zeros((n_xi, n_p))])])
     function, believed = _Evaluated(variational(loop)), p[: loop.p_nominal.numel()]
 
     def evaluate(s: Array, time: float, y: Array) -> list[Array]:
