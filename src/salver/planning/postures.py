@@ -29,24 +29,6 @@ START_ANGLE = np.deg2rad(0.5)  # rad
 INSIDE = 0.01  # rad; distance of clamped joints from their limits, so that a motion can begin and end there
 
 
-@dataclass(frozen=True)
-class PostureOptions:
-    """Options of inverse kinematics.
-
-    Attributes:
-        step: rad, of each joint in one step, at most; doubled, distant postures are reached sooner or missed.
-        jump: rad between neighbours of a path, at most; more is another branch of the inverse kinematics.
-        centred: number of first steps with null-space motion towards the middle of the joint ranges.
-    """
-
-    step: float = 0.4
-    jump: float = 1.0
-    centred: int = 30
-
-
-OPTIONS = PostureOptions()
-
-
 @dataclass(frozen=True, eq=False)
 class PoseTarget:
     """Target pose (p_SB, R_SB) of a frame B fixed to the tray at (p_EB, R_EB), m.
@@ -106,13 +88,16 @@ def posture_at(
     *,
     limits: JointLimits | None = None,
     centring: float = 0.0,
+    centred: int = 30,
+    longest: float = 0.4,
     iterations: int = 60,
 ) -> tuple[Array, float]:
     """The posture (n,) near a guess q (n,) that meets the target, and the remaining pose error (m, rad).
 
     arm: the arm. target: the pose. q: the guess, rad. limits: joints are clamped to these limits; None for no limits.
     centring: share of the way to the middle of the joint ranges by which the null-space motion of each of the first
-    steps goes. iterations: at most.
+    `centred` steps goes. longest: rad, of a joint's step; doubled, distant postures are reached sooner or missed.
+    iterations: at most.
     """
     q = np.array(q, dtype=float)
     middle = arm.limits.range(POSITION)[0] if centring else q
@@ -136,22 +121,23 @@ def posture_at(
             if stuck.any():
                 jacobian = jacobian * ~stuck
                 step = least(jacobian, error)
-        if centring and iteration < OPTIONS.centred:
+        if centring and iteration < centred:
             pull = centring * (middle - q)
             step += pull - least(jacobian, jacobian @ pull)
-        q = q + step * min(1.0, OPTIONS.step / max(float(abs(step).max()), 1e-12))
+        q = q + step * min(1.0, longest / max(float(abs(step).max()), 1e-12))
         if limits is not None:
             q = np.minimum(np.maximum(q, low), high)
         error, jacobian = target.residual(arm, q)
     return q, float(np.abs(error).max())
 
 
-def postures_along(arm: ArmModel, p_SE: Array, R_SE: Array, q: Array) -> tuple[Array, int]:
-    """Postures (N, n) along a path of tray poses by continuation from q (n,), and the number of poses reached."""
+def postures_along(arm: ArmModel, p_SE: Array, R_SE: Array, q: Array, jump: float = 1.0) -> tuple[Array, int]:
+    """Postures (N, n) along a path of tray poses by continuation from q (n,), and the number of poses reached: until
+    neighbours differ by more than `jump`, rad, in another branch of the inverse kinematics."""
     postures = np.tile(q, (len(p_SE), 1))
     for k in range(1, len(p_SE)):
         postures[k], size = posture_at(arm, PoseTarget(p_SE[k], R_SE[k]), postures[k - 1], iterations=12)
-        if size >= REACHED or np.abs(postures[k] - postures[k - 1]).max() > OPTIONS.jump:
+        if size >= REACHED or np.abs(postures[k] - postures[k - 1]).max() > jump:
             return postures, k
     return postures, len(p_SE)
 

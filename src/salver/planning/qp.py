@@ -26,29 +26,6 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class QuadraticOptions:
-    """Options of both methods.
-
-    Attributes:
-        unknowns: up to so many the active-set method is always the faster one.
-        dense: share of nonzero entries above which the band structure does not help; programmes near these two limits
-            take about the same time by both.
-        changes: of the active set, at most; a programme of a few hundred rows takes about a hundred.
-        iterations: of the interior-point method, at most; it takes about twenty.
-        close: largest violation of a row that is accepted when these run out.
-    """
-
-    unknowns: int = 64
-    dense: float = 0.25
-    changes: int = 2000
-    iterations: int = 100
-    close: float = 1e-4
-
-
-OPTIONS = QuadraticOptions()
-
-
-@dataclass(frozen=True)
 class Quadratic:
     """A quadratic programme: hessian H (n, n), positive definite; cost c (n,); rows R (m, n), bound b (m,); equal E
     (k, n), target e (k,); low, high (n,), infinite for no bound. Cost and rows should be of order one.
@@ -95,13 +72,14 @@ def solve(programme: Quadratic, tolerance: float) -> Optimum | None:
     return None
 
 
-def _banded(programme: Quadratic) -> bool:
-    """Whether there are many unknowns, of which each row involves only a few."""
-    return len(programme.cost) > OPTIONS.unknowns and programme.share < OPTIONS.dense
+def _banded(programme: Quadratic, unknowns: int = 64, dense: float = 0.25) -> bool:
+    """Whether there are many unknowns, of which each row involves only a few; else, up to `unknowns` or above a share
+    `dense` of nonzero entries, the active-set method is always the faster one."""
+    return len(programme.cost) > unknowns and programme.share < dense
 
 
-def active_set(programme: Quadratic, tolerance: float) -> Optimum | None:
-    """Solve by DAQP."""
+def active_set(programme: Quadratic, tolerance: float, changes: int = 2000) -> Optimum | None:
+    """Solve by DAQP. changes: of the active set, at most; a programme of a few hundred rows takes about a hundred."""
     p, n, k = programme, len(programme.cost), len(programme.target)
     none = np.full(len(p.bound), -np.inf)
     upper, lower = np.concatenate([p.high, p.target, p.bound]), np.concatenate([p.low, p.target, none])
@@ -116,7 +94,7 @@ def active_set(programme: Quadratic, tolerance: float) -> Optimum | None:
         lower,
         kind,
         primal_tol=tolerance,
-        iter_limit=OPTIONS.changes,
+        iter_limit=changes,
     )
     if flag <= 0:
         return None
@@ -131,8 +109,11 @@ def active_set(programme: Quadratic, tolerance: float) -> Optimum | None:
     )
 
 
-def interior_point(programme: Quadratic, tolerance: float) -> Optimum | None:
-    """Solve by PIQP."""
+def interior_point(
+    programme: Quadratic, tolerance: float, iterations: int = 100, close: float = 1e-4
+) -> Optimum | None:
+    """Solve by PIQP. iterations: at most, of which about twenty are needed; if they run out, rows violated by less than
+    `close` are accepted."""
     p = programme
     form: Callable[[Array], Any]
     if _banded(p):
@@ -143,7 +124,7 @@ def interior_point(programme: Quadratic, tolerance: float) -> Optimum | None:
     settings = solver.settings
     settings.eps_abs = settings.eps_rel = tolerance
     settings.eps_duality_gap_abs = settings.eps_duality_gap_rel = tolerance
-    settings.max_iter = OPTIONS.iterations
+    settings.max_iter = iterations
     # The rows are scaled already; equilibration and the default step length would only cost iterations.
     settings.preconditioner_iter = 0
     settings.tau = 0.95
@@ -151,7 +132,7 @@ def interior_point(programme: Quadratic, tolerance: float) -> Optimum | None:
     equal = (form(p.equal), p.target) if len(p.target) else (None, None)
     solver.setup(form(p.hessian), p.cost, *equal, *rows, p.low, p.high)
     status, result = solver.solve(), solver.result
-    late = status == piqp.PIQP_MAX_ITER_REACHED and result.info.primal_res < max(OPTIONS.close, tolerance)
+    late = status == piqp.PIQP_MAX_ITER_REACHED and result.info.primal_res < max(close, tolerance)
     if status != piqp.PIQP_SOLVED and not late:
         return None
     return Optimum(

@@ -207,7 +207,7 @@ class _Search:
     def _rough(self, problem: TransportProblem, start: Start, beat: float = np.inf) -> Rough:
         """The rough optimum, with few spline pieces, of a start, from a long duration."""
         self.watch.trying = start.name
-        begin, o = start.motion(problem, self._few), self.options
+        begin, o = start.motion(problem, few_pieces(self.options)), self.options
         found = rough(problem, FreeCurve, begin, o.nodes_per_span, self.watch, o.rough_gain, o.most_roughly, beat)
         self.iterations += found.iterations
         return problem, found
@@ -215,7 +215,7 @@ class _Search:
     def _refined(self, problem: TransportProblem, found: Iterate) -> FastestMotion:
         """The optimum with all spline pieces near a rough one."""
         self.watch.trying = f"a motion of {found.duration:.3f} s, refined"
-        start = refitted(SplineMotion(self._few, found.coefficients, found.duration), self.options.spans)
+        start = refitted(SplineMotion(few_pieces(self.options), found.coefficients, found.duration), self.options.spans)
         damping = 0.7 if problem.cases else self.options.refined  # rough optima ignore load dynamics
         best = optimum(problem, self.options, start, self.watch, damping)
         self.iterations += best.iterations
@@ -223,10 +223,6 @@ class _Search:
 
     def _merit(self, found: Rough) -> tuple[bool, float]:
         return found[1].iterate.violation >= self.options.mendable, found[1].iterate.duration
-
-    @property
-    def _few(self) -> RestSpline:
-        return few_pieces(self.options)
 
 
 def _promise(begin: Begin) -> float:
