@@ -101,6 +101,7 @@ def test_a_plan_with_the_shake_that_was_measured_counts_it_once(bottle_plan, jud
     assert first.shake is not None
     assert first.row > 0.005 > first.margin - bottle_plan.scenario.contact.margin  # the margin is for the rest
     table = shake_table(first.shake)
+    assert table == {"amplitude": pytest.approx(3.3e-5, abs=1.1e-6), "frequency": pytest.approx(12.0)}
     counted = replace(bottle_plan, scenario=bottle_plan.scenario.with_changes(uncertainty__shake=table))
     again = track(counted, logged(counted, t, q, 2e-6))
     assert again.planned == pytest.approx(first.planned + first.shake.acceleration / 9.81, abs=0.005)

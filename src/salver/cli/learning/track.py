@@ -78,9 +78,13 @@ def record(found: Tracking) -> dict[str, Any]:
     }
 
 
-def shake_table(shake: Vibration) -> dict[str, float]:
-    """The keys of a scenario's `uncertainty.shake`, rounded up to two digits."""
-    amounts = {"amplitude": shake.amplitude, "tilt_deg": np.rad2deg(shake.tilt), "frequency": shake.frequency}
+def shake_table(shake: Vibration, more: float = 1.1) -> dict[str, float]:
+    """The keys of a scenario's `uncertainty.shake`, rounded up to two digits.
+
+    more: share of the measured displacement that is stated, because the next log may show a tenth more.
+    """
+    amounts = {"amplitude": more * shake.amplitude, "tilt_deg": more * np.rad2deg(shake.tilt)}
+    amounts["frequency"] = shake.frequency
     size = {key: 10.0 ** np.floor(np.log10(value) - 1) for key, value in amounts.items() if value}
     return {key: float(f"{unit * np.ceil(amounts[key] / unit - 1e-6):.2g}") for key, unit in size.items()}
 
