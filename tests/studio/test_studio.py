@@ -477,7 +477,7 @@ def test_the_command_says_what_it_cannot_begin_with(tmp_path, monkeypatch):
     with pytest.raises(ScenarioError, match="UTF-8"):
         begun("odd.toml")
     (tmp_path / "big.toml").write_bytes(b"# " * 5_000_000)
-    with pytest.raises(ScenarioError, match="more than 200 kB"):
+    with pytest.raises(ScenarioError, match="is larger than 200 kB"):
         begun("big.toml")
 
 
