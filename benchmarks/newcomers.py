@@ -4,7 +4,8 @@
     ... --corners 4                                                  and run each plan in the engine
     ... --urdf arm.urdf tool0 --package-dir packages                 with other arms beside those by name
     ... --urdfs folder --package-dir packages                        with the URDFs of a folder alone
-    ... --reachable                                                  files at whose ends some posture of 60 is free
+    ... --reachable                                                  all arms by name, at ends in reach of 60 postures
+    ... --price                                                      what each default costs in duration, beside it
     python benchmarks/newcomers.py --table -o out/newcomers.jsonl    print only what the file holds
 
 Each file follows from its number. Every other one gives a duration (2 s) too, and is planned by the default method, the
@@ -30,7 +31,9 @@ from salver import scenario
 from salver.errors import SalverError
 from salver.models.arm.arm import ArmModel, load_arm
 from salver.models.arm.arm_geometry import ArmGeometry, arm_geometry
+from salver.models.arm.known_arms import KNOWN_ARMS
 from salver.models.bodies import Body
+from salver.planning.fastest import plan_fastest
 from salver.planning.make import make_plan
 from salver.planning.plan import Plan
 from salver.planning.postures import REACHED, PoseTarget, posture_at
@@ -42,6 +45,13 @@ SEED, STEP, DURATION = 20261125, 0.01, 2.0
 SPEEDS = (1.0, 0.5)
 GUESSES, DRAWS, APART = 60, 300, 0.35
 REFUSED = ("UnreachableError", "unreachable", "collision", "falls")  # an end is impossible, or the duration too short
+# Defaults that make a newcomer's plan safe, each turned off.
+DEFAULTS: dict[str, dict[str, Any]] = {
+    "the floor": {"surroundings__floor": "none"},
+    "assumed ranges": {"objects__0__uncertainty": "none"},
+    "any speed": {"motion__speeds": "full"},
+}
+DEFAULTS["all three"] = {key: value for off in DEFAULTS.values() for key, value in off.items()}
 Arms = list[tuple[str, float, dict[str, Any]]]
 
 
@@ -145,6 +155,27 @@ def attempt(case: scenario.Scenario, method: str | None, count: int, rng: np.ran
     return found
 
 
+def without(case: scenario.Scenario) -> dict[str, float | None]:
+    """Duration, s, of the fastest plan with all defaults ("") and with each turned off; None without a plan."""
+    found: dict[str, float | None] = {}
+    for name, off in {"": {}, **DEFAULTS}.items():
+        plan = plan_fastest(case.with_changes(motion__duration=None, **off))
+        found[name] = plan.duration if plan.ok else None
+    return found
+
+
+def prices(records: list[dict[str, Any]]) -> str:
+    """Markdown: what each default costs in duration, over the files that have a plan with and without it."""
+    rows = ["| default | files | mean | median | most | planned only without it |", "|---|---|---|---|---|---|"]
+    found = [record["without"] for record in records if "without" in record]
+    for name in DEFAULTS if found else ():
+        more = [100 * (one[""] / one[name] - 1) for one in found if one[""] and one[name]]
+        only = sum(1 for one in found if one[name] and not one[""])
+        figures = (f"{x:.1f} %" for x in (np.mean(more), np.median(more), np.max(more)))
+        rows.append(f"| {name} | {len(more)} | {' | '.join(figures)} | {only} |")
+    return "\n".join(rows) if found else ""
+
+
 def table(records: list[dict[str, Any]]) -> str:
     """Markdown: one row for each method."""
     rows = [
@@ -172,13 +203,17 @@ def in_folder(folder: Path) -> list[tuple[str, str]]:
 
 
 def own(urdf: str, flange: str, packages: list[str]) -> tuple[str, float, dict[str, Any]]:
-    """A URDF as an arm of `ARMS`; its reach is what three of four random postures stay within."""
-    keys = {"model": urdf, "flange": flange, "package_dirs": packages, "limits": {"acceleration": 5.0}}
+    """A URDF as an arm of `ARMS`."""
+    return measured({"model": urdf, "flange": flange, "package_dirs": packages, "limits": {"acceleration": 5.0}})
+
+
+def measured(keys: dict[str, Any]) -> tuple[str, float, dict[str, Any]]:
+    """An arm of `ARMS`; its reach is what three of four random postures stay within."""
     arm = load_arm(scenario.Arm.model_validate(keys), scenario.Tray())
     low, high = np.maximum(arm.limits.q_min, -np.pi), np.minimum(arm.limits.q_max, np.pi)
     drawn = np.random.default_rng(0).uniform(low, high, (400, arm.n))
     away = [np.linalg.norm(arm.tray_pose(q)[0][:2]) for q in drawn]
-    return Path(urdf).stem, float(np.quantile(away, 0.75)), keys
+    return Path(keys["model"]).stem, float(np.quantile(away, 0.75)), keys
 
 
 def main() -> None:
@@ -191,9 +226,12 @@ def main() -> None:
     parser.add_argument("--urdfs", type=Path, help="folder of URDFs, which are the only arms")
     parser.add_argument("--reachable", action="store_true", help="only files whose ends can be reached")
     parser.add_argument("--package-dir", action="append", default=[], help="folder of packages whose meshes URDFs name")
+    parser.add_argument("--price", action="store_true", help="plan without each default, too")
     parser.add_argument("--table", action="store_true", help="only print the table")
     given = parser.parse_args()
     arms: Arms = [arm for arm in ARMS if "flange" not in arm[2] and given.urdfs is None]
+    if given.reachable and given.urdfs is None:
+        arms = [measured({"model": name}) for name, arm in KNOWN_ARMS.items() if arm.package is None]
     urdfs = [*given.urdf, *(() if given.urdfs is None else in_folder(given.urdfs))]
     arms += [own(urdf, flange, given.package_dir) for urdf, flange in urdfs]
     done = {record["number"] for record in read(given.out)}
@@ -207,10 +245,12 @@ def main() -> None:
         rng, record = np.random.default_rng([SEED, number, 1]), {"number": number, "arm": name}
         for key, method in (("default", None), ("fastest", "fastest"))[: 2 if case.motion.duration else 1]:
             record[key] = attempt(case, method, given.corners, rng)
+        if given.price:
+            record["without"] = without(case)
         with given.out.open("a", encoding="utf-8") as file:
             file.write(json.dumps(record) + "\n")
         print(number, name, record, flush=True)
-    print(table(read(given.out)))
+    print(table(read(given.out)), prices(read(given.out)), sep="\n\n")
 
 
 if __name__ == "__main__":
