@@ -230,6 +230,16 @@ def test_samples_that_go_on_at_the_last_speed_are_no_jolts():
     assert judged(p, noise=0.0).outcome == "cannot_tell"
 
 
+def test_constant_speeds_between_pushes_are_no_lines_between_samples():
+    """To and fro, five times, with pushes of 20 ms between constant speeds."""
+    push = np.sin(np.pi * (np.arange(10) + 0.5) / 10)
+    signs = np.tile([2.0, 0.0, 0.0, -2.0, 0.0, 0.0, -2.0, 0.0, 0.0, 2.0, 0.0, 0.0], 5)
+    bend = np.outer(signs, push).ravel()
+    y = np.cumsum(np.cumsum(bend)) / RATE**2
+    p = np.stack([0.5 + 0 * y, y, 0.4 + 0 * y], axis=1)
+    assert codes(found(p, np.arange(len(y)) / RATE, noise=0.0)) == []
+
+
 @pytest.mark.parametrize("noise", [0.0, 2e-5])
 def test_a_shake_in_one_direction_lies_on_no_lines(noise):
     assert "interpolated" not in codes(found(SHAKEN, noise=noise))

@@ -196,12 +196,12 @@ def _of_one_sensor(channels: Channels, options: AuditOptions) -> Channels:
 
 
 def _not_on_lines(channels: Channels, options: AuditOptions) -> Channels:
-    """Add a defect if samples lie on the straight line through their neighbours, where those around are forty times
-    as far off theirs."""
+    """Add a defect if samples lie on the straight line through their neighbours, and some of the five on either side
+    are forty times as far off theirs; where a constant speed begins or ends they are on one side only."""
     t, y = channels.t, channels.scaled
     share = ((t[1:-1] - t[:-2]) / (t[2:] - t[:-2]))[:, None]
     bend = np.linalg.norm(y[1:-1] - y[:-2] - share * (y[2:] - y[:-2]), axis=1)
-    around = maximum_filter1d(bend, 9)
+    around = np.minimum(maximum_filter1d(bend, 6, origin=-3), maximum_filter1d(bend, 6, origin=2))  # after, before
     bends = around > 40 * max(channels.step, 1e-9) * np.sqrt(y.shape[1])
     straight = int(np.count_nonzero(bends & (40 * bend <= around)))
     if straight < max(3.0, options.straight * np.count_nonzero(bends)):
