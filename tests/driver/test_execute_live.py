@@ -446,6 +446,7 @@ def test_a_restart_leaves_the_planners_work_space_alone(cube):
     assert all(np.array_equal(a, parts.data.oMg[k].homogeneous) for k, a in enumerate(placed))
 
 
+@pytest.mark.slow
 def test_options_of_a_run_are_set_from_the_command(tmp_path):
     """Of its script and of the live motion."""
     goal = {"goto": [0.45, 0.1, 0.45], "queued": True}

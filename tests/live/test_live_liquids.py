@@ -59,6 +59,7 @@ def off(mine, other) -> float:
     return float(np.abs(mine - other).max() / np.abs(other).max())
 
 
+@pytest.mark.slow
 def test_waves_that_go_on_from_motion_to_motion_are_those_of_all_as_one(changed):
     """At every fill and damping, as planned, with what the arm makes of them, and of what is uncertain."""
     live, bases, told = changed

@@ -123,6 +123,7 @@ def test_twists_are_one_request_until_there_are_none_for_a_while(cube):
     assert live.state.requests[-1].outcome == "dropped"
 
 
+@pytest.mark.slow
 def test_a_chunk_is_followed_and_its_end_is_reached(cube):
     live = Live(cube, lead=0.02)
     q = live.command(0.0)[0] + np.linspace(0.02, 0.2, 5)[:, None] * np.eye(7)[0]
@@ -152,6 +153,7 @@ def session(cube):
     return live, told
 
 
+@pytest.mark.slow
 def test_what_was_commanded_is_kept_as_one_motion(session):
     live, told = session
     motion = live.commanded()

@@ -109,6 +109,7 @@ def test_export_ends_with_3_and_one_sentence(run: Path, tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["m-UNSAFE.yaml"]
 
 
+@pytest.mark.slow
 def test_retime_writes_no_program_of_what_does_not_hold(tmp_path: Path) -> None:
     """At the pace given the arm is too fast; along the path given no timing is safe."""
     case = scenario.load("ur5-bottle")

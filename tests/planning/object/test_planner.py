@@ -104,7 +104,8 @@ def other_solver(problem, solution, elastic):
         {"objective__weighting": "scaled", "motion__duration": 2.5},
         {"objective__weighting": "paper", "motion__duration": 1.0},
         {"objective__weighting": "pose", "motion__duration": 1.0},
-        *(changes | {"motion__duration": 1.1} for changes in BOTH),
+        pytest.param(BOTH[0] | {"motion__duration": 1.1}, marks=pytest.mark.slow),
+        *(changes | {"motion__duration": 1.1} for changes in BOTH[1:]),
     ],
 )
 def test_convex_solution_is_the_global_optimum(changes):
