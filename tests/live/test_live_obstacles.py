@@ -151,7 +151,7 @@ def test_what_touches_between_two_instants_is_found(cube, problem, monkeypatch, 
     rate[5, 0] = -rate[4, 0]
     swing = JointMotion(t, np.tile(q, (6, 1)), rate, np.zeros((6, 7)))
     monkeypatch.setattr(verify, "CHECKS", (verify.clearance,))  # it is much too quick
-    options = replace(STANDARD, step=1.0, instants=1, at_rest=np.inf)
+    options = replace(STANDARD, step=1.0, instants=1, each=1, at_rest=np.inf)
     found = verified(replace(beside, tracking=None), swing, 0.0, None, options)
     assert found.sentence == "tray and ball would touch" * touch
     assert (found.committed is None) == touch
