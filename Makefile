@@ -14,7 +14,7 @@ SOURCES = src tests $(wildcard benchmarks examples docs tools ros2)
 help:
 	@echo "make demo    the paper's experiment and a tall bottle, planned, checked and simulated; pages in $(OUT)"
 	@echo "make test    run the tests"
-	@echo "make quick   the tests for every day, a minute on two cores"
+	@echo "make quick   the tests for every day, a little over a minute on two cores"
 	@echo "make mutate  do the tests notice wrong changes? N=300 SEED=0 MODULE=salver.models TESTS=tests/models/arm/test_arm.py"
 	@echo "make fuzz    what becomes of inputs that nobody means? N=600 SEED=0 MINUTES=60 ONLY=\"urdf journal\""
 	@echo "make check   lint, types and import layers"
