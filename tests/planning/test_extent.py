@@ -60,6 +60,37 @@ def test_the_nearest_thing_is_that_which_stands_around() -> None:
     assert extent(turned(0.0, 0.0, 1.0), AT_B, Status("x", "", True, {"clearance": own})).nearest is None
 
 
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_an_open_cup_needs_the_room_that_a_still_surface_takes_on_the_leaning_accelerated_tray(sign: float) -> None:
+    """By hand: on a tray that leans by 10 deg about the direction of its acceleration of 3 m/s^2, the specific force is
+    inclined by both. One that leans into its acceleration needs none."""
+    lean, still = np.deg2rad(10.0), np.zeros((2, 3))
+    along = exp(0.7 * Z) @ exp(sign * lean * X)
+    acceleration = sign * 3.0 * along[:, 0]
+    samples = MotionSamples(
+        np.arange(2.0), still, still, np.tile(acceleration, (2, 1)), np.array([along @ AT_B] * 2), still, still
+    )
+    slope = np.hypot(3.0, 9.81 * np.sin(lean)) / (9.81 * np.cos(lean))
+    found = extent(samples, AT_B, None, 0.04)
+    assert found.rim == pytest.approx(0.04 * slope)
+    assert found.sentence.endswith(
+        ". An open cup would spill if it were filled to less than 14 mm below its brim, sloshing not counted."
+    )
+
+    into = exp(0.7 * Z) @ exp(-sign * np.arctan(3.0 / 9.81) * X)
+    sideways = sign * 3.0 * exp(0.7 * Z)[:, 1]
+    leaning = MotionSamples(
+        np.arange(2.0), still, still, np.tile(sideways, (2, 1)), np.array([into @ AT_B] * 2), still, still
+    )
+    assert extent(leaning, AT_B, None, 0.04).rim == pytest.approx(0.0, abs=1e-12)
+    assert extent(leaning, AT_B, None).rim is None
+
+
+def test_the_widest_cylinder_without_a_liquid_is_the_cup() -> None:
+    assert make_plan(scenario.load("ur10-bottle").with_changes(arm=None)).extent.rim is not None
+    assert make_plan(scenario.load("panda-cube").with_changes(arm=None)).extent.rim is None
+
+
 @pytest.mark.slow
 def test_plan_page_and_json_say_it_alike(tmp_path: Path) -> None:
     """Of a plan in one place: the text of the command, its JSON, plan.json and the page."""
