@@ -8,23 +8,26 @@ from collections.abc import Callable
 
 
 def zero_between(value: Callable[[float], float], low: float, high: float, tolerance: float) -> float:
-    """A zero of a continuous function between two arguments at which its signs differ, by Ridders' method (1979).
+    """A zero of a continuous function between two arguments at which its signs differ, or where its sign changes, by
+    Chandrupatla's method (1997): inverse quadratic interpolation where it is sound, else bisection.
 
-    tolerance: largest error of the zero, absolute. Each round at least halves the bracket.
+    tolerance: largest error of the zero, absolute. Raises ArithmeticError for a value that is no number.
     """
-    at_low, at_high, before = value(low), value(high), math.inf
-    while True:
-        middle = 0.5 * (low + high)
-        at_middle = value(middle)
-        if at_middle == 0:
-            return middle
-        share = at_middle / math.sqrt(at_middle**2 - at_low * at_high)
-        zero = middle + (middle - low) * math.copysign(1.0, at_low - at_high) * share
-        if abs(zero - before) <= tolerance or abs(high - low) <= tolerance:
-            return zero
-        at_zero, before = value(zero), zero
-        if at_zero == 0:
-            return zero
-        ends = (middle, at_middle), (low, at_low), (high, at_high)
-        low, at_low = next(end for end in ends if (end[1] < 0) != (at_zero < 0))
-        high, at_high = zero, at_zero
+    x1, f1, x2, f2, share = low, value(low), high, value(high), 0.5
+    while f1 != 0 and f2 != 0 and tolerance < abs(x2 - x1):
+        x = x1 + share * (x2 - x1)
+        f = value(x)
+        if math.isnan(f):
+            raise ArithmeticError(f"The function has no value at {x:g}.")
+        if (f < 0) == (f1 < 0):
+            x3, f3 = x1, f1
+        else:
+            x3, f3, x2, f2 = x2, f2, x1, f1
+        x1, f1 = x, f
+        sound, turned = (x1 - x2) / (x3 - x2), (f1 - f2) / (f3 - f2)
+        share = 0.5
+        if turned**2 < sound and (1 - turned) ** 2 < 1 - sound:
+            share = f1 / (f2 - f1) * f3 / (f2 - f3) + (x3 - x1) / (x2 - x1) * f1 / (f3 - f1) * f2 / (f3 - f2)
+        least = min(0.5, 0.5 * tolerance / abs(x2 - x1))
+        share = min(1 - least, max(least, share))
+    return x1 if abs(f1) < abs(f2) else x2
