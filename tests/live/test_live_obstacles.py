@@ -550,6 +550,9 @@ def test_what_is_put_in_the_way_stays_there_until_it_is_removed(cube, problem):
         (lambda: live.remove("crate"), "there is no 'crate'; there are none"),
         (lambda: live.put(thrown(p, 1.0, (0, 1, 0))), "it must stand still"),
         (lambda: live.put("crate"), "it must be a Moving"),
+        (lambda: live.put(replace(crate, name=["crate"])), "its name must be text, not"),
+        (lambda: live.obstacles([replace(crate, name=["crate"])]), "its name must be text, not"),
+        (lambda: live.remove(["crate"]), "there are none"),
         (lambda: live.obstacles([crate, crate]), "another one is 'crate'"),
     ):
         status = refused()

@@ -222,6 +222,12 @@ def test_mistakes_with_a_rim_are_one_sentence(made, items: list[dict], words: st
         made(*items) if made is beside else made(items)
 
 
+@pytest.mark.parametrize("given", ["20%", 0.1])
+def test_a_range_of_the_friction_of_a_rim_that_is_not_there_is_refused(given: str | float) -> None:
+    with pytest.raises(ScenarioError, match="friction_rim is given, and the tray has no rim"):
+        scenario([box()], uncertainty={"friction_rim": given})
+
+
 def test_shape_without_upright_sides_is_refused() -> None:
     parts = [{"shape": {"type": "box", "size": [0.04, 0.04, 0.04]}, "mass": 1.0}]
     odd = box(against="-x") | {"shape": {"type": "composite", "parts": parts}}

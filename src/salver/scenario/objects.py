@@ -429,6 +429,8 @@ class UncertaintySet(Model):
         for parameter, degrees in zip(TILT, self.tilt_deg or (), strict=False):
             if degrees > 0:
                 found.append((parameter, 0.0, float(np.deg2rad(degrees))))
+        if self.friction_rim is not None and tray.rim is None:
+            raise ValueError("uncertainty.friction_rim is given, and the tray has no rim; give tray.rim a height")
         rim = 0.0 if tray.rim is None else tray.rim.friction
         if (half_rim := _absolute(self.friction_rim, rim)) > rim:
             raise ValueError(f"uncertainty.friction_rim = {half_rim:g} is above tray.rim.friction = {rim:g}; give less")
