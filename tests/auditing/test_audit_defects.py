@@ -240,6 +240,14 @@ def test_constant_speeds_between_pushes_are_no_lines_between_samples():
     assert codes(found(p, np.arange(len(y)) / RATE, noise=0.0)) == []
 
 
+def test_a_short_constant_speed_between_accelerations_is_no_line_between_samples():
+    """There and back by trapezoids of speed, whose constant part has five samples of 125 a second."""
+    bend = np.repeat([0.0, 0.8, 0.0, -0.8, 0.0, -0.8, 0.0, 0.8, 0.0], [60, 37, 5, 37, 60, 37, 5, 37, 60])
+    y = np.cumsum(np.cumsum(bend)) / 125**2
+    p = np.stack([0.5 + 0 * y, y, 0.4 + 0 * y], axis=1)
+    assert codes(found(p, np.arange(len(y)) / 125, noise=0.0)) == []
+
+
 @pytest.mark.parametrize("noise", [0.0, 2e-5])
 def test_a_shake_in_one_direction_lies_on_no_lines(noise):
     assert "interpolated" not in codes(found(SHAKEN, noise=noise))

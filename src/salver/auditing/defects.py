@@ -197,13 +197,21 @@ def _of_one_sensor(channels: Channels, options: AuditOptions) -> Channels:
 
 def _not_on_lines(channels: Channels, options: AuditOptions) -> Channels:
     """Add a defect if samples lie on the straight line through their neighbours, and some of the five on either side
-    are forty times as far off theirs; where a constant speed begins or ends they are on one side only."""
+    are forty times as far off theirs; where a constant speed begins or ends they are on one side only.
+
+    Where a straight line replaces a curve it meets it in a kink: that sample is (n + 1) / 2 times as far off as the
+    next one, for a line over n steps. Between accelerations a short constant speed begins and ends without.
+    """
     t, y = channels.t, channels.scaled
     share = ((t[1:-1] - t[:-2]) / (t[2:] - t[:-2]))[:, None]
     bend = np.linalg.norm(y[1:-1] - y[:-2] - share * (y[2:] - y[:-2]), axis=1)
     around = np.minimum(maximum_filter1d(bend, 6, origin=-3), maximum_filter1d(bend, 6, origin=2))  # after, before
     bends = around > 40 * max(channels.step, 1e-9) * np.sqrt(y.shape[1])
-    straight = int(np.count_nonzero(bends & (40 * bend <= around)))
+    lines = np.flatnonzero(bends & (40 * bend <= around))
+    off = np.pad(bend, 2)  # that of sample k of the bends is number k + 2
+    kinks = off[1:-1] > 1.2 * np.maximum(off[:-2], 1e-12), off[1:-1] > 1.2 * np.maximum(off[2:], 1e-12)
+    runs = np.split(lines, np.flatnonzero(np.diff(lines) > 1) + 1)
+    straight = sum(len(run) for run in runs if len(run) and (kinks[0][run[0]] or kinks[1][run[-1] + 2]))
     if straight < max(3.0, options.straight * np.count_nonzero(bends)):
         return channels
     clause = f"{straight} samples lie on straight lines through others: they were interpolated or extrapolated"
