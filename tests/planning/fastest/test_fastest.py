@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from dataclasses import replace
 
@@ -13,7 +14,7 @@ from salver.errors import ScenarioError
 from salver.geometry import Array
 from salver.models.tray_motion import Speed
 from salver.planning.fastest import FastestMotion, FastestOptions, fastest, nearby, object_motion, plan_fastest
-from salver.planning.fastest.planned import each_kind, joint_plan, judged, slow_enough
+from salver.planning.fastest.planned import each_kind, joint_plan, judged, slow_enough, tightened
 from salver.planning.make import make_plan
 from salver.planning.plan import Plan
 from salver.planning.postures import REACHED, PoseTarget, posture_at
@@ -323,6 +324,16 @@ def test_what_oversteps_a_limit_by_a_hair_between_the_optimisers_instants_is_mad
     assert f"{slower.duration:.4f} s" in plan.status.sentence
     much = hastened(0.97)
     assert slow_enough(*much, planned, robust=True) == much
+
+    tight = tightened(hasty[0])
+    assert tight is not None
+    excess = float(re.search(r"acceleration of \S+ would be exceeded by (\S+) %", hasty[1].status.sentence)[1]) / 100
+    assert tight.limits.acceleration == pytest.approx((1 - 2 * excess) * problem.limits.acceleration, rel=1e-5)
+    assert np.array_equal(tight.limits.velocity, problem.limits.velocity)
+    again = fastest(tight, FastestOptions(spans=8), near=hasty[0])
+    assert planned(again).ok, "within less of the limit it keeps the whole of it between the nodes too"
+    assert again.duration < 1.002 * found.duration
+    assert tightened(much[0]) is None
 
 
 def test_a_plan_whose_motion_fails_the_verdict_is_unsafe():

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from salver.errors import Status, UnreachableError
+from salver.models.arm.arm_limits import LIMITS
 from salver.planning.fastest.options import FastestOptions
 from salver.planning.fastest.search import fastest
 from salver.planning.fastest.speeds import at_every_speed
@@ -87,7 +88,16 @@ def _found(
             break
         found = again.after(found)
         plan = _planned(scenario, found, robust)
-    found, plan = slow_enough(found, plan, lambda slower: _planned(scenario, slower, robust), robust)
+
+    def made(motion: FastestMotion) -> Plan:
+        return _planned(scenario, motion, robust)
+
+    found, plan = slow_enough(found, plan, made, robust)
+    if found.status.ok and not plan.status.ok and (tight := tightened(found)) is not None:
+        again = fastest(tight, options, near=found, watch=watch)
+        if again.status.ok:
+            again = replace(again.after(found), problem=replace(again.problem, limits=problem.limits))
+            found, plan = slow_enough(again, made(again), made, robust)
     if robust and plan.status.ok and not plan.verification.ok:
         said = f"The motion found in {plan.duration:.4f} s fails the check of its plan: {plan.verification.sentence}"
         plan = replace(plan, status=Status("unsafe", said, False))
@@ -121,6 +131,17 @@ def _sterner(found: FastestMotion, plan: Plan, robust: bool) -> TransportProblem
     # The rows allow for the arm's tracking error; in quick turns the motion itself may violate the exact condition.
     exactly = tuple(ContactConstraint(rows, plan.scenario.contact.margin, exactly=True) for rows in problem.contacts)
     return replace(problem, extra=(*problem.extra, *exactly))
+
+
+def tightened(found: FastestMotion, most: float = 0.01) -> TransportProblem | None:
+    """The problem with the joint limit that a motion exceeds lowered by twice the excess, if that is at most a share
+    `most` of the limit. Slowed down instead, a motion may exceed limits of load dynamics, since a liquid then peaks
+    elsewhere. None if the motion exceeds no joint limit, or by more."""
+    verdict = verify(found.problem, found.joint_motion(), None, PLANNED)
+    exceeded = next((kind.key for kind in LIMITS[1:] if verdict.what.startswith(f"{kind.name} of ")), None)
+    if exceeded is None or verdict.excess > most:
+        return None
+    return replace(found.problem, limits=found.problem.limits.scaled({exceeded: 1.0 - 2.0 * verdict.excess}))
 
 
 def slow_enough(
