@@ -1,4 +1,4 @@
-"""Reading and writing: atomically, without pickle, and with a sentence when a file is not what it should be."""
+"""Reading and writing files atomically, without pickle; a damaged or foreign file is refused with a sentence."""
 
 from __future__ import annotations
 

@@ -30,13 +30,13 @@ class AuditOptions:
     nearest, furthest: m, distances from the origin outside which positions are in another unit.
     uneven: ratio of the noise of two columns above which their units differ; axes of one sensor differ by less than
         ten. A column in cm may not be noticed.
-    drop: factor of power by which noise falls at a filter. Weaker filters are not detected.
+    drop: factor by which the power of the noise falls at the cut-off of a filter. Weaker filters are not detected.
     break_off: size of a spike or jump over the usual deviation from neighbours. Smaller ones become jolts.
     alternating: correlation over four samples above which two sources take turns; 0 for noise, 1 for such sources. At
         1 they are not noticed.
     straight: share of samples on lines through their neighbours that is no chance: a shake has 2 % at its zeros. Fewer
         interpolated recordings are noticed.
-    beyond: rad or m by which a recorded joint may be out of its range, as of another zero: angles in other units and
+    beyond: rad or m by which a recorded joint may be out of its range, as with another zero: angles in other units and
         other orders of columns are further out. Fewer of these are noticed.
     apart, turned: m, rad, by which the tray of a file may be from where its joints have it: a lag of 30 ms at 1 m/s and
         3 rad/s, and 20 mm of calibration. Tables of two motions, or of another arm, are further apart; fewer of these

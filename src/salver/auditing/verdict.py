@@ -373,8 +373,8 @@ def audit(
 ) -> Audit:
     """Audit a trajectory file (formats: `salver.motion_files`), or columns of one, for the objects of a scenario.
 
-    Of a file with tray and joints, the tray decides about the load, and the joints about the arm. If they disagree, the
-    verdict is not "holds"; why joints tell nothing of the arm is a note.
+    If a file has the tray and the joints, the tray decides about the load, and the joints about the arm. If the two
+    disagree, the verdict is not "holds". If the joints cannot decide about the arm, a note says why.
 
     topic: topic of a bag. units: of a table, as in "deg,mm,ms". Raises SalverError, one sentence for each mistake.
     """

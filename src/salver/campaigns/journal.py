@@ -1,7 +1,7 @@
 """The journal of a campaign: one line for each finished run, written at once, so that an interruption loses none.
 
 When a journal is read, an incomplete last line and damaged lines (each has a checksum) are dropped, and those runs are
-repeated; damaged lines are told of. A lock, which the operating system releases when the process ends, admits only one
+repeated; damaged lines are reported. A lock, which the operating system releases when the process ends, admits only one
 process.
 """
 

@@ -19,7 +19,7 @@ _now: Progress | None = None  # of the running command
 
 
 class Progress:
-    """Progress of a command, told by a thread of its own until its end.
+    """Progress of a command, shown by a thread of its own until the command ends.
 
     after: s until the line is shown in a terminal, and between its renewals. every: s between lines elsewhere.
     """

@@ -23,7 +23,8 @@ class BrakingOptions:
     """The stops that are checked.
 
     Attributes:
-        instants: number of instants at which a stop begins, evenly over the motion. Doubled, twice the time.
+        instants: number of instants at which a stop begins, evenly over the motion. With twice the number the check
+            takes twice the time.
         durations: number of durations from `shortest` to the motion's own, evenly in their logarithm.
         shortest: s, shortest stop. Protective stops of collaborative arms take a tenth to a half of a second.
         steps: instants along each stop at which contact is checked.

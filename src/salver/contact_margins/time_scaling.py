@@ -48,7 +48,7 @@ class SpeedSearch:
         fastest: largest factor.
         finest: resolution of the limits of the factor with a liquid or pendulum.
         few: step through `TRIED` for a quick look.
-        ripple: share of the limits by which what is left varies at low factors without a resonance.
+        ripple: share of the limits by which the remaining margin varies at low factors without a resonance.
     """
 
     slowest: float = 0.01
@@ -295,9 +295,9 @@ def _tried(scaled: TimeScaled) -> tuple[Intervals, float | None, int, tuple[floa
 
 
 def lacking_of_few(model: MarginModel, tray: MotionSamples) -> tuple[float, ...]:
-    """Factors up to 1 at which a load with inner dynamics is not kept, in the worst case: the worst of all, and every
-    resonance, where less is left than beside it and than at rest. Of few factors that are tried, and all of `TRIED`
-    beside those that fail: that none is found is no proof (see `safe_speeds`).
+    """Factors up to 1 at which a load with inner dynamics is not kept, in the worst case: the worst factor, and every
+    resonance, where the margin is smaller than beside it and than at rest. Few factors are tried, and all of `TRIED`
+    beside those that fail; an empty result is no proof (see `safe_speeds`).
     """
     scaled, known, few = TimeScaled(model, tray, worst=True), dict[int, float](), SEARCH.few
 

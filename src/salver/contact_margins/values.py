@@ -42,7 +42,8 @@ class RowValues:
         return value if self.loads is None else value + LoadRows.of(rows, self.loads.nominal).values
 
     def worst_case(self, rows: ContactRows, at_once: int = 256) -> Array:
-        """Worst case of the rows (T, n); with loads so many instants at once, to limit the memory for all cases."""
+        """Worst case of the rows (T, n). With liquids and pendulums the instants are treated in pieces, to limit the
+        memory."""
         value = rows.worst(self.w)
         if self.loads is not None:
             for first in range(0, len(value), at_once):

@@ -1,1 +1,1 @@
-"""Driving an arm along a plan: checks before, the loop, what is logged after."""
+"""Driving an arm along a plan: checks before the motion, the control loop, the log."""

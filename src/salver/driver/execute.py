@@ -1,4 +1,4 @@
-"""`salver execute`: a plan on an arm, real or simulated, with checks before, a log after."""
+"""`salver execute`: a plan on an arm, real or simulated, with checks before the motion and a log after it."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ RECORDED = (
 
 @dataclass(frozen=True)
 class Execution:
-    """A run on an arm. arrays, summary: what was saved. checks: the pre-flight. path: of the log."""
+    """A run on an arm. arrays, summary: content of the log. checks: those of the pre-flight. path: path of the log."""
 
     arrays: dict[str, np.ndarray]
     summary: dict[str, Any]
@@ -70,15 +70,15 @@ def run_plan(
     preflight: PreflightOptions = PREFLIGHT,
     options: Any = None,
 ) -> Execution:
-    """A plan on an arm.
+    """Run a plan on an arm.
 
     robot: a name of `salver.driver.robots.robots.ROBOTS`; "simulated" runs the very loop that drives a real one, in
-    real time. confirm: asked with the checks after all of them passed, before anything moves.
+    real time. confirm: called with the checks after all of them passed, before anything moves; False ends the run.
     signals: through which the caller may ask for a stop (`Signals.note`), from another thread.
     move_to_start: go to the start posture first, at a tenth of the speed limits, with nothing on the tray.
     full_speed_only: run also a plan that does not keep its load at every speed.
-    preflight: tolerances of the checks. options: of a robot that has some, such as `UROptions` or `FrankaOptions`.
-    Raises SalverError when a check fails or the arm refuses, UnreachableError when the plan has no joint motion,
+    preflight: tolerances of the checks. options: the robot's options, such as `UROptions` or `FrankaOptions`. Raises
+    SalverError when a check fails or the arm refuses, UnreachableError when the plan has no joint motion,
     MissingDependencyError without the robot's library.
     """
     kind = robot_class(robot)
@@ -121,7 +121,7 @@ def seen_in_the_engine(
     summary: dict[str, Any],
     plan: Plan | None = None,
 ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """The log of a simulated run, with what became of the load. plan: as of `SimulatedRobot.record`."""
+    """The log of a simulated run, with the outcome of the load. plan: as in `SimulatedRobot.record`."""
     try:
         record = robot.record({"with_arm": True}, began, plan)
     except BaseException as error:  # too short a run, an engine that diverged: the log comes first
@@ -140,7 +140,8 @@ def merge_mocap(
     world: tuple[Array, Array] | None = None,
     options: mocap.CaptureOptions = mocap.STANDARD,
 ) -> Execution:
-    """Add what motion capture saw of object and tray to the log of a run. The first object's own name by default.
+    """Add the motion of object and tray, as seen by motion capture, to the log of a run. The object's default name is
+    that of the first object.
 
     Raises FileFormatError when there is no log or no motion capture in the file, SalverError for unknown names.
     """

@@ -1,4 +1,4 @@
-"""Driving an arm along a plan: the control loop, its watchdog, and what is logged.
+"""Driving an arm along a plan: the control loop, its watchdog, and its log.
 
 In each period `sensing` checks the measured state, the watchdog decides whether to go on, the controller or a stop
 computes the command, and `gate` limits it. Robots with a position or velocity interface get the reference, robots with
@@ -41,8 +41,8 @@ class Watchdog:
     manufacturer's limit.
 
     late_periods: missed control periods in a row. at_rest: rad/s; control ends only below this velocity, or
-    longest_wait seconds after the expected end of the stop. plausible: which readings are. stop: how the arm is brought
-    to rest.
+    longest_wait seconds after the expected end of the stop. plausible: thresholds of plausible readings. stop: options
+    of the stop.
     """
 
     joint_error: float = 0.05
@@ -149,10 +149,10 @@ class Drive:
         self.book = _Book(2 * int((self.end - self.start + STOP_ROOM) / self.period), self.arm.n)
 
     def run(self) -> ExecutionLog:
-        """Never raises: whatever goes wrong in here, the arm is stopped as well as it then can be, the robot leaves
-        torque control, and the log says why. What the watchdog sees, a state that cannot be believed, a failure of the
-        controller, Ctrl-C and the other signals that ask a process to end lead to a stop by torque; a robot that does
-        not answer is left to its own brakes.
+        """Run the loop. Never raises: after any error the arm is stopped as well as possible, the robot leaves torque
+        control, and the log says why. A complaint of the watchdog, an implausible state, a failure of the controller,
+        Ctrl-C and the other signals that ask a process to end lead to a stop by torque; a robot that does not answer is
+        left to its own brakes.
         """
         collecting = gc.isenabled()
         with noted_signals(self.signals):

@@ -50,11 +50,12 @@ from salver.trajectory import JointMotion
 class LiveRunOptions:
     """Options of a run that follows a live motion.
 
-    longest: s of one run. patience: s after the last request, at rest, in which the planner may find what it asks for.
-    resting: s of the motion that stands for the arm before anything is requested.
-    lead, every, planning: where time waits for the planner: s to a hand-over; periods from one look at what is to be
-    planned to the next; s that planning may take, so many that no clock of a busy machine decides what is done.
-    script: what is accepted of its lines. live: of the live motion, which keeps all of the run for its plan.
+    longest: largest duration of a run, s. patience: s after the last request, at rest, in which the planner may still
+    find a motion for it.
+    resting: duration, s, of the motion at rest that is committed before the first request.
+    lead, every, planning: without real time, when the arm waits for the planner: s to a hand-over; periods between two
+    calls of the planner; time limit of planning, s, so large that a busy machine does not change the result.
+    script: limits of the script's lines. live: options of the live motion, which records the whole run for its plan.
     """
 
     longest: float = 120.0
@@ -68,7 +69,7 @@ class LiveRunOptions:
 
     @property
     def kept(self) -> LiveOptions:
-        """Of the live motion, of which as much is kept as a run may take."""
+        """Options of the live motion, whose record is as long as the longest run."""
         return replace(self.live, record=max(self.live.record, self.longest))
 
 
@@ -116,9 +117,10 @@ class LiveStop(Along):
 
 @dataclass(eq=False)
 class LiveDrive(Drive):
-    """The loop with a source of requests, and a record of what was commanded.
+    """The loop with a source of requests, and a record of the commanded motion.
 
-    rest_after: s at rest after which the run ends. planned_here: the planner in the loop itself, if time waits for it.
+    rest_after: s at rest after which the run ends. planned_here: the planner that runs in the loop itself, without real
+    time.
     """
 
     live: Live = field(kw_only=True)
@@ -194,16 +196,15 @@ def run_live(
     confirm: Callable[[list[Check]], bool] = lambda checks: True,
     options: LiveRunOptions = STANDARD,
 ) -> Execution:
-    """A live motion, told by lines of a script (`salver.live.script`), into a run directory: what was commanded is its
-    plan, with a log in `execution`.
+    """Run a live motion by the lines of a script (`salver.live.script`) and write a run directory: the commanded motion
+    is its plan, and the log is in `execution`.
 
-    robot: "simulated", or "franka", from where it stands with the load in place, within the limits of the Franka
-    Research 3. realtime: keep real time, with a planner in a process of its own; otherwise time of the simulated arm
-    waits for the planner, and a script gives the same run again. listen: the lines come while it moves.
-    signals: through which the caller may ask for a stop. confirm: asked with the checks after all of them passed,
-    before anything moves.
-    Raises SalverError when the script or a check fails, ScenarioError when there is no arm or the load is not safe,
-    MissingDependencyError without the robot's library.
+    robot: "simulated"; or "franka", which starts where it stands, with the load in place, and keeps the limits of the
+    Franka Research 3. realtime: keep real time, with a planner in a process of its own; otherwise the simulated arm
+    waits for the planner, and a script gives the same run again. listen: the lines come while the arm moves.
+    signals: through which the caller may ask for a stop. confirm: called with the checks after all of them passed,
+    before anything moves. Raises SalverError when the script or a check fails, ScenarioError when there is no arm or
+    the load is not safe, MissingDependencyError without the robot's library.
     """
     known = {"simulated": _simulated, "franka": _franka}[robot](scenario, address, realtime, options)
     directory, live, plan, driven = Path(directory), known.live, known.plan, known.robot
@@ -291,7 +292,7 @@ def _franka(scenario: Scenario, address: str, realtime: bool, options: LiveRunOp
 
 
 def slower(limits: JointLimits, others: JointLimits) -> dict[str, list[float]]:
-    """For a scenario's arm.limits: of each limit the smaller one."""
+    """The smaller one of each limit of two arms, for a scenario's `arm.limits`."""
     names = [field.name for field in fields(limits) if field.name in ArmLimits.model_fields]
     least = {name: np.minimum(getattr(limits, name), getattr(others, name)) for name in names}
     return {name: values.tolist() for name, values in least.items() if np.all(np.isfinite(values))}

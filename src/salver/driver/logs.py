@@ -82,7 +82,7 @@ def arrays_of(arm: ArmModel, log_: ExecutionLog, robot: Robot) -> dict[str, np.n
 
 
 def keep(directory: Path, stem: str, arrays: dict[str, np.ndarray], summary: dict[str, Any]) -> Path:
-    """Write a log to DIRECTORY/execution/STEM.npz and .json; those of earlier runs stay, numbered.
+    """Write a log to DIRECTORY/execution/STEM.npz and .json; logs of earlier runs are kept, numbered.
 
     When that cannot be, it is written to a directory for temporary files, and the summary says why. Raises
     SalverError only when that fails too.

@@ -186,11 +186,12 @@ def merge(
     """Arrays of a log (t, p_SE, quat_SE_wxyz, ...) with the object as motion capture saw it: p_SB, quat_SB_wxyz, e_p,
     e_o, slip, slip_E, lift, mocap_offset.
 
-    p_SV, R_SV: pose of the capture's world in S; the same by default. The marker frame on a body may sit anywhere:
-    where it sits is taken from the rest before the motion, when the body is where the plan puts it. offset: the
-    capture's time at the start of the motion; found from the speed by default. Without a track of the tray, slip
-    is against where the joints put it; with one, `tray_seen` (T, 3) is where it was seen in S. slip, lift (T, 1):
-    largest displacement of a corner of the base along the tray and off it. What it means `salver.driver.seen` tells.
+    p_SV, R_SV: pose of the capture's world in S; the same by default. The marker frame may have any pose on a body:
+    that pose is computed from the rest before the motion, when the body is where the plan has it. offset: the capture's
+    time at the start of the motion; found from the speed by default. Without a track of the tray, slip is relative to
+    the tray's position by the joints; with one, `tray_seen` (T, 3) is its observed position in S, m.
+    slip, lift (T, 1): largest displacement, m, of a corner of the base along the tray and off it. `salver.driver.seen`
+    judges whether the load stayed.
     """
     for name in (object_name, *([tray_name] if tray_name else [])):
         if name not in tracks:

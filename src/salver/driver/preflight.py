@@ -1,6 +1,6 @@
 """Checks before an arm moves; each is a sentence, whether it passes or not.
 
-They judge the joint motion that will be sent, also between its samples, not what the files say about it. NaN never
+They judge the joint motion that will be sent, also between its samples, and not the verdict in its files. NaN never
 passes.
 """
 
@@ -223,7 +223,7 @@ def _speeds(plan: Plan, full_speed_only: bool) -> Check:
 
 
 def _stops(plan: Plan, arm: ArmModel) -> Check:
-    """Whether it can be stopped with the load in its place; and that what is stored of the stops fits the plan."""
+    """Whether the plan can be stopped with the load in its place, and whether the stored stops fit the plan."""
     stops, joint = plan.stops, plan.joint
     if stops is None or joint is None:
         return Check(

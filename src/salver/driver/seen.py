@@ -1,7 +1,7 @@
 """The load in motion capture: it stayed, it did not, or the recording cannot tell.
 
-"Holds" is said only of a recording in which object and tray are seen all along, at rest before the motion, on a clock
-and in a world that fit where the joints put the tray. Every reason against that is a sentence of its own.
+The verdict "holds" needs a recording in which object and tray are seen all along, at rest before the motion, with a
+clock and a world frame that fit the tray's motion by the joints. Every reason against it is a sentence of its own.
 """
 
 from __future__ import annotations

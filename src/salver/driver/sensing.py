@@ -5,11 +5,12 @@ A reading is a position and a speed. The reading of a joint is plausible if
 - it is possible: finite, near the joint's range, not faster than any joint turns;
 - its speed does not jump, except to the commanded one;
 - its position follows from its speeds: from one reading to the next it changes by a value between both speeds times the
-  time. What it changes beyond that is summed, fades over `window`, and may not exceed `drift`;
+  time. The remaining change is summed, fades over `window`, and may not exceed `drift`;
 - it is new: a reading that is repeated bit by bit is stale where the joint is commanded to move otherwise.
 
-So an arm that is pushed or held is believed. While the arm stops, a joint whose reading was not plausible is taken to
-be where it is commanded to be, until it is seen there, or `confirmations` readings in a row are plausible.
+So readings of an arm that is pushed or held are plausible. While the arm stops, a joint whose reading was not plausible
+is assumed to be where it is commanded to be, until a reading shows it there or `confirmations` readings in a row are
+plausible.
 """
 
 from __future__ import annotations
@@ -32,11 +33,12 @@ class Plausible:
 
     outside: rad beyond the maker's range. speed_share: of the maker's speed limit. speed_change: share of that limit by
     which a speed may change in one period.
-    drift, window: rad, s; how far positions may leave the integral of their speeds, and how soon that fades. A joint so
-        near to where it is commanded to be is believed again at once.
-    confirmations: readings in a row after which a joint is believed again; enough for `drift` to show a false speed.
+    drift, window: rad, s; how far positions may leave the integral of their speeds, and how soon that fades. The
+    reading of a joint that is this near to its command counts again at once.
+    confirmations: plausible readings in a row after which a joint's readings count again; enough for `drift` to show a
+    false speed.
     moving: rad/s beside the commanded speed from which on an identical reading is stale; more for a coarse sensor.
-    gap: s between two readings.
+    gap: largest time between two readings, s.
     bridged: periods in a row without a plausible reading in which a stop still surely keeps the load.
     """
 
@@ -53,8 +55,8 @@ class Plausible:
 
 @dataclass(slots=True)
 class Sensed:
-    """state: as read. believed: (n,) which joints are. elapsed: s since the last one. wrong: what was not plausible, or
-    empty."""
+    """A checked reading. state: as read. believed: (n,) whether each joint's reading counts. elapsed: s since the last
+    reading. wrong: what was not plausible, in words; empty if nothing."""
 
     state: ArmState
     believed: Mask
@@ -62,7 +64,7 @@ class Sensed:
     wrong: str = ""
 
     def take_for(self, commanded: ArmState) -> None:
-        """Take joints that are not believed to be as commanded."""
+        """Replace the state of joints whose reading does not count by the commanded one."""
         if not self.believed.all():
             q, dq = np.where(self.believed, (self.state.q, self.state.dq), (commanded.q, commanded.dq))
             self.state = ArmState(q, dq)
@@ -87,7 +89,7 @@ class Senses:
 
     @property
     def sees(self) -> bool:
-        """Whether the arm is where it is believed to be: readings were missing for a few periods at most."""
+        """Whether the arm's state is known: readings were missing for a few periods at most."""
         return self.blind <= self._plausible.bridged
 
     def take(self, answer: Any, commanded: ArmState) -> Sensed:
@@ -144,7 +146,7 @@ class Senses:
         return q, dq, ""
 
     def _impossible(self, q: Array, dq: Array) -> tuple[Mask, str]:
-        """Whether each joint's reading (n,) is possible; one sentence of one that is finite and is not."""
+        """Whether each joint's reading (n,) is possible, and a sentence on a finite one that is impossible."""
         arm, plausible = self._arm, self._plausible
         outside = np.maximum(arm.limits.q_min - q, q - arm.limits.q_max)
         inside = outside <= plausible.outside

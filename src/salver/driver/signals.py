@@ -1,4 +1,4 @@
-"""Ctrl-C and the other signals that ask a process to end, as a wish that the loop reads when it suits it."""
+"""Ctrl-C and the other signals that ask a process to end, as a request that the loop reads in its next period."""
 
 from __future__ import annotations
 
@@ -14,26 +14,25 @@ _WISHES = {"SIGINT": "Interrupted", "SIGTERM": "Terminated", "SIGHUP": "The term
 
 @dataclass
 class Signals:
-    """A wish to stop. seen: what was asked for first; empty while nothing was."""
+    """A request to stop. seen: the first request; empty without one."""
 
     seen: str = ""
 
     def note(self, what: str) -> None:
-        """Ask for a stop, from any thread: the loop begins it in its next period. what: who or what asks, as it stands
-        in the log, "Protective stop" say."""
+        """Request a stop, from any thread: the loop begins it in its next period. what: the source of the request for
+        the log, such as "Protective stop"."""
         self.seen = self.seen or what
 
     def wish(self, t: float) -> str:
-        """One sentence when something was asked for, else an empty one."""
+        """The request in one sentence; empty without one."""
         return f"{self.seen} at t = {t:.3f} s." if self.seen else ""
 
 
 @contextlib.contextmanager
 def noted_signals(signals: Signals | None = None) -> Iterator[Signals]:
-    """Within, these signals interrupt nothing and are noted; once or many times makes no difference.
+    """A context in which these signals interrupt nothing and are only noted; repeated signals count as one.
 
-    signals: where they are noted, when it is there already. Python lets only the main thread do that; in others
-    nothing changes.
+    signals: an existing object that notes them. Python allows this in the main thread only; in others nothing changes.
     """
     signals, before = signals or Signals(), {}
 

@@ -23,10 +23,10 @@ if TYPE_CHECKING:
 class StopOptions:
     """Options of bringing an arm to rest.
 
-    gains: of a controlled stop in every joint, 1/s^2 and 1/s. share: of the manufacturer's acceleration limit, with
-    which it brakes: the load may fall, but the arm must not move far. least: shortest braking time, s. hold: time at
-    rest after a stop, s. sensed: largest measurement error of a joint, rad. off, faster: deviation from the reference,
-    rad and rad/s, above which the arm is not pulled back to it.
+    gains: gains of a controlled stop in every joint, 1/s^2 and 1/s. share: share of the manufacturer's acceleration
+    limit with which a controlled stop brakes: the load may fall, but the arm must not move far. least: shortest braking
+    time, s. hold: time at rest after a stop, s. sensed: largest measurement error of a joint, rad. off, faster:
+    deviation from the reference, rad and rad/s, above which the arm is not pulled back to it.
     """
 
     gains: tuple[float, float] = (200.0, 28.0)
@@ -42,41 +42,41 @@ STANDARD = StopOptions()
 
 
 class Stop(Protocol):
-    """From a moving state to rest. What it returns still passes the loop's gate (`salver.driver.gate`)."""
+    """A stop: from a moving state to rest. Its commands still pass the loop's gate (`salver.driver.gate`)."""
 
     @property
     def keeps_load(self) -> bool:
-        """Whether what lies loose on the tray surely stays there, as far as the arm was seen till now."""
+        """Whether the load surely stays on the tray, judged by the readings so far."""
         ...
 
     @property
     def allowed(self) -> Array | float:
-        """(n,) rad off the reference within which the load surely stays; negative when it never does."""
+        """Deviation (n,) from the reference, rad, within which the load surely stays; negative when it never does."""
         ...
 
     @property
     def duration(self) -> float:
-        """s from its beginning until the arm rests and control may end."""
+        """Time from the beginning of the stop until the arm rests and control may end, s."""
         ...
 
     def reference(self, s: float) -> tuple[Array, Array, Array]:
-        """(q, dq, ddq) where the arm should be a time s after it began."""
+        """(q, dq, ddq) at which the arm should be a time s after the stop began."""
         ...
 
     def step(self, state: ArmState, s: float) -> Array:
-        """Torque (n,), N m, for a state a time s after it began."""
+        """Torque (n,), N m, for a state a time s after the stop began."""
         ...
 
 
 StopFrom = Callable[[ArmState, float], Stop]
-"""The stop from a state that can be believed, at time t of the motion, s."""
+"""The stop from a plausible state, at time t of the motion, s."""
 
 
 class QuinticBraking:
     """Quintic braking: a velocity that goes to zero without a jump of acceleration or torque."""
 
     def __init__(self, q: Array, dq: Array, acceleration: Array, least: float) -> None:
-        """From q with dq, within accelerations (n,), in at least so many s."""
+        """Braking from q with velocity dq, within accelerations (n,), rad/s^2, in at least a time, s."""
         self._q, self._dq = q.copy(), dq.copy()
         needed = 1.875 * np.abs(dq) / acceleration  # the step's steepest slope
         self.duration = max(least, float(np.max(np.where(np.isfinite(needed), needed, 0.0))))
@@ -113,7 +113,7 @@ class ControlledStop:
 
     @property
     def braking(self) -> float:
-        """s until it is at rest."""
+        """Time until the arm is at rest, s."""
         return self._braking.duration
 
     @property
@@ -143,7 +143,7 @@ def stops_of(
 class PlannedStops:
     """The load-safe stops of a plan, sampled at the loop's periods before it starts.
 
-    controller: that follows the plan.
+    controller: the controller that follows the plan.
     """
 
     def __init__(
@@ -170,8 +170,9 @@ class PlannedStops:
 class Along(ABC):
     """A stop along a motion that keeps the load.
 
-    Who follows it goes on, so nothing jumps when a stop begins. An arm that is far off its reference is not drawn back
-    to it, which would be a jolt: the way to rest begins where it is, and its speed beyond the reference's fades.
+    The controller of the motion continues, so no command jumps when a stop begins. An arm that is far from its
+    reference is not drawn back to it, which would be a jolt: its path to rest begins where the arm is, and its excess
+    speed decays.
     """
 
     def __init__(self, loaded: ArmModel, gains: tuple[float, float], state: ArmState, options: StopOptions) -> None:
@@ -192,20 +193,20 @@ class Along(ABC):
     @property
     @abstractmethod
     def allowed(self) -> Array:
-        """(n,) rad off that motion within which the load surely stays."""
+        """Deviation (n,) from that motion, rad, within which the load surely stays."""
 
     @property
     @abstractmethod
     def rests(self) -> float:
-        """s after the stop began, when that motion is at rest."""
+        """Time after the beginning of the stop at which that motion is at rest, s."""
 
     @abstractmethod
     def following(self, state: ArmState, s: float) -> Array | None:
-        """Torque (n,) of who follows the motion anyway, while it does."""
+        """Torque (n,), N m, of the controller that follows the motion anyway, as long as it does."""
 
     @property
     def exact(self) -> bool:
-        """Whether it is that motion itself that is followed, not one beside it."""
+        """Whether the arm follows that motion itself, not one with an offset."""
         return self._beside is None
 
     @property
@@ -232,7 +233,8 @@ class Along(ABC):
 
 
 class PlannedStop(Along):
-    """The plan until it is left, then one of its stops, then rest; the plan's controller goes on until it is left."""
+    """The plan up to the beginning of one of its stops, then that stop, then rest; the plan's controller continues up
+    to that beginning."""
 
     def __init__(
         self, stops: PlannedStops, state: ArmState, begun: float, leaves: float, k: int | None, rests: float
@@ -271,7 +273,7 @@ class PathStop(Along):
         self, loaded: ArmModel, gains: tuple[float, float], state: ArmState, path: Course, t: float, factor: float,
         rate: float, options: StopOptions,
     ) -> None:  # fmt: skip
-        """From time t of the path, s. rate: 1/s of the factor, at which the load stays."""
+        """The stop from time t of the path, s. rate: rate of the speed factor at which the load stays, 1/s."""
         self._path, self._t, self._factor, self._rate = path, t, factor, rate
         super().__init__(loaded, gains, state, options)
 

@@ -22,9 +22,9 @@ class LoadLimit:
     """A limit of load dynamics in K cases: values (K, T), or (K, 1) of the residual after the motion, must not exceed
     `most` (K,).
 
-    by: returns first derivatives (m, c) of values (m,), given by case and node, by unknowns of the motion. bends:
-    returns factors (m, k, c) whose squares, summed over k, are the second derivatives. group: name of the limits that a
-    verdict reports together.
+    by: returns the first derivatives (m, c) of m values, each at a case and a node, by the c unknowns of the motion.
+    bends: returns factors (m, k, c) whose squares, summed over k, are the second derivatives. group: name of the limits
+    that a verdict reports together.
     """
 
     name: str

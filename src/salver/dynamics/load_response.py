@@ -33,7 +33,8 @@ class ArmReaction(Protocol):
 class LoadResponse(ABC):
     """K cases of a load's inner dynamics along a motion of T instants.
 
-    modes: with the arm's compliance; planned: on a tray without tracking error. wrench: (K, T, 6), as of `ModalMotion`.
+    modes: with the arm's compliance; planned: on a tray without tracking error. wrench: (K, T, 6), N and N m, as in
+    `ModalMotion`.
     reaction: response of the arm. change: of the modes, per half-range of each of n_c uncertain terms. higher: (K, T)
     m, by which these may raise `ModalMotion.height`; more_left: (K,) m, by which they may raise the residual swing.
     """

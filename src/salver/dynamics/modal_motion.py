@@ -220,7 +220,7 @@ class ModalMotion:
     ) -> tuple[Array, Array, Array]:
         """First-order changes of r, r' and r'' (K, T, n_modes, 2, c) by changes dw (K or 1, T, 12, c) of the tray's
         motion regressor: by lateral force, stiffness and rotation. before: whether the changes exist before the motion
-        too. start: their effect up to then, if the modes do not begin at rest. spun: as of `spun`, if known."""
+        too. start: their effect up to then, if the modes do not begin at rest. spun: result of `spun`, if known."""
         drive = self._driven(dw, self.spun(dw, start) if spun is None else spun)
         begin = self._level(drive) if before else None
         if start is not None:
@@ -231,7 +231,7 @@ class ModalMotion:
     def swung(self, dw: Array, spun: Array) -> Array:
         """First-order changes of the initial state and drive of each mass, (K, n_modes, axes, 2 + T, 2 c / axes) as for
         `LinearFilter.answers`, by changes dw (K or 1, T, 12, c) of the tray's motion regressor that exist before the
-        motion too. spun: as of `spun`."""
+        motion too. spun: result of `spun`."""
         drive = self._driven(dw, spun)
         begin = self._level(drive)
         return np.concatenate([begin, self._taken_along(drive, begin)[0]], axis=3)
@@ -276,7 +276,7 @@ class ModalMotion:
 
     def spun(self, dw: Array, start: ModalState | None = None) -> Array:
         """Changes (K or 1, T, c) of `spin`, or of `turns` for a box, by changes dw (K or 1, T, 12, c); equal for all
-        `alike` cases. start: as of `turned_by`."""
+        `alike` cases. start: as in `turned_by`."""
         return self.turned_by(dw, start)[0 if self.cases.round else 1]
 
     def turned_by(self, dw: Array, start: ModalState | None = None) -> tuple[Array, Array]:
@@ -401,7 +401,7 @@ class ModalMotion:
         return np.asarray(self.cases.omega**2 / GRAVITY * self.upward[:, -1, None, None])
 
     def equilibrium_by(self, dw: Array, spun: Array) -> Array:
-        """Changes (K, n_modes, 2, c) of `equilibrium` by changes dw (K or 1, T, 12, c); spun: as of `spun`."""
+        """Changes (K, n_modes, 2, c) of `equilibrium` by changes dw (K or 1, T, 12, c); spun: result of `spun`."""
         drive, stiffness = self._driven(dw, spun), np.asarray(self.filters.kp)[..., None]
         return self._by_mode(drive[:, :, :, -1:] / stiffness[:, :, :, -1:])[:, 0]
 

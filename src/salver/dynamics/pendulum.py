@@ -33,7 +33,7 @@ class PendulumResponse(LoadResponse):
     """Swings of K pendulums along a motion."""
 
     def limits(self) -> list[LoadLimit]:
-        """It stays within its room, during the motion and after it."""
+        """Limits of the pendulum's swing: within its room, during the motion and after it."""
         room = self.modes.cases.room
         left = (np.linalg.norm(self._end, axis=1) + self._hangs + self.more_left)[:, None]
         by, bends = of_end(self._left_by), of_end(self._left_bends)

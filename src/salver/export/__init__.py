@@ -79,12 +79,12 @@ def convert(
     *,
     unsafe: bool = False,
 ) -> tuple[list[Path], tuple[str, ...]]:
-    """Write a motion file in another format; returns the files, and what was mended on reading. By default beside the
+    """Write a motion file in another format; returns the files, and the repairs made on reading. By default beside the
     file, with the ending of the format.
 
-    scenario: whose arm names the joints, where the file only numbers them. topic: of a bag with several motions.
-    units: of a table, as in "deg,mm,ms"; what is written is in rad, m, s. unsafe: write also what calls itself unsafe,
-    as `write_export`. Raises SalverError, FileFormatError.
+    scenario: its arm names the joints, if the file only numbers them. topic: topic of a bag with several motions.
+    units: units of a table, as in "deg,mm,ms"; written files are in rad, m, s. unsafe: write also a motion that is
+    marked unsafe, as `write_export`. Raises SalverError, FileFormatError.
     """
     if file_format not in FORMATS or file_format in OF_PLANS:
         known = ", ".join(name for name in FORMATS if name not in OF_PLANS)

@@ -82,7 +82,7 @@ def write_scene(directory: str | Path, path: Path, stem: str = "plan", *, unsafe
 
 
 def _copy_meshes(spec: Any, folder: Path) -> None:
-    """Every mesh as a file in the folder, and the scene told to find them there.
+    """Write every mesh as a file into the folder, and make the scene refer to these files.
 
     Points written into the XML would do for MuJoCo; other readers of its scenes, USD's among them, want files.
     """

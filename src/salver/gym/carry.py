@@ -5,9 +5,9 @@
 
     env = gymnasium.make("salver/Carry-v0", scenario="panda-cube", shield=True)
 
-What stands on the tray is drawn anew in each episode, from the ranges of the scenario. With `shield` actions are
-requests to `salver.Live`, which follows them as closely as keeps the load; without, they are jogging within the arm's
-own limits (`salver.playground.unprotected`).
+The load is drawn anew in each episode, from the ranges of the scenario. With `shield` actions are requests to
+`salver.Live`, which follows them as closely as keeps the load; without, they are jogging within the arm's own limits
+(`salver.playground.unprotected`).
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ class Carry(gymnasium.Env[Array, Array]):
         """Begin at the scenario's start with a load drawn from its ranges. options: {"parameters": {name: true value}}
         instead of those.
 
-        Raises ScenarioError for a parameter that is not known or cannot be.
+        Raises ScenarioError for an unknown parameter or an impossible value.
         """
         super().reset(seed=seed)
         uncertain, bodies = self.scenario.payload.uncertain, self.scenario.payload.bodies
@@ -119,7 +119,7 @@ class Carry(gymnasium.Env[Array, Array]):
     def step(self, action: Array) -> tuple[Array, float, bool, bool, dict[str, Any]]:
         """Do an action for 0.02 s.
 
-        Raises SalverError for one that is no vector of as many numbers as the action space has.
+        Raises SalverError for an action that is not a vector with the shape of the action space.
         """
         try:
             asked = np.asarray(action, dtype=float)

@@ -45,8 +45,9 @@ class LearningOptions:
 
     Attributes:
         rate: samples per second of the simulated sensors.
-        effort: of the search for each plan.
-        excitation: s, duration of the excitation trajectory; doubled, ranges are narrower and a trip takes longer.
+        effort: effort of the search for each plan.
+        excitation: duration of the excitation trajectory, s; with twice the value ranges are narrower and a trip takes
+            longer.
         timestep: s, largest step of the engine; with longer ones a tall load rocks on its soft contacts.
     """
 

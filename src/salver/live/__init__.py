@@ -1,4 +1,5 @@
-"""A motion that may be changed while it runs, and never drops what it carries: `Live`; and a worker that plans."""
+"""Live motion: a motion that may be changed while it runs and never drops its load (`Live`), and a worker that plans
+it."""
 
 from salver.live.course import LiveCourse
 from salver.live.live import Live

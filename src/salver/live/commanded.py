@@ -20,8 +20,8 @@ from salver.trajectory import JointMotion
 
 
 class Commanded(ABC):
-    """What is commanded. Whoever plans lays another motion before the loop, which alone decides whether it still comes
-    in time; neither waits for the other."""
+    """The commanded motion. The planner offers the next motion to the robot's loop, which alone decides whether it
+    comes in time; neither waits for the other."""
 
     def __init__(self, options: LiveOptions, problem: TransportProblem, running: Running, reader: Reader) -> None:
         self.options, self._problem = options, problem
@@ -64,7 +64,7 @@ class Commanded(ABC):
         return reader.q, reader.dq, reader.ddq, reader.tau
 
     def _advance(self, t: float, reader: Reader) -> None:
-        """Read what is commanded at time t, s, of the loop's clock."""
+        """Read the command at time t, s, of the loop's clock."""
         if not math.isfinite(t):
             self._clock = "A time was no number; the arm kept what it was told last."
             return
@@ -82,7 +82,8 @@ class Commanded(ABC):
         self._now = now
 
     def _take_over(self, offer: Running, now: float, reader: Reader) -> None:
-        """Command what is offered from live time `now`, s, on, if it comes in time, is still wanted and keeps clear."""
+        """Command the offered motion from live time `now`, s, on, if it comes in time, serves the present request and
+        keeps clear."""
         in_time = offer.after is self._running.committed and self._now <= offer.committed.begins
         wanted = in_time and self._wanted(offer)
         seen = isinstance(offer.wish, Halt) or offer.outlook.sighting is self._sighting
@@ -99,7 +100,8 @@ class Commanded(ABC):
             self._offer = None
 
     def save(self, path: str | Path, *, since: float = 0.0, rate: float = 1000.0) -> list[Path]:
-        """Write what was commanded, up to now, as a motion file, which `salver audit` and `salver report` open.
+        """Write the motion that was commanded up to now as a motion file, which `salver audit` and `salver report`
+        open.
 
         Args:
             path: ends in .csv, .json or .yaml, or in nothing (a ROS 2 bag); another file there is kept.
@@ -110,7 +112,8 @@ class Commanded(ABC):
             The files. After `restart` or `load` the motion begins there.
 
         Raises:
-            SalverError: nothing was commanded since then, another ending, or a rate that is not from 1 to 10000.
+            SalverError: nothing was commanded since then, the ending is another one, or the rate is not from 1 to
+                10000.
         """
         return self._history.save(path, self._problem, since, self._now, rate)
 
@@ -120,7 +123,7 @@ class Commanded(ABC):
 
     @property
     def now(self) -> float:
-        """Live time of the last command, s: that of the loop's clock that was commanded, from its first command on."""
+        """Live time of the last command, s: the time of the loop's clock since its first command."""
         return self._now
 
     @property
@@ -130,7 +133,7 @@ class Commanded(ABC):
 
     @property
     def path(self) -> tuple[JointMotion, float]:
-        """What is commanded from now to rest, and the live time of its own beginning, s, which is past."""
+        """The path that is commanded from now to rest, and the live time at which it began, s."""
         return self._running.path, self._running.since
 
     @property

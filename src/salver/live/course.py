@@ -1,4 +1,4 @@
-"""A live motion as what an arm's controller follows, in place of one that is known beforehand."""
+"""A live motion as the reference of an arm's controller, in place of a motion that is known beforehand."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from salver.live.live import Live
 
 
 class LiveCourse:
-    """A `salver.control.arm.Course`: reads what is commanded at the controller's times, and is alone in doing so."""
+    """A `salver.control.arm.Course` that reads the commanded motion at the controller's times, as its only reader."""
 
     def __init__(self, live: Live) -> None:
         self._live = live

@@ -1,4 +1,4 @@
-"""What was commanded of late, as one motion."""
+"""The most recent part of the commanded motion, as one motion."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from salver.trajectory import JointMotion
 
 
 class CommandHistory:
-    """The paths that were commanded, one after the other: the loop adds to it, whoever plans keeps it short.
+    """The commanded paths, one after the other: the loop adds to them, the planner keeps the list short.
 
-    longest: s that are kept. now, path, since: the first one, as of `take`.
+    longest: s that are kept. now, path, since: the first path, as in `take`.
     """
 
     def __init__(self, longest: float, now: float, path: JointMotion, since: float) -> None:
@@ -30,11 +30,11 @@ class CommandHistory:
         self._folding = threading.Lock()
 
     def take(self, now: float, path: JointMotion, since: float) -> None:
-        """From live time `now`, s, on a path is commanded whose own time 0 is live time `since`."""
+        """Note that from live time `now`, s, on a path is commanded; its own time 0 is live time `since`, s."""
         self._taken.append((now, path, since))
 
     def fold(self) -> None:
-        """Keep of each path but the last what was commanded of it, and forget what is too long ago."""
+        """Shorten each path but the last to its commanded part, and drop paths that are older than `longest`."""
         with self._folding:
             while len(self._taken) > 1:
                 (now, path, since), (until, *_) = self._taken[0], self._taken[1]
@@ -63,7 +63,8 @@ class CommandHistory:
         return JointMotion(t - t[0], *states)
 
     def save(self, path: str | Path, problem: TransportProblem, since: float, until: float, rate: float) -> list[Path]:
-        """Write that motion as a file, with so many samples a second; as of `Live.save`."""
+        """Write the motion from one live time, s, to another as files, with `rate` samples a second; see
+        `Live.save`."""
         if not 1.0 <= rate <= 1e4:
             raise SalverError(f"rate is {rate:g}; it must be from 1 to 10000 samples a second.")
         motion = self.motion(since, until)

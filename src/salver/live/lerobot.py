@@ -1,11 +1,11 @@
-"""Between a policy of LeRobot and its robot: actions that what stands on the tray survives (`pip install lerobot`).
+"""A step between a policy of LeRobot and its robot that keeps the load on the tray (`pip install lerobot`).
 
 `KeepLoad` is a step for the end of a policy's postprocessor (https://huggingface.co/docs/lerobot, processors), where
-actions are joint positions again. It knows what the load is from a scenario, and keeps a verified motion that is bent
-towards what the policy asks for (`salver.live`): what comes out are that motion's positions at the same instants.
+actions are joint positions again. It knows the load from a scenario, and bends a verified motion towards the policy's
+actions (`salver.live`). Its output is the positions of that motion at the same instants.
 
-What it promises is of the motion between them too. A driver that jumps from one action to the next moves otherwise: it
-must interpolate smoothly, or be told `KeepLoad.live.command(t)` at the rate of its own loop.
+The motion between these positions is verified too. A driver that jumps from one action to the next makes another
+motion: it must interpolate smoothly, or follow `KeepLoad.live.command(t)` at the rate of its own loop.
 """
 
 from __future__ import annotations
@@ -39,15 +39,15 @@ class KeepLoad(PolicyActionProcessorStep):
     """Joint positions in, joint positions out, by a motion that keeps the load.
 
     An action is (n,) or (1, n), as `select_action` gives it; a chunk (T, n) or (1, T, n), as `predict_action_chunk`
-    does, is known further ahead and so followed better. What follows the arm's joints in a row (a gripper) passes as it
-    is. What is not finite, or more joints than that, raises ValueError in a sentence; what lies beyond the joints'
-    limits counts as at them.
+    does, is known further ahead and so followed better. Values after the arm's joints in a row (a gripper) pass
+    unchanged. Values that are not finite, or an action of another shape, raise ValueError in a sentence; positions
+    beyond the joints' limits are cut to them.
 
-    scenario: name or path of what is carried by which arm. fps: actions a second. degrees: whether they are in degrees,
-    else rad. execute: how many of a chunk's actions are carried out before the next chunk comes, and so come out (all
-    unless given). q: n joint positions, rad, where the arm is at rest when an episode begins (the scenario's start
-    unless given). every: s of motion from one planning to the next, at most, which takes 0.03 to 0.15 s each time;
-    actions that come alone are planned for one by one.
+    scenario: name or path of the scenario with load and arm. fps: actions a second. degrees: whether they are in
+    degrees, else rad. execute: how many of a chunk's actions are carried out before the next chunk comes, and so come
+    out (all unless given). q: n joint positions, rad, where the arm is at rest when an episode begins (the scenario's
+    start unless given). every: s of motion between two steps of planning, at most; each step takes 0.03 to 0.15 s.
+    Single actions get one step each.
     """
 
     scenario: str

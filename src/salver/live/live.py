@@ -1,12 +1,11 @@
-"""A motion that may be changed at any time, and never drops what it carries.
+"""A motion that may be changed at any time and never drops its load.
 
-At every moment a motion is committed that was verified (`salver.planning.verdict.verify`) and ends at rest. It is only
-ever replaced by another such motion that goes on from it. So nothing that planners, users or networks do, or fail to
-do, can bring the load into danger: what is not verified is not committed, and when nothing new comes the arm comes to
-rest.
+At every moment a motion is committed that was verified (`salver.planning.verdict.verify`) and ends at rest. Only
+another such motion that continues it can replace it. So no error of planners, users or networks can endanger the load:
+a motion that is not verified is not committed, and when no new one comes the arm comes to rest.
 
-The robot's loop calls `command` (`salver.live.commanded`), who wants something requests it (`salver.live.requested`),
-and whoever plans calls `plan`, here.
+The robot's loop calls `command` (`salver.live.commanded`), users make requests (`salver.live.requested`), and the
+planning thread calls `plan`, here.
 """
 
 from __future__ import annotations
@@ -130,8 +129,8 @@ class Live(Requested):
 
     @answers("The obstacle")
     def put(self, obstacle: Moving) -> Status:
-        """Add an obstacle that stands still, or move the one of that name, until `remove`: for what somebody edits in
-        a cell while the arm moves. `obstacles` does not change it."""
+        """Add an obstacle that stands still, or move the one of that name; it stays until `remove`, so that a cell can
+        be edited while the arm moves. `obstacles` does not change it."""
         if not isinstance(obstacle, Moving):
             raise Refused("it must be a Moving")
         with self._anew:
@@ -141,7 +140,7 @@ class Live(Requested):
 
     @answers("To remove an obstacle")
     def remove(self, name: str) -> Status:
-        """Take away what was `put` under a name."""
+        """Remove the obstacle that was `put` under a name."""
         with self._anew:
             if name not in list(self._standing):  # compared, since whatever is given might not be hashable
                 raise Refused(f"there is no {shown(name)}; there are {', '.join(map(str, self._standing)) or 'none'}")
@@ -160,7 +159,7 @@ class Live(Requested):
         return predicted(seen, self._now, self._last, self.options.obstacles)
 
     def _sight(self) -> None:
-        """Look at what is commanded, with the obstacles that there are now."""
+        """Check the commanded path against the present obstacles."""
         sighting = self._sighting.then([*self._seen, *self._standing.values()], self._now)
         for running in (self._running, self._offer):
             if running is not None:
@@ -169,7 +168,7 @@ class Live(Requested):
         self._look(self._running)  # if it is another one by now
 
     def _look(self, running: Running) -> None:
-        """Whether it keeps clear, as of the newest sighting."""
+        """The clearance of a path at the newest sighting."""
         while running.outlook.sighting is not (sighting := self._sighting):
             running.outlook = self._lookout.outlook(running.looked, sighting, self._now)
 
@@ -178,8 +177,8 @@ class Live(Requested):
         """Start again from rest at q (n,), rad, where something else put the arm; pending requests are dropped.
 
         Call it from the robot's loop between two commands, which jump to q. A latched stop stays latched. Refused while
-        the committed motion moves, and where the load is not safe at rest. calm: what moves inside is at rest; required
-        where something does.
+        the committed motion moves, and where the load is not safe at rest. calm: states that the liquid or pendulum in
+        the load is at rest; required if there is one.
         """
         posture = numbers(q, (self._problem.n,), "the posture")
         if self._now < self.committed.ends and not self.committed.at_rest:
@@ -211,17 +210,18 @@ class Live(Requested):
 
     @answers("The load")
     def load(self, scenario: Scenario | str | Path, *, calm: bool = False) -> Status:
-        """Carry another load from now on, where the arm rests; it is believed only if it is verified to be safe there.
+        """Carry another load from now on, while the arm rests; it is accepted only if it is verified to be safe in this
+        posture.
 
         Call it when something was taken off or put on, and stands still: from any thread but the robot's loop, because
-        it waits for a verdict. Requests that are pending then are dropped. What is refused changes nothing.
+        it waits for a verdict. Pending requests are dropped. A refused load changes nothing.
 
         Args:
-            scenario: the same arm and tray, with what is carried now; as of `Live`.
-            calm: what moves inside it is at rest; required where something does.
+            scenario: the same arm and tray with the new load, given as to `Live`.
+            calm: states that the liquid or pendulum in the load is at rest; required if there is one.
 
         Returns:
-            A Status that says whether it is believed, or why not.
+            A Status that says whether the load is accepted, or why not.
 
         Raises:
             ScenarioError: there is no such scenario.
@@ -259,9 +259,9 @@ class Live(Requested):
         """Plan one step towards the request. Never raises; any thread may call it, one at a time.
 
         Args:
-            budget: s that the step may take, roughly.
-            answer: plans elsewhere; default: in this thread. Its proposal is verified here, unless it carries a valid
-                seal (`salver.live.committed.seal`).
+            budget: approximate time that the step may take, s.
+            answer: function that plans elsewhere; default: plan in this thread. Its proposal is verified here, unless
+                it carries a valid seal (`salver.live.committed.seal`).
         """
         if self._planning.acquire(blocking=False):
             try:
@@ -354,11 +354,11 @@ class Live(Requested):
 
     @property
     def lead(self) -> float:
-        """s from the beginning of planning to the hand-over."""
+        """Time from the beginning of planning to the hand-over, s."""
         return self._lead.of(_kind(self._asked))
 
     def _due(self) -> Wish | None:
-        """What is to be planned for now."""
+        """The request that is to be planned for now."""
         wish, offered = self._asked, self._offered
         if isinstance(wish, Halt) and (self._halt is not None or isinstance(self._running.wish, Halt)):
             self._done = wish  # by a stop that was ready
@@ -459,7 +459,7 @@ class Live(Requested):
                 self._refuse(status.sentence, what)
 
     def _fits(self, base: Committed) -> float:
-        """Live time, s, from which on what is committed is no faster than goals are to be gone to."""
+        """Live time, s, from which on the committed motion is no faster than the requested speed factor for goals."""
         run = base.run
         return base.ends if run.to > self._factor else min(run.settled, base.ends)
 

@@ -14,17 +14,18 @@ from salver.live.replanning.wishes import RequestOptions
 
 @dataclass(frozen=True)
 class LiveOptions:
-    """What a live motion takes for an error, and for how long it tries.
+    """Options of a live motion: what counts as an error, and how long it tries to reach a goal.
 
     Attributes:
         longest_gap: s between two commands; a longer one is taken for a jump of the clock.
-        strayed: rad or m by which a joint may be elsewhere than it was commanded to be, as measured.
-        calming: s after a twist or a chunk has ended in which the motion is still steered, to rest; then it runs out.
-            After hostile twists the tray goes on for 6 cm and 0.84 s (means); at 0, for 11 cm and 0.59 s.
-        queued: goals at most.
-        attempts: at a goal while the arm moves; once more from rest.
-        record: s of the commanded motion that are kept, up to now, for `save`.
-        requests, obstacles: what is accepted of these.
+        strayed: rad or m, largest accepted difference between the measured and the commanded position of a joint.
+        calming: s after the end of a twist or chunk during which the motion is still steered, to rest; after that it is
+            only finished. After hostile twists the tray moves on for 6 cm and 0.84 s (means); at 0, for 11 cm and 0.59
+            s.
+        queued: largest number of goals in the queue.
+        attempts: number of attempts at a goal while the arm moves; one more follows from rest.
+        record: s of the latest commanded motion that are kept for `save`.
+        requests, obstacles: which requests and obstacles are accepted.
         lookout: at which instants the commanded motion is compared with moving obstacles.
         lead: how long before a hand-over planning begins. ready: which stops are kept ready.
         planner: how motions are proposed.

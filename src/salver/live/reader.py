@@ -45,7 +45,7 @@ class Reader:
         self.pieces, self._piece = pieces, 0
 
     def read(self, now: float) -> None:
-        """Fill q, dq, ddq and tau with what is to be done at live time `now`, s."""
+        """Fill q, dq, ddq and tau with the command at live time `now`, s."""
         knots, powers = self.pieces.knots, self._powers
         if now >= knots[-1] or now < knots[0]:
             self._out.fill(0.0)

@@ -13,9 +13,9 @@ class ReadyOptions:
     """Which stops are kept ready.
 
     Attributes:
-        every: s between instants from which they begin. Doubled, half as many are planned, and a stop that is asked for
+        every: s between the instants at which stops begin. Doubled, half as many are planned, and a requested stop
             begins up to 0.1 s later.
-        early: s by which one must be ahead of the loop to be taken.
+        early: s by which the beginning of a stop must be ahead of the loop for the stop to be taken.
     """
 
     every: float = 0.1
@@ -32,21 +32,21 @@ class Ready:
         self._until = 0.0  # live time of the last instant that was looked at
 
     def due(self, after: Committed) -> float:
-        """Live time, s, of the next instant from which one is to be planned."""
+        """Live time, s, of the next instant from which a stop is to be planned."""
         if self._after is not after:
             self._after, self._stops, self._until = after, (), after.begins - self.options.every
         return self._until + self.options.every
 
     def looked_at(self, begins: float) -> None:
-        """One from there is being planned, whatever comes of it."""
+        """Note that a stop from this instant is being planned, whatever the result."""
         self._until = begins
 
     def add(self, stop: Running, after: Committed) -> None:
-        """One that was planned; unless others are asked for by now."""
+        """Add a planned stop, unless stops from another motion are needed by now."""
         if self._after is after:
             self._stops += (stop,)
 
     def soonest(self, after: Committed, now: float) -> Running | None:
-        """The one that is at rest first, of those that can still be taken; None where there is none."""
+        """The stop that is at rest first, of those that can still be taken; None if there is none."""
         left = [x for x in self._stops if x.after is after and x.committed.begins > now + self.options.early]
         return min(left, key=lambda x: x.committed.ends, default=None)

@@ -1,8 +1,8 @@
-"""Requests of a live motion: what is accepted from whom, what is carried out, and what became of it.
+"""Requests to a live motion: which source may make them, how they are carried out, and their outcomes.
 
-Requests have a source. While what a source of higher priority requested is carried out, others are refused. A stop
+Requests have a source. While a request of a source with higher priority is carried out, others are refused. A stop
 latches: until it is lifted by `resume`, nothing but a motion to rest is committed, and every other request is refused.
-A hold brings the arm to rest too, and keeps the requests: on `release` they are gone on with.
+A hold brings the arm to rest too, and keeps the requests, which `release` continues.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ Requesting = TypeVar("Requesting", bound=Callable[..., Status])
 
 
 def answers(what: str) -> Callable[[Requesting], Requesting]:
-    """A request whose Status says why, where it raises `Refused`. what: is refused then."""
+    """A decorator for requests: their Status says why if they raise `Refused`. what: name of the refused request."""
 
     def of(request: Requesting) -> Requesting:
         @wraps(request)
@@ -75,7 +75,7 @@ def answers(what: str) -> Callable[[Requesting], Requesting]:
 
 
 class Requested(Commanded):
-    """The commanded motion and the requests for another."""
+    """The commanded motion and the requests that change it."""
 
     def __init__(self, options: LiveOptions, problem: TransportProblem, running: Running, reader: Reader) -> None:
         super().__init__(options, problem, running, reader)
@@ -97,7 +97,7 @@ class Requested(Commanded):
     @property
     @abstractmethod
     def _inside(self) -> str:
-        """What moves inside the load, in words."""
+        """The liquid or pendulum in the load, in words."""
 
     def _wanted(self, running: Running) -> bool:
         wish = running.wish
@@ -144,7 +144,7 @@ class Requested(Commanded):
             source: "operator" or "policy".
 
         Returns:
-            A Status that says whether the goal is tried, or why not; `state` says what became of it.
+            A Status that says whether the goal is accepted, or why not; `state` has its outcome.
         """
         if (pose is None) == (q is None):
             raise Refused("a goal is a pose or a posture q, one of them")
@@ -185,8 +185,8 @@ class Requested(Commanded):
     def resume(self, *, source: Source = OPERATOR) -> Status:
         """Lift the latched stop, without moving: requests are accepted again.
 
-        Refused to a policy if the operator or the monitor stopped the arm, while the arm is not where it was commanded
-        to be, and with what moves inside a load in an unknown state.
+        Refused to a policy if the operator or the monitor stopped the arm; to all while the arm is not where it was
+        commanded to be, or the state of a liquid or pendulum is unknown.
         """
         stopped = self._stopped
         if stopped is None:
@@ -206,7 +206,7 @@ class Requested(Commanded):
         """Come to rest as soon as the load allows, as `stop` does, and stay there until `release`; requests are kept.
 
         Requests that come meanwhile are carried out after it. A hold is never refused; an unknown source counts as the
-        operator. A stop drops what is kept, and is lifted by `resume` alone.
+        operator. A stop drops the kept requests, and only `resume` lifts it.
         """
         source, held = source if is_source(source) else OPERATOR, self._held
         if held is not None:
@@ -221,7 +221,7 @@ class Requested(Commanded):
 
     @answers("To release")
     def release(self, *, source: Source = OPERATOR) -> Status:
-        """End the hold: what was requested is gone on with, goals from where the arm is, a chunk with what is left.
+        """End the hold and continue the requests: a goal from where the arm is, a chunk with its remaining part.
 
         Refused to a policy if the operator holds the arm, and while a stop is latched.
         """
@@ -239,10 +239,11 @@ class Requested(Commanded):
 
     @answers("The override")
     def override(self, factor: float, *, source: Source = OPERATOR) -> Status:
-        """Go to goals at a factor of full speed, 0.05 to 1; twists and the times of chunks are scaled likewise.
+        """Set the share of full speed, 0.05 to 1, for motions to goals; twists and the times of chunks are scaled
+        likewise.
 
-        The motion to a goal that is under way changes its speed along its own path, as soon as the load allows; twists
-        and chunks from the next one on. Stops and evasions are as fast as the load allows.
+        A motion to a goal changes its speed along its own path as soon as the load allows; twists and chunks are scaled
+        from the next one on. Stops and evasions are as fast as the load allows.
         """
         self._check(source)
         found = factor_of(factor, self.options.planner.speed.least)
@@ -267,9 +268,9 @@ class Requested(Commanded):
         Repeat it: after 0.1 s of silence the tray comes to rest.
 
         Args:
-            v, omega: of the tray's centre.
+            v, omega: velocity, m/s, and angular velocity, rad/s, of the tray's centre.
             frame: "world": both in S. "tray": in the tray's own frame E, as it is commanded now.
-            source: as of `goto`.
+            source: as in `goto`.
         """
         self._check(source)
         if not isinstance(frame, str) or frame not in ("world", "tray"):
@@ -281,7 +282,7 @@ class Requested(Commanded):
     def jog(self, dq: npt.ArrayLike, *, source: Source = OPERATOR) -> Status:
         """Move the joints at dq (n,), rad/s or m/s, as closely as safety allows.
 
-        Repeat it: after 0.1 s of silence the arm comes to rest. source: as of `goto`.
+        Repeat it: after 0.1 s of silence the arm comes to rest. source: as in `goto`.
         """
         self._check(source)
         return self._stream(
@@ -317,7 +318,7 @@ class Requested(Commanded):
             times: (C,) s from now.
             poses: of the first object's frame B: p_SB (C, 3) with the tray level, or (p_SB, R_SB (C, 3, 3)).
             joints: (C, n) rad, postures instead of poses.
-            source: as of `goto`.
+            source: as in `goto`.
         """
         self._check(source)
         wish = chunk_wish(self._problem, times, poses, joints, self._now, self._factor, self.options.requests)
@@ -332,8 +333,8 @@ class Requested(Commanded):
     def measured(self, q: npt.ArrayLike) -> Status:
         """Report the measured posture q (n,), rad.
 
-        An arm too far from its command is stopped, until it is there again and `resume` is called; where something
-        moves inside, whose state is then unknown, `restart` must come first.
+        An arm that is too far from its command is stopped, until it is back there and `resume` is called. With a liquid
+        or pendulum, whose state is then unknown, `restart` must come first.
         """
         seen = numbers(q, (self._problem.n,), "the measured posture")
         away = np.abs(seen - self._reader.q)
@@ -383,7 +384,7 @@ class Requested(Commanded):
             self._requests.becomes(wish.id, "reached")
 
     def outcomes(self) -> Iterator[list[Request]]:
-        """Each `next` returns the requests of which something else became since the one before; it never waits."""
+        """Each `next` returns the requests whose outcome has changed since the call before; it never waits."""
         known: dict[int, Request] = {}
         while True:
             self._arrived()
@@ -398,12 +399,12 @@ class Requested(Commanded):
 
     @property
     def stopped(self) -> str:
-        """By whom and why the arm is stopped; empty without a latched stop."""
+        """Who stopped the arm, and why; empty without a latched stop."""
         return "" if self._stopped is None else str(self._stopped)
 
     @property
     def _asked(self) -> Wish | None:
-        """What is to be carried out: the stop that is latched, or the hold, else what was requested last."""
+        """The request to carry out: the latched stop, or the hold, or else the latest request."""
         stopped, held = self._stopped, self._held
         return stopped.halt if stopped is not None else held.halt if held is not None else self._wish
 
@@ -414,5 +415,5 @@ class Requested(Commanded):
 
 
 def accepted(number: int) -> Status:
-    """The Status of a request that has a number."""
+    """The Status of an accepted request, with its number."""
     return Status("accepted", "Accepted.", True, {"request": number})

@@ -1,4 +1,4 @@
-"""What became of each request."""
+"""The outcomes of requests."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ class Request:
     """An accepted request.
 
     Attributes:
-        id: its number, as the Status has it that accepted it.
-        what: it asks for, in words.
-        outcome: "accepted": nothing came of it yet. "late": a motion towards it came too late, another is planned.
-            "followed": a verified motion towards it was taken by the robot's loop; of twists and chunks no more can be
-            said. "reached": the arm rests at the goal. "dropped": it is not, or no longer, carried out.
-        why: it was dropped; empty otherwise.
+        id: its number, which the Status that accepted it names.
+        what: the request in words.
+        outcome: "accepted": no motion towards it yet. "late": a motion towards it came too late, another is planned.
+            "followed": the robot's loop took a verified motion towards it, the last outcome of a twist. "reached": the
+            arm rests at the goal. "dropped": it is not, or no longer, carried out.
+        why: reason why it was dropped; empty otherwise.
     """
 
     id: int
@@ -32,7 +32,7 @@ class Request:
 
 
 class Requests:
-    """The requests of late by their numbers, 1 and on."""
+    """The latest requests by their numbers, from 1 on."""
 
     def __init__(self) -> None:
         self._each: dict[int, Request] = {}
@@ -46,19 +46,20 @@ class Requests:
         return self._last
 
     def becomes(self, number: int, outcome: Outcome, why: str = "") -> None:
-        """What is over stays as it is, and what was followed is not late; 0 is no request."""
+        """Change the outcome of a request. A final outcome stays, and "followed" does not become "late"; number 0 is no
+        request."""
         request = self._each.get(number)
         over = ("reached", "dropped") if outcome != "late" else ("reached", "dropped", "followed")
         if request is not None and request.outcome not in over:
             self._each[number] = replace(request, outcome=outcome, why=why)
 
     def ended(self, number: int, why: str) -> None:
-        """Of twists and chunks: they are dropped unless they were followed."""
+        """End twists and chunks: they are dropped unless they were followed."""
         request = self._each.get(number)
         if request is not None and request.outcome != "followed":
             self.becomes(number, "dropped", why)
 
     @property
     def each(self) -> tuple[Request, ...]:
-        """In the order in which they came."""
+        """The requests in the order in which they came."""
         return tuple(self._each.values())

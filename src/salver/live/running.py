@@ -17,10 +17,11 @@ from salver.trajectory import JointMotion
 
 @dataclass(eq=False)
 class Running:
-    """A committed motion with what leads to it: a path. after: what it replaces from its beginning on. wish: what it is
-    for. stray: (n,) rad, the most by which each joint may be off the committed motion under the uncertain set; allowed:
-    that of all of the path. outlook: whether it keeps clear of what passes, as of one sighting; anew with each.
-    resigned: it is to be done though it may not keep clear: a stop, or a first step out of the way of what passes."""
+    """A path: a committed motion with the motion that leads to it. after: the motion that it replaces from its
+    beginning on. wish: the request that it serves. stray: (n,) rad, largest deviation of each joint from the committed
+    motion under the uncertain set; allowed: that of the whole path. outlook: its clearance from moving obstacles at the
+    latest sighting. resigned: whether it is commanded although it may not keep clear, as a stop or a first step of an
+    evasion."""
 
     committed: Committed
     looked: Path
@@ -34,13 +35,14 @@ class Running:
 
     @classmethod
     def first(cls, rest: Committed, problem: TransportProblem) -> Running:
-        """An arm that rests there."""
+        """The path of an arm that rests."""
         stray = rest.stray(problem)
         looked = Path(rest.motion, rest.begins, rest.nodes, rest.off)
         return cls(rest, looked, Pieces(rest.motion, rest.begins), stray, stray)
 
     def then(self, found: Committed, wish: Wish, now: float, problem: TransportProblem) -> Running:
-        """This until the beginning of another committed motion, and then that one; what is over is forgotten."""
+        """This path until the beginning of another committed motion, and then that motion; finished parts are
+        dropped."""
         before, since = self.path, self.since
         first = float(before.t[max(int(np.searchsorted(before.t, now - since, side="right")) - 1, 0)])
         path = joined(between(before, first, found.begins - since), found.motion)
@@ -53,12 +55,12 @@ class Running:
 
     @property
     def keeps_clear(self) -> bool:
-        """Whether it may be committed, as far as what passes is concerned."""
+        """Whether moving obstacles allow committing it."""
         return self.resigned or self.outlook.clear
 
     @property
     def path(self) -> JointMotion:
-        """From live time `since` on."""
+        """The commanded path from live time `since`, s, on."""
         return self.looked.motion
 
     @property

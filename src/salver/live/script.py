@@ -1,4 +1,4 @@
-"""Requests of a live motion, written down: a line of JSON for each, made at its time.
+"""A script of requests to a live motion: a line of JSON for each, which is made at its time.
 
     {"t": 0.0, "goto": [0.45, 0.1, 0.5]}                      first object's frame B, m in S; any heading
     {"t": 0.0, "goto": [...], "quat_wxyz": [1, 0, 0, 0]}      and its orientation; "queued": true: after goals before
@@ -15,9 +15,10 @@
     {"t": 9.0, "put": {"name": "crate", "type": "box", "position": [...], "size": [...]}}    stands there until
     {"t": 9.5, "remove": "crate"}
 
-Each may have a "source": "operator" (the default) or "policy". t is in s from when the motion may begin, and never less
-than in the line before; without it the request follows the one before at once. A twist is sent again and again for so
-long; without "for", once. A stop waits for no line before it: those that were not carried out by then are dropped.
+Each may have a "source": "operator" (the default) or "policy". t is in s from the instant at which the motion may
+begin, and never less than in the line before; without it the request follows the one before at once. A twist is
+repeated for the time "for", s; without "for" it is sent once. A stop waits for no line before it: lines that were not
+carried out by then are dropped.
 """
 
 from __future__ import annotations
@@ -57,15 +58,15 @@ KEYS = {
 
 @dataclass(frozen=True)
 class ScriptOptions:
-    """What is accepted of a script.
+    """Limits of a script that is accepted.
 
     Attributes:
-        again: s after which a twist that lasts is sent again.
-        longest: s, of any time in it.
-        waiting: lines that wait at most to be carried out, of those that come while the arm moves.
-        notes: that are kept of what came of its lines.
-        deepest: levels of lists in a line, with its numbers.
-        shown: characters of what is wrong.
+        again: s between repetitions of a twist.
+        longest: s, largest time in a line.
+        waiting: largest number of waiting lines, of those that come while the arm moves.
+        notes: number of notes on the outcomes of lines that are kept.
+        deepest: largest depth of nested lists in a line.
+        shown: number of characters of a wrong value that a message quotes.
     """
 
     again: float = 0.02
@@ -81,14 +82,14 @@ STANDARD = ScriptOptions()
 
 @dataclass(frozen=True)
 class Said:
-    """One request, at time t, s; None: at once. line: where it stands. Its numbers are judged by who is asked."""
+    """One request, at time t, s; None: at once. line: its line in the script. `Live` checks its numbers."""
 
     t: float | None
     line: int
     words: dict[str, Any]
 
     def to(self, live: Live) -> Status:
-        """Request it."""
+        """Make the request."""
         words = self.words
         queued, source = words.get("queued", False), words.get("source", OPERATOR)
         if "goto" in words:
@@ -126,7 +127,7 @@ class Said:
 
     @property
     def lasts(self) -> float:
-        """s for which it is sent again and again."""
+        """Time for which it is repeated, s."""
         return float(self.words.get("for", 0.0))
 
 
@@ -203,8 +204,8 @@ def _deep(value: Any, most: int) -> bool:
 
 
 def script(lines: Iterable[str], source: str, first: int = 1, options: ScriptOptions = STANDARD) -> Iterator[Said]:
-    """The requests of a script, line by line, the first of which has that number; empty lines and those that begin with
-    # say nothing. Raises SalverError."""
+    """The requests of a script, line by line; the first line has the number `first`. Empty lines and lines that begin
+    with # are skipped. Raises SalverError."""
     last = 0.0
     for number, text in enumerate(lines, first):
         if not text.strip() or text.lstrip().startswith("#"):
@@ -216,11 +217,11 @@ def script(lines: Iterable[str], source: str, first: int = 1, options: ScriptOpt
 
 @dataclass
 class Prompter:
-    """Makes requests at their times, one in a period, and notes what came of them. A stop comes first.
+    """Makes requests at their times, one in a period, and notes their outcomes. A stop comes first.
 
-    notes: {"t", "line", "said", "answer"} of each request, and {"t", "answer"} of what was refused later on; no more
-    than `ScriptOptions.notes`. accepted, refused: how many requests were; dropped: how many lines a stop overtook, or
-    came when too many waited.
+    notes: {"t", "line", "said", "answer"} of each request, and {"t", "answer"} of each later refusal; no more than
+    `ScriptOptions.notes`. accepted, refused: numbers of requests; dropped: number of lines that a stop overtook, or
+    that came when too many waited.
     """
 
     live: Live
@@ -240,14 +241,14 @@ class Prompter:
         self._refusal = ""
 
     def of(self, wishes: Iterable[Said]) -> Prompter:
-        """All of it is known."""
+        """A prompter for a script that is known as a whole."""
         for said in wishes:
             self._add(said)
         self._ended = True
         return self
 
     def listening(self, lines: Iterable[str | bytes], source: str) -> Prompter:
-        """It comes while the arm moves; a line that cannot be understood is noted, and no more."""
+        """A prompter for lines that come while the arm moves; a line that cannot be read is only noted."""
 
         def heard(text: str | bytes, number: int) -> list[Said | str]:
             try:
@@ -290,7 +291,7 @@ class Prompter:
             self._stops.append(one)
 
     def period(self, t: float) -> None:
-        """What is due at time t, s. From the robot's loop: it waits for nobody and never raises."""
+        """Make the request that is due at time t, s. For the robot's loop: never waits and never raises."""
         stop = next((one for one in tuple(self._stops) if t >= (one.t or 0.0) - 1e-9), None)
         if stop is not None:
             while self._stops.popleft() is not stop:
@@ -353,5 +354,5 @@ class Prompter:
 
     @property
     def over(self) -> bool:
-        """Whether nothing more will be said."""
+        """Whether no further request will come."""
         return self._ended and not self._waiting and self._lasting is None

@@ -22,7 +22,7 @@ LOOKS = 8  # at postures at the scenario's start, when none is given
 
 
 def live_scenario(scenario: Scenario) -> Scenario:
-    """The scenario of live motions: they hold at every constant speed; where something moves inside at full speed
+    """The scenario of live motions, which hold at every constant speed; with a liquid or pendulum at full speed
     only."""
     if scenario.payload.dynamic:
         return scenario.with_changes(motion__speeds="full")
@@ -32,11 +32,11 @@ def live_scenario(scenario: Scenario) -> Scenario:
 def standing(
     problem: TransportProblem, q: npt.ArrayLike | None, begins: float = 0.0
 ) -> tuple[TransportProblem, Committed]:
-    """At rest at q (n,), rad, from live time `begins`, s, on; unless given, in the scenario's start posture or one at
-    its start pose.
+    """A committed motion at rest at q (n,), rad, from live time `begins`, s, on. Default of q: the scenario's start
+    posture, or one at its start pose.
 
-    And the problem, in which what is too near there has to keep half of that distance, as with a start posture that is
-    given.
+    Also returns the problem. Parts that are too near to each other there must keep half of their distance, as at a
+    start posture that is given.
 
     Raises ScenarioError when the load is not safe there, UnreachableError when no posture reaches the pose.
     """

@@ -1,4 +1,4 @@
-"""What a live motion says of itself."""
+"""The state of a live motion, in words and figures."""
 
 from __future__ import annotations
 
@@ -12,14 +12,13 @@ LIMITING = 0.03  # of what a row limits: nearer than this it is said to limit th
 
 @dataclass(frozen=True)
 class State(Shown):
-    """What is going on. doing: "resting", "following" or "stopping". rests_in: s until the arm is at rest. limit: which
-    row comes nearest to its edge from now to that rest, and margin, how far from it at least, as a share of what it
-    limits. refused: the last wish that was not granted, and why; clock: what was wrong with the times that were asked
-    for. Both are empty when nothing was. lead: s from now to the next hand-over. passing: what is to be expected of
-    obstacles that move, when nothing was found that keeps clear of them. stopped: by whom and why, while a stop is
-    latched; empty when none is. refusals: requests that were refused since the beginning. speed: that goals are gone
-    to slower, or the arm is held; empty at full speed. requests: what became of each of late, the oldest
-    first.
+    """The state of a live motion. doing: "resting", "following" or "stopping". rests_in: s until the arm is at rest.
+    limit, margin: the constraint that comes nearest to its boundary from now to that rest, and its least distance from
+    it, as a share of the limited quantity. refused: the last refused request, and why; clock: the fault of the times
+    given to `command`; both are empty without one. lead: s from now to the next hand-over. passing: the expected
+    passage of moving obstacles, when no motion that keeps clear of them was found. stopped: who stopped the arm, and
+    why; empty without a latched stop. refusals: number of refused requests since the beginning. speed: a reduced speed
+    or a hold, in words; empty at full speed. requests: the outcomes of the latest requests, the oldest first.
     """
 
     doing: str
@@ -42,7 +41,7 @@ class State(Shown):
 
     @property
     def nearest(self) -> str:
-        """What limits the motion; or, when nothing does, what would first, and how far that is."""
+        """The constraint that limits the motion; or, if none does, the nearest one and its distance, in words."""
         if self.margin < LIMITING:
             return f"limited by {self.limit}"
         return f"{100 * self.margin:.0f} % from its nearest limit, {self.limit}"

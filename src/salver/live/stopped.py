@@ -1,4 +1,4 @@
-"""What keeps the arm at rest: a hold, after which requests are gone on with; or a stop, which refuses them."""
+"""The states that keep the arm at rest: a hold, after which requests continue, or a stop, which refuses them."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from salver.live.replanning.wishes import PRIORITY, Halt, Source
 
 
 class Hold:
-    """The hold until it is released. halt: what the planner is asked for because of it. at: live time, s."""
+    """A hold until it is released. halt: the planner's request because of it. at: live time, s."""
 
     def __init__(self, halt: Halt, at: float) -> None:
         self.halt, self.at = halt, at
@@ -16,14 +16,14 @@ class Hold:
 
 
 class Stopped:
-    """The stop that is latched. halt: what the planner is asked for because of it. refused: requests refused since."""
+    """A latched stop. halt: the planner's request because of it. refused: number of requests refused since."""
 
     def __init__(self, reason: str, source: Source, at: float, halt: Halt, refused: int = 0) -> None:
         """reason: in words, or nothing. at: live time, s."""
         self.reason, self.source, self.at, self.halt, self.refused = reason, source, at, halt, refused
 
     def again(self, reason: str, source: Source, halt: Halt) -> Stopped:
-        """Requested once more while it is latched: the reason and source of the higher priority stand."""
+        """The stop after another request to stop: it has the reason and source with the higher priority."""
         if PRIORITY[source] < PRIORITY[self.source]:
             reason, source = self.reason, self.source
         return Stopped(reason, source, self.at, halt, self.refused)

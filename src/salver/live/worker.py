@@ -24,12 +24,13 @@ from salver.scenario import Scenario
 
 @dataclass(frozen=True)
 class WorkerOptions:
-    """How the planner's process is asked.
+    """Options of the planner's process.
 
     Attributes:
-        pause: s between two looks for something to do. Doubled, planning begins 2 ms later.
-        switch: s for which Python lets one thread run when another wants to: the robot's loop waits so long at most.
-        patience: s beyond the budget, after which a process that does not answer is given up.
+        pause: s between two checks for a job. Doubled, planning begins 2 ms later.
+        switch: s for which Python lets one thread run while another is ready; the robot's loop waits no longer than
+            this.
+        patience: s after the budget at which a process that does not answer is given up.
     """
 
     pause: float = 2e-3
@@ -74,7 +75,7 @@ class Worker:
         return self
 
     def close(self) -> None:
-        """Plan no more; what is committed is finished."""
+        """End planning; the committed motion is finished."""
         self._closing.set()
         self._thread.join()
         if self._process is not None:

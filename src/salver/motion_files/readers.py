@@ -176,7 +176,7 @@ def of_columns(
     columns: Mapping[str, Any], joint_names: JointNames = no_joints, as_path: bool = False, units: Units = SI
 ) -> Samples:
     """A motion from columns by name: a mapping of arrays, or a pandas DataFrame, whose index is the time if no column
-    is. Arguments: as of `read`. Raises FileFormatError."""
+    is. Arguments: as in `read`. Raises FileFormatError."""
     source = f"the {type(columns).__name__}"
     if not hasattr(columns, "keys"):
         raise FileFormatError(f"{source} is no motion; give a file, a mapping of columns by name, or a DataFrame.")

@@ -126,9 +126,9 @@ def plan_pair(
 ) -> tuple[Plan, Plan]:
     """The requested plan and the plan that it is compared with.
 
-    scenario: the task. method: as of `make_plan`. arm: whether to plan the arm's motion. beside: "baseline", the
+    scenario: the task. method: as in `make_plan`. arm: whether to plan the arm's motion. beside: "baseline", the
     straight line with the same duration and start posture; or "nominal", the fastest motion at nominal parameters.
-    options, watch: of the search for the fastest, safest and least sensitive motion.
+    options, watch: options and progress of the search for the fastest, safest and least sensitive motion.
 
     Raises:
         ScenarioError: the comparison is unknown or cannot be made.
@@ -157,8 +157,8 @@ def make_plan(
     """The plan of a scenario, with the arm's motion when it has an arm.
 
     scenario: the task. method: "robust", "baseline", "fastest", "safest" or "least-sensitive" (the last two in the
-    scenario's duration); None for `method_of`. arm: whether to plan the arm's motion. options, watch: of the search for
-    the last three.
+    scenario's duration); None for `method_of`. arm: whether to plan the arm's motion. options, watch: options and
+    progress of the search for the last three.
 
     Raises:
         ScenarioError: the scenario lacks something that the method needs.

@@ -84,12 +84,12 @@ class MultiLegPlan(Shown):
 
     @cached_property
     def warnings(self) -> tuple[str, ...]:
-        """Warnings of the whole task, as of a plan."""
+        """Warnings of the whole task, as `Plan.warnings`."""
         return warnings_of(self.scenario)
 
     @property
     def unchecked(self) -> tuple[str, ...]:
-        """Parts of the verdict that were not checked, in words, to stand before it."""
+        """What the verdict does not cover, in words; state it before any claim of safety."""
         stops = ("what happens at the stops while objects are taken off and put on",) if len(self.legs) > 1 else ()
         return tuple(dict.fromkeys((*stops, *(what for leg in self.legs for what in leg.unchecked))))
 

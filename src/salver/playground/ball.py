@@ -1,6 +1,6 @@
-"""A ball that is thrown at the load: where it flies, what it would hit, and what is reported of it to the live motion.
+"""A ball that is thrown at the load: its flight, what it would hit, and its reports to the live motion.
 
-It is no body of the engine: it flies through whatever it meets, which is told.
+The engine has no such body: the ball flies through whatever it meets, and the page says so.
 """
 
 from __future__ import annotations
@@ -21,9 +21,10 @@ from salver.models.payload import Payload
 class Throw:
     """A ball, and how it is thrown and seen.
 
-    radius: m. flight: s until it would be at the tray. away: m from there. aside: rad, least and most, to either side
-    of the way in which the arm reaches: from there it flies on past the arm. over: s after which it is gone.
-    measured_every, seen_every: s between measurements of its distance, and between looks at it.
+    radius: m. flight: s from the throw to the tray. away: distance of the throw from the tray, m. aside: least and
+    largest angle, rad, between the throw and the direction in which the arm reaches, so that the ball flies on past the
+    arm. over: s after which the ball is removed. measured_every, seen_every: s between computations of its distance,
+    and between its reports.
     """
 
     radius: float = 0.05
@@ -48,7 +49,7 @@ class Ball:
         self.passed, self._hit = np.inf, ""  # m, the least distance from arm, tray and load; what it hit first
 
     def throw(self, t: float, p_SE: Array) -> None:
-        """At what stands on the tray, from the side."""
+        """Throw the ball at the load, from the side."""
         how = self._throw
         out = p_SE[:2] - self._base[:2]
         bearing = np.arctan2(out[1], out[0]) + self._rng.choice([-1.0, 1.0]) * self._rng.uniform(*how.aside)
@@ -77,7 +78,7 @@ class Ball:
         return self._begin + s * self._speed + 0.5 * s**2 * GRAVITY_S, self._speed + s * GRAVITY_S
 
     def step(self, t: float, q: Array) -> list[Moving] | None:
-        """After each period, with the arm at q (n,). What is to be told of it now; None for nothing new."""
+        """Advance by a period, with the arm at q (n,), rad. Returns the new report of the ball; None without one."""
         how = self._throw
         if self._since is None:
             return None

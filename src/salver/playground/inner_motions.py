@@ -1,5 +1,5 @@
-"""What moves inside the loads in the playground's engine: how, whether it went over its edge, and whether it is
-calm."""
+"""Liquids and pendulums in the playground's engine: their motion, whether they passed their limit, and whether they are
+at rest."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from salver.simulation.trace import Recorder, Trace
 
 
 class InnerMotions:
-    """What moved lately inside the loads.
+    """The latest motion of the liquids and pendulums in the loads.
 
-    Part of a surface follows what its container feels, as a mean over some time: so it is known half of that later
-    (11 ms for a cup of 80 mm).
+    Part of a surface follows the mean acceleration of its container over some time: so it is known half of that time
+    later (11 ms for a cup of 80 mm).
     """
 
     def __init__(self, scene: Scene, period: float) -> None:
@@ -31,7 +31,7 @@ class InnerMotions:
         self.begin()
 
     def begin(self) -> None:
-        """Everything stands in its place, and still."""
+        """Begin with all objects at their places and at rest."""
         self._recorder.keep(0)
         self._seen = True
         self._beyond: dict[int, float] = {}  # when, of which load
@@ -39,7 +39,7 @@ class InnerMotions:
         self._shown: list[Drawn | None] = [None] * len(self._scene.loads)
 
     def took(self, t: float, q: Array, dq: Array, tau: Array, data: Any) -> None:
-        """The state at time t, and the torque; the engine has made one step since."""
+        """Record the state at time t, s, and the torque, after which the engine has made one step."""
         if not self._scene.swings:
             return
         if self._recorder.full:
@@ -49,19 +49,20 @@ class InnerMotions:
 
     @property
     def shown(self) -> list[Drawn | None]:
-        """What moves inside each object now, a single sample; None where nothing does."""
+        """A sample of the liquid or pendulum in each object now; None without one."""
         if self._scene.swings:
             self._look()
         return self._shown
 
     def beyond(self, k: int) -> bool:
-        """Whether what moves inside load k was seen beyond its edge."""
+        """Whether the liquid or pendulum in load k has passed its limit."""
         if self._scene.swings:
             self._look()
         return k in self._beyond
 
     def calm(self) -> bool:
-        """Whether all has been at rest for half a period, as a swing that is seen at its zero would not."""
+        """Whether all liquids and pendulums have been at rest for half a period of their oscillation, so that a zero
+        crossing does not count as rest."""
         if not self._scene.swings:
             return True
         self._look()

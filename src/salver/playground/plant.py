@@ -1,4 +1,4 @@
-"""What a controller moves, one period at a time: arm, tray and loose objects in the physics engine."""
+"""The plant of a controller, one period at a time: arm, tray and loose objects in the physics engine."""
 
 from __future__ import annotations
 
@@ -18,7 +18,8 @@ from salver.simulation.trace import step
 
 
 class Plant:
-    """scene, data: of the engine. inner: what moves inside the loads. period: s."""
+    """The arm with its load in the engine. scene, data: of MuJoCo. inner: liquids and pendulums. period: control
+    period, s."""
 
     def __init__(
         self,
@@ -46,7 +47,7 @@ class Plant:
         return np.array(self.data.qvel[: self.scene.n])
 
     def place(self, q: Array) -> None:
-        """The arm at q (n,), everything at its place and at rest."""
+        """Put the arm at q (n,), rad, and all objects at their places, at rest."""
         self.scene.place(self.data, q)
         self.inner.begin()
         self.data.qacc_warmstart[:] = 0
@@ -57,7 +58,7 @@ class Plant:
         step(self.scene, self.data, t, torque, self._steps, self.inner.took)
 
     def p_SB(self, k: int = 0) -> Array:
-        """(3,) m: where object k is."""
+        """Position (3,) of object k in S, m."""
         i = self.scene.qpos_ids[k]
         return np.array(self.data.qpos[i : i + 3])
 
@@ -69,7 +70,8 @@ class Plant:
         return (p - p_SE) @ R_SE, R_SE.T @ R
 
     def became(self, fallen: float = 0.175) -> list[str]:
-        """Of each object: "" on the tray, "lost" off it or at no known place, "fallen" over by so many rad, "spilt"."""
+        """The outcome of each object: "" on the tray, "lost" off it or at no finite position, "fallen" (leaning by more
+        than a limit, rad) or "spilt"."""
         p, R = self.on_tray()
         words = []
         for k, load in enumerate(self.scene.loads):

@@ -1,7 +1,7 @@
-"""The hand without protection: a servo that keeps the arm's limits and knows nothing of the load.
+"""Jogging without protection: a servo that keeps the arm's limits and knows nothing of the load.
 
-It is what jogging usually is: a velocity of the tray, by the damped pseudo-inverse of the Jacobian, cut to the joints'
-velocities and accelerations. The tray is kept level.
+As in usual jogging, joints follow a velocity of the tray by the damped pseudo-inverse of the Jacobian, cut to the
+joints' velocities and accelerations. The tray is kept level.
 """
 
 from __future__ import annotations
@@ -16,10 +16,11 @@ from salver.models.arm.arm import ArmModel
 
 @dataclass(frozen=True)
 class Jogging:
-    """Options of the hand without protection.
+    """Options of jogging without protection.
 
-    response: s in which a velocity is taken up, where accelerations allow. damping: of the pseudo-inverse. levelling:
-    1/s. approach, fastest: m/s^2 by which it brakes towards a goal, m/s towards it. room: rad before a joint's end.
+    response: time, s, to reach a velocity, if accelerations allow. damping: of the pseudo-inverse. levelling: gain that
+    keeps the tray level, 1/s. approach, fastest: deceleration, m/s^2, before a goal, and speed, m/s, towards it. room:
+    rad kept free before the end of a joint's range.
     """
 
     response: float = 0.02
@@ -31,14 +32,14 @@ class Jogging:
 
 
 class Unprotected:
-    """From a state q, dq (n,); `step` moves it on."""
+    """The jogged arm with state q, dq (n,); `step` advances it."""
 
     def __init__(self, arm: ArmModel, q: Array, dq: Array, jogging: Jogging | None = None) -> None:
         self._arm, self._jogging = arm, jogging or Jogging()
         self.q, self.dq, self.ddq = q.copy(), dq.copy(), np.zeros_like(q)
 
     def towards(self, p_SE: Array) -> Array:
-        """The velocity (3,), m/s, of the tray's centre with which it makes for p_SE (3,)."""
+        """The velocity (3,), m/s in S, of the tray's centre towards the goal p_SE (3,), m."""
         away = p_SE - self._arm.tray_pose(self.q)[0]
         distance = float(np.linalg.norm(away))
         if distance < 1e-6:
@@ -48,7 +49,7 @@ class Unprotected:
         return np.asarray(away * (speed / distance))
 
     def step(self, v_S: Array, omega_S: Array, dt: float) -> None:
-        """dt, s, on, with the tray at v_S, m/s, and turning at omega_S, rad/s, as far as the arm can."""
+        """Advance by dt, s, with the tray moving at v_S, m/s, and turning at omega_S, rad/s, as far as the arm can."""
         arm, how = self._arm, self._jogging
         _, R_SE = arm.tray_pose(self.q)
         jacobian = arm.body_jacobian(self.q)
@@ -57,7 +58,7 @@ class Unprotected:
         self.turn(jacobian.T @ np.linalg.solve(jacobian @ jacobian.T + how.damping**2 * np.eye(6), twist_E), dt)
 
     def turn(self, dq: Array, dt: float) -> None:
-        """dt, s, on, with the joints at dq (n,), rad/s, as far as they can."""
+        """Advance by dt, s, with the joints moving at dq (n,), rad/s, as far as they can."""
         limits, how = self._arm.limits, self._jogging
         dq = dq / max(1.0, float((np.abs(dq) / limits.velocity).max()))
         # So fast at most that it can still brake before a joint's end, which it begins to do `response` later.

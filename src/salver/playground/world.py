@@ -1,6 +1,6 @@
-"""The arm with its load in the physics engine, a live motion that moves it, and a hand that may do without.
+"""The arm with its load in the physics engine, moved by a live motion or by jogging without protection.
 
-Time is that of the engine. Whoever steps it may be late; planning then has more time than it would have, never less.
+Time is that of the engine. If the engine is stepped late, planning has more time than in reality, never less.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ ENDING = Status("refused", "The recording ends first, at rest.", False)
 
 
 class World:
-    """The world of a scenario; one thread steps it, others may speak to it."""
+    """The world of a scenario; one thread steps it, other threads may send requests."""
 
     def __init__(
         self,
@@ -139,9 +139,9 @@ class World:
     # --- who speaks to it
 
     def say(self, message: Any) -> Status:
-        """What the page says, as JSON: {"goto": [x, y, z]} of the first object, m; {"twist": [vx, vy, vz, turn]}, m/s
-        and rad/s about the vertical; {"stop": true}, which latches until {"resume": true}; {"protected": bool};
-        {"again": true}; {"record": bool}; {"throw": true}."""
+        """Handle a message of the page, as JSON: {"goto": [x, y, z]} of the first object, m; {"twist": [vx, vy, vz,
+        turn]}, m/s and rad/s about the vertical; {"stop": true}, which latches until {"resume": true}; {"protected":
+        bool}; {"again": true}; {"record": bool}; {"throw": true}."""
         if not isinstance(message, dict) or len(message) != 1:
             return Status("refused", "A message has one key.", False)
         ((key, value),) = message.items()
@@ -293,8 +293,8 @@ class World:
         return [word or ("slid" if k else "") for word, k in zip(self.plant.became(), slid, strict=True)]
 
     def friction_used(self) -> list[float]:
-        """Of each object: tangential force on its feet over what friction holds on its support; 1 slides, infinite
-        when it does not stand there."""
+        """Friction in use of each object: tangential force on its feet over the largest friction force of its support;
+        1 when it slides, infinite when it does not stand there."""
         scene, data = self.plant.scene, self.plant.data
         pull = np.zeros((len(scene.loads), 3))
         held = np.zeros(len(scene.loads))
@@ -313,7 +313,7 @@ class World:
         return [float(np.linalg.norm(x) / y) if y > 0 else np.inf for x, y in zip(pull, held, strict=True)]
 
     def frame(self) -> dict[str, Any]:
-        """What the page shows of this instant, ready for JSON."""
+        """The content of the page at this instant, ready for JSON."""
         from salver.reports.pages.replay import joint_poses
 
         with self._lock:

@@ -52,7 +52,7 @@ class Run:
 
     @cached_property
     def wanted_E(self) -> MotionSamples:
-        """Reference motion of the assumed tray frame E at the commands."""
+        """Reference motion of the assumed tray frame E at the instants of the commands."""
         return of_tray(self.wanted, self.scene)
 
 

@@ -1,6 +1,7 @@
 """A page that this machine serves to itself: text, small JSON messages, and server-sent events.
 
-Only this machine is answered, and only who knows the address with its token, which other pages of the browser do not.
+The server answers only this machine, and only requests with the token in the address, which other pages of the browser
+do not know.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What is known of a scenario in milliseconds: its picture, what is blocked, and the straight line's margin."""
+"""A quick look at a scenario, in milliseconds: its picture, blocked ends, and the straight line's margin."""
 
 from __future__ import annotations
 
@@ -63,8 +63,8 @@ def _mistaken(text: str, found: Sequence[Mistake]) -> Look:
 
 
 def change(text: str, folder: Path, changes: Sequence[tuple[Key, Any]]) -> str:
-    """The text with the changes, and with what goes with them: ranges that were assumed are written down before one of
-    them is changed, and a start posture follows the start, or is left out where the arm cannot."""
+    """The text with the changes and their consequences: assumed ranges are written into the text before one of them is
+    changed, and a start posture follows the start pose, or is left out where no posture reaches it."""
     before = checked(text, folder)
     try:
         first = [] if isinstance(before, list) else _first(before, tomllib.loads(text), changes)

@@ -1,4 +1,4 @@
-"""What can be taken hold of and set by a slider in a scenario: keys of its text, values, ranges."""
+"""The parts of a scenario that can be dragged or set by a slider: keys of its text, values, ranges."""
 
 from __future__ import annotations
 
@@ -27,8 +27,9 @@ Part = dict[str, Any]
 
 
 def parts(scenario: Scenario) -> list[Part]:
-    """Each with its name and the key of its table; `handle`: the key of the place that a hand may drag, on the tray or
-    in the world; `fields`: what sliders set; `lists`: what is chosen of several."""
+    """The parts of a scenario, each with its name and the key of its table. `handle`: key of the position that can be
+    dragged, on the tray or in the world; `fields`: values that sliders set; `lists`: values that are chosen from
+    several."""
     motion = scenario.motion
     found: list[Part] = [
         _pose("start", motion.start, ["motion", "start"]),

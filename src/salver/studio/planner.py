@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 class PlanningProcess:
-    """One process, which is kept for the next task; started anew when a task was cut short."""
+    """A planning process, which is kept for the next task, and started anew after a task that was interrupted."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -31,12 +31,12 @@ class PlanningProcess:
         self._busy = False
 
     def plan(self, scenario: Scenario, directory: Path) -> dict[str, Any] | None:
-        """Plan as `salver plan` does, into a run directory. Returns what the page says of it; None when a newer task
-        has ended this one."""
+        """Plan as `salver plan` does, into a run directory. Returns the result for the page; None when a newer task has
+        ended this one."""
         return self._ask("plan", scenario, directory)
 
     def run(self, directory: Path) -> dict[str, Any] | None:
-        """Run what stands in a run directory in the physics engine, with values at the edge of their ranges."""
+        """Run the plan of a run directory in the physics engine, with values at the ends of their ranges."""
         return self._ask("run", directory)
 
     def _ask(self, *task: Any) -> dict[str, Any] | None:
@@ -82,7 +82,7 @@ class PlanningProcess:
 
 
 def serve(descriptor: int) -> None:
-    """The process: plans until the one that asks has ended."""
+    """The planning process: it plans until the process that sends the tasks has ended."""
     with Connection(descriptor) as pipe, contextlib.suppress(EOFError, OSError):
         while True:
             do, *about = pipe.recv()

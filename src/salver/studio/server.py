@@ -1,5 +1,5 @@
-"""The page of the studio and what it asks for: every answer follows from the text that a window sends, so that two
-windows have nothing in common but the file in which they save."""
+"""The page of the studio and its requests: every answer depends only on the text that a window sends, so that two
+windows share only the file in which they save."""
 
 from __future__ import annotations
 

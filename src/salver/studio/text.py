@@ -1,4 +1,4 @@
-"""The text of a scenario under a hand: values change in place, comments and order stay; mistakes have their line."""
+"""Edits of a scenario's text: values change in place, comments and order stay; mistakes have their line."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Key = Sequence[str | int]  # such as ["objects", 0, "mass"]
 
 @dataclass(frozen=True)
 class Mistake:
-    """What is wrong with a text, and in which line, from 1."""
+    """A mistake in a text, with its line, from 1."""
 
     line: int
     sentence: str
@@ -82,7 +82,7 @@ def _inline(values: dict[str, Any]) -> Any:
 
 
 def checked(text: str, folder: Path, name: str = "scenario") -> Scenario | list[Mistake]:
-    """The scenario of a text, or what is wrong with it. folder: in which files are that it names."""
+    """The scenario of a text, or its mistakes. folder: folder of the files that the text names."""
     try:
         return read(text, name, folder)
     except ScenarioError as error:

@@ -1,4 +1,4 @@
-"""What the page says at its top, made here alone: a level, a headline and what stands below it."""
+"""The words at the top of the page: a level, a headline and the text below it."""
 
 from __future__ import annotations
 
@@ -29,7 +29,8 @@ def mistaken(mistakes: Sequence[Mistake]) -> Said:
 
 
 def looked(scenario: Scenario, blocked: str, unchecked: Sequence[str], warnings: Sequence[str]) -> Said:
-    """Of a scenario before it is planned. blocked: why nothing can be, or "". unchecked: what is not, at the ends."""
+    """The words on a scenario before it is planned. blocked: why no plan is possible, or "". unchecked: what is not
+    checked at the ends."""
     if blocked:
         return "bad", "Nothing can be planned here yet.", " ".join([blocked, *warnings])
     reached = f"The arm reaches both ends, and nothing {'that is checked ' if unchecked else ''}touches there."
@@ -38,7 +39,7 @@ def looked(scenario: Scenario, blocked: str, unchecked: Sequence[str], warnings:
 
 
 def planned(plan: Plan, warnings: Sequence[str]) -> Said:
-    """Of a plan: what was not checked comes before what was found, as everywhere."""
+    """The words on a plan: what was not checked comes first, then the result."""
     blind = _not_checked(plan.unchecked)
     arm = "" if plan.arm_status is None or plan.arm_status.ok else plan.arm_status.sentence
     detail = " ".join(filter(None, [blind, plan.status.sentence, arm, *warnings]))
@@ -53,9 +54,10 @@ def _not_checked(unchecked: Sequence[str]) -> str:
 
 
 def steered(frame: dict[str, Any], pace: float, planner: bool) -> dict[str, Any]:
-    """Of a frame of the live mode: its verdict; of each of the three strips its value now and that in words; the pace.
+    """The words on a frame of the live mode: its verdict; the present value of each of the three strips, also in words;
+    the pace.
 
-    pace: of the world's clock, as a share of real time. planner: whether it lives.
+    pace: speed of the world's clock, as a share of real time. planner: whether its process is alive.
     """
     gone = [f"{item['name']} {BECAME[item['became']]}" for item in frame["load"] if item["became"]]
     doing, held = frame["doing"], frame["protected"]

@@ -67,15 +67,15 @@ def execute(
 ) -> None:
     """Run a plan on an arm, with checks before, a watchdog during, and a log after.
 
-    First `--dry-run` (or `--robot simulated`): the same loop on the simulated arm, which tells how well this machine
+    First `--dry-run` (or `--robot simulated`): the same loop on the simulated arm, which shows how well this machine
     keeps 1 kHz. The log goes to DIR/execution; `salver report DIR` shows it. Ctrl-C stops the arm: the load stays if
     the plan has stops (`salver plan --stops`), otherwise it may fall.
 
     With --live, requests are planned while the arm moves: each motion is verified before it is committed, and ends at
     rest with the load in place. The commanded motion is kept as a plan.
 
-    A plan of several legs runs leg by leg, with a question before each and a log of each; a leg that does not end as
-    it should ends the run.
+    A plan of several legs runs leg by leg, with a question before each and a log of each; the run ends after a leg that
+    fails.
 
     Ends with 0 when the motion ran to its end (with --mocap: and the load held as far as it was seen), with 1 when it
     did not or every request was refused, with 3 when motion capture cannot tell.
@@ -151,7 +151,7 @@ def _told(
     confirm: Callable[[list[Check]], bool],
     changed: list[str],
 ) -> Execution:
-    """A live motion, told by lines."""
+    """Run a live motion by the lines of a script."""
     import sys
 
     from salver.driver.live import LiveRunOptions, run_live

@@ -1,1 +1,1 @@
-"""Robots that can be driven: what a robot is to the loop, and those that are known by name."""
+"""Robots that can be driven: the interface of a robot, and the robots that are known by name."""

@@ -45,10 +45,12 @@ FR3 = JointLimits(
 class FrankaOptions:
     """Options of driving a Franka.
 
-    rate_share: of the limit of the torque's rate, below 1: the arm refuses what touches it.
-    longest_step: s between two states on the way to the start; after more the arm has given up by itself.
-    contact, collision: N m of each joint, and N and N m of the flange, from where on the arm reports a contact, and
-    stops by itself; well above what planned accelerations need.
+    rate_share: share of the limit of the torque rate that is used; below 1, because the arm refuses torques at the
+    limit.
+    longest_step: s between two states on the way to the start; after a longer time the arm has ended the motion by
+    itself.
+    contact, collision: thresholds, N m of each joint and N and N m of the flange, at which the arm reports a contact,
+    and stops by itself; well above the values that planned accelerations need.
     """
 
     rate_share: float = 0.999
@@ -155,8 +157,8 @@ class FrankaRobot:
             self._control = None
 
     def move(self, motion_from: Callable[[Array], JointMotion]) -> None:
-        """Follow a joint motion by the arm's own position control, from where it holds itself. Raises SalverError, when
-        it is interrupted too; the arm has been told to stop then.
+        """Follow a joint motion by the arm's own position control, from where it holds itself. Raises SalverError on
+        failure or interruption, after the arm was commanded to stop.
         """
         with noted_signals() as signals:
             try:
@@ -223,7 +225,8 @@ def check_franka(plan: Plan, arm: ArmModel) -> list[Check]:
 
 
 def check_arm(scenario: Scenario) -> Check:
-    """Whether a scenario's arm is one of `ARMS`, with the tray on the flange in whose frame the arm is told of it."""
+    """Whether a scenario's arm is one of `ARMS`, with the tray on the flange in whose frame the arm is given the tray's
+    mass."""
     described = scenario.arm
     if described is None or described.model not in ARMS:
         of = "no arm" if described is None else f"the arm {described.model}"

@@ -35,9 +35,9 @@ Takes = Literal["torque", "position", "velocity"]
 class Robot(Protocol):
     """An arm under control.
 
-    takes: what it is commanded by, for each joint: torque (N m; all of it, gravity included: an adapter takes off what
-    its robot adds), position (rad) or velocity (rad/s). period: s between two commands. lag: s by which the joints
-    follow what they are commanded. speed: the share of full speed, 0 to 1, at which the robot lets itself be moved now.
+    takes: quantity of its commands for each joint: torque (N m, with gravity; an adapter subtracts what its robot
+    adds), position (rad) or velocity (rad/s). period: s between two commands. lag: s by which the joints follow their
+    commands. speed: the share of full speed, 0 to 1, at which the robot lets itself be moved now.
     """
 
     takes: Takes
@@ -47,8 +47,8 @@ class Robot(Protocol):
 
     @classmethod
     def connect(cls, address: str, plan: Plan, arm: ArmModel, realtime: bool) -> Robot:
-        """The robot at an address, told of the plan's tray. realtime: refuse a machine that cannot keep the period. A
-        robot with options of its own takes them after that.
+        """The robot at an address, with the plan's tray configured. realtime: refuse a machine that cannot keep the
+        period. A robot with options of its own takes them after that.
 
         Raises SalverError when it does not answer, MissingDependencyError without its library.
         """
@@ -77,11 +77,12 @@ class Robot(Protocol):
         ...
 
     def write(self, command: Array, sensed: Sensed, *, last: bool = False) -> None:
-        """The command (n,) for this period. sensed: the state that is believed. last: the motion ends with it."""
+        """Send the command (n,) for this period. sensed: the state that counts as true. last: whether the motion ends
+        with it."""
         ...
 
     def stop(self) -> None:
-        """Take no more commands, whatever happened."""
+        """Accept no more commands, whatever happened."""
         ...
 
     def move(self, motion_from: Callable[[Array], JointMotion]) -> None:

@@ -29,9 +29,9 @@ SPIN = 2e-4  # s before a deadline from where on the clock is watched: the opera
 class SimulatedRobot:
     """The arm in the physics engine, which waits for its caller no more than a real one does.
 
-    Every period that the caller misses, the engine goes on with the last torque. realtime = False: as fast as it can,
-    no period is missed. The time that the engine itself takes is part of the caller's period, so a real arm leaves
-    the controller more of it.
+    In every period that the caller misses, the engine continues with the last torque. realtime = False: the engine runs
+    as fast as it can, and no period is missed. The time that the engine itself takes is part of the caller's period, so
+    a real arm leaves the controller more of it.
     """
 
     takes: Takes = "torque"
@@ -46,7 +46,7 @@ class SimulatedRobot:
         return []
 
     def move(self, motion_from: Callable[[Array], JointMotion]) -> None:
-        """Put where the motion ends."""
+        """Put the arm at the end of the motion."""
         self._run.scene.place(self._data, motion_from(self.look().q).q[-1])
 
     def __init__(self, plan: Plan, arm: ArmModel, extra_time: float, realtime: bool = True) -> None:
@@ -109,9 +109,9 @@ class SimulatedRobot:
             step(self._run.scene, self._data, t, self._torque, self._steps, recorder.take)
 
     def record(self, summary: dict[str, Any], began: float, plan: Plan | None = None) -> SimulationRecord:
-        """The record of arm and objects, as of any simulation.
+        """The record of arm and objects, as from any simulation.
 
-        plan: what was wanted, where that was not known beforehand.
+        plan: the plan of the commanded motion, if that was not known beforehand.
         """
         from salver.simulation.run import measure
 

@@ -4,7 +4,8 @@ A URScript program on the controller reads joint positions from input registers 
 state comes back in the same exchange. Source: Universal Robots, "Real-Time Data Exchange (RTDE) Guide" (packages,
 recipes, types) and Script Manual, e-Series SW 5.20 (`servoj`, `set_target_payload`, registers). The package ur-rtde
 does the same with a long control script of its own; a program of twenty lines that stops by itself when commands no
-longer come is less to trust, and needs no library. The controller's own kinematics tell whether the arm is the plan's.
+longer come is easier to check, and needs no library. The controller's own kinematics show whether the arm is that of
+the plan.
 """
 
 from __future__ import annotations
@@ -56,11 +57,12 @@ TYPES = {"d": "DOUBLE", "6d": "VECTOR6D", "i": "INT32"}
 class UROptions:
     """Options of driving an arm of Universal Robots.
 
-    lookahead, gain: s, 0.03 to 0.2, and 100 to 2000, of `servoj`; more lookahead is smoother and later.
+    lookahead, gain: parameters of `servoj`, 0.03 to 0.2 s and 100 to 2000; with more lookahead the arm is smoother and
+    later.
     patience: periods without a new command after which the program stops the arm by itself.
     timeout: s within which the controller must answer. settling: s at rest after the way to the start.
-    near, turned: m and rad by which the flange may be elsewhere by the controller's kinematics, which are calibrated,
-    than by the plan's model of the arm.
+    near, turned: largest difference, m and rad, of the flange's pose by the controller's calibrated kinematics and by
+    the plan's model of the arm.
     """
 
     lookahead: float = 0.03
@@ -128,7 +130,7 @@ class Exchange:
         self._write("U", struct.pack(">Bi6d", self._recipe, number, *q))
 
     def newest(self) -> dict[str, Any]:
-        """The last state that came; waits for one."""
+        """The latest state; waits until there is one."""
         state = b""
         while not state or self._waiting():
             kind, body = self._package()
@@ -230,8 +232,8 @@ class URRobot:
         return ArmState(state["actual_q"], state["actual_qd"])
 
     def recognise(self, arm: ArmModel) -> None:
-        """Raises SalverError when the flange is elsewhere than the model has it, from the base: another arm, or another
-        frame than the one in which the controller takes the payload's centre of mass."""
+        """Compare the flange's pose in the base frame with the model's. Raises SalverError when they differ: the arm,
+        or the frame of the payload's centre of mass, is another one."""
         state, options, model = self._state(), self._options, arm.pin_model
         base = model.frames[model.frames[model.getFrameId(arm.joint_names[0])].parentFrame].name
         q, tcp, offset = state["actual_q"], state["actual_TCP_pose"], state["tcp_offset"]
@@ -253,8 +255,8 @@ class URRobot:
             )
 
     def start(self) -> None:
-        """Send the program, and wait until it listens. It begins with a number of its own, so that nothing counts that
-        another one left in the registers, and holds the arm where it then is until the first command."""
+        """Send the program, and wait until it reads the registers. It has a number of its own, so that it ignores
+        values that another program left there, and holds the arm in place until the first command."""
         self._begun = self._number = secrets.randbelow(2**30) + 1
         self._first, options = True, self._options
         self._send(np.zeros(6))
@@ -287,7 +289,7 @@ class URRobot:
         self._follow(command)
 
     def stop(self) -> None:
-        """End the program, which stops what still moves; it ends by itself when nothing comes any more."""
+        """End the program, which stops an arm that still moves; it ends by itself when no more commands come."""
         self._number = -1
         self._send(np.zeros(6))
 

@@ -41,7 +41,8 @@ class DrawnSurface(Drawn):
 
     @classmethod
     def of_heights(cls, body: Body, fill: float, heights: Array, beyond: float | None) -> DrawnSurface:
-        """From heights (T, 2) at the wall along x and y over the level at rest, m (`SimulationRecord.surface`)."""
+        """The surface from heights (T, 2) at the wall along x and y over the level at rest, m
+        (`SimulationRecord.surface`)."""
         modes = cast(Container, body.inner).modes(fill)
         eta = np.nan_to_num(heights)
         held = np.minimum(1.0, fill / np.maximum(modes.highest(eta), 1e-12))

@@ -42,15 +42,17 @@ class FrictionOptions:
     """Options of a friction test: its errors, which make the bounds conservative, and its motion.
 
     Attributes:
-        level: deg, largest tilt error of a robot's base; doubled, a tilt proves 0.01 less.
+        level: largest tilt error of a robot's base, deg; with twice the value a tilt proves a friction that is 0.01
+            lower.
         unseen: deg, largest deviation of the tray from the plan, without a log.
-        shakes: vibration that the joints do not show, as a share of gravity, and that may start a slip.
-        speed: deg/s of a tilt; doubled, the test is shorter and vibrates more.
-        hold: s at the angle of a tilt.
-        step: s between the instants of a tilt.
-        steeper: rad, added to the angle that is needed.
+        shakes: amplitude of vibration that the joints do not show and that may start a slip, as a share of gravity.
+        speed: speed of a tilt, deg/s; with twice the value the test is shorter and vibrates more.
+        hold: time at the largest angle of a tilt, s.
+        step: time between the instants at which a tilt is computed, s.
+        steeper: angle that is added to the one needed for the requested friction, rad.
         most: largest friction that can be tested: a tilt of about 60 deg.
-        harder: share by which a plan may press harder than the test; halved, tilts of the test itself count.
+        harder: relative excess of a plan's contact force over the test's up to which the test counts; with half the
+            value the test's own tilt is reported as an excess.
         spare: margin of a test to tipping, as a share of the weight, and additional friction that it demands.
     """
 
@@ -193,9 +195,9 @@ def friction(
 
     Args:
         samples: log of the joints, from rest to rest; None: as planned, to `OPTIONS.unseen`.
-        held: s from the start of the motion, until when the load certainly did not slide; default: the whole motion,
-            unless `slid` is given.
-        slid: s, when it certainly had begun to slide.
+        held: time from the start of the motion, s, until which the load certainly did not slide; default: the whole
+            motion, unless `slid` is given.
+        slid: time from the start of the motion, s, at which the load certainly had begun to slide.
         level: deg, largest tilt error of the robot's base; default: `OPTIONS.level`.
 
     Raises:

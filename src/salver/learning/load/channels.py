@@ -39,8 +39,8 @@ class SensedMotion:
 class ChannelReading:
     """A sensor with m channels at N instants: values (N, m) caused by the load, rows (N, m, 10) per unit of phi.
 
-    names, told: of each channel its name, and its noise as assumed beforehand. nuisance: of each channel (N, .), other
-    effects per standard deviation. links: as in `SensedMotion`, for joint torques.
+    names, told: name and assumed noise of each channel. nuisance: other effects on each channel (N, .), per standard
+    deviation. links: as in `SensedMotion`, for joint torques.
     """
 
     names: tuple[str, ...]

@@ -50,11 +50,12 @@ class IdentifyOptions:
     """Options of the identification of one rigid load.
 
     Attributes:
-        bandwidth: Hz, cut-off of the smoothing of measured deviations from the plan; doubled, noise enters the arm's
-            model.
+        bandwidth: Hz, cut-off of the smoothing of measured deviations from the plan; with twice the value noise enters
+            the arm's model.
         ends: s at each end of a log that are not used, because smoothing is one-sided there.
-        rest: s of rest before and after the motion that are used; doubled, drift has more effect.
-        block, blocks: s over which samples are averaged, and largest number of blocks; doubled, eight times the time.
+        rest: s of rest before and after the motion that are used; with twice the value drift has more effect.
+        block, blocks: s over which samples are averaged, and largest number of blocks; twice the number takes eight
+            times as long.
         fine: s over which the load's contribution is computed from mean positions, velocities and accelerations.
         same: rad, largest difference between the empty and the loaded run.
         astray: rad, largest deviation of a joint from the plan.
@@ -101,8 +102,8 @@ class Identified:
     told: list[str] = field(default_factory=list)
 
     def learnt_scenario(self) -> Scenario:
-        """The scenario with the new ranges, as a box. B moves with the nominal centre of mass; start and goal are
-        adapted."""
+        """The scenario with the new ranges, as a box. Frame B moves with the nominal centre of mass, and start and goal
+        with it."""
         item, motion = self.scenario.objects[0], self.scenario.motion
         middle = {name: r.middle for name, r in self.ranges.items()}
         half = {name: r.half for name, r in self.ranges.items()}
@@ -147,7 +148,7 @@ def identify(plan: Plan, loaded: Sequence[Log], empty: Log, bounds: SensorBounds
     Args:
         loaded: logs with the load.
         empty: log of the same motion with the empty tray.
-        bounds: of the sensors' systematic errors.
+        bounds: bounds of the sensors' systematic errors.
 
     Raises:
         ScenarioError: the load is not one rigid object on an arm.

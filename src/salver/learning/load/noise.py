@@ -44,11 +44,12 @@ class SensorNoise:
     White and coloured noise are estimated between a tenth and 16 times these values; drift and times are fixed.
 
     Attributes:
-        torque, force, moment: of joint torques (N m: about 0.1 on a Panda, franka_ros issue 404) and of a wrist sensor.
+        torque, force, moment: standard deviations of joint torques (N m; about 0.1 on a Panda, franka_ros issue 404)
+            and of a wrist sensor's forces (N) and moments (N m).
         colour: s, correlation time of coloured noise; 0.05 instead of 0.035 widens ranges by 7 to 10 %.
         slow: s, correlation time of a drift.
-        friction: N m and N m s, change of Coulomb and viscous friction of a joint between two runs; doubled, ranges
-            from joint torques widen.
+        friction: N m and N m s, change of Coulomb and viscous friction of a joint between two runs; with twice the
+            value, ranges from joint torques widen.
         all_friction: N m and N m s, friction itself, which cancels except where two runs have different velocities.
         standstill: rad/s, velocities over which Coulomb friction changes its sign, which no log shows.
         unlike: relative error, and delay in s, of the arm's own torques where its motion deviates from the empty run's.

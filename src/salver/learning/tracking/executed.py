@@ -32,19 +32,21 @@ class TrackingOptions:
     """Options of reading a log of a plan.
 
     Attributes:
-        astray: largest deviation of a joint from the plan, as a share of its travel (of at least 0.3 rad); doubled,
-            logs of other motions pass.
-        pace: relative slowdown of a run that is accepted; doubled, a speed override of 5 % passes.
-        rest: rad/s, below which the arm is at rest at the end of the log; doubled, the end of the motion is cut off.
-        sparsest: least samples per second of a log; halved, vibration of the load at 20 Hz is missed.
+        astray: largest deviation of a joint from the plan, as a share of its travel (of at least 0.3 rad); with twice
+            the value logs of other motions pass.
+        pace: relative slowdown of a run that is accepted; with twice the value a speed override of 5 % passes.
+        rest: rad/s, below which the arm is at rest at the end of the log; with twice the value the end of the motion is
+            cut off.
+        sparsest: least samples per second of a log; with half the value vibration of the load at 20 Hz is missed.
         before, after: s around the motion that are checked.
-        rate: samples per second that suffice; of more samples, means are used. Doubled, twice the time.
+        rate: samples per second that suffice; a log with more samples is averaged to this rate. With twice the rate the
+            computation takes twice as long.
         slowest, fastest: Hz, limits of the smoother's cut-off. Motion above 80 Hz hardly moves a joint or the load;
-            doubled, more noise remains.
+            with twice the value more noise remains.
         slowest_shake: Hz, below which an unexplained deviation is no vibration of the tray: the arm's own motion.
-        window: s, of a spectrum of vibrations; halved, 12 and 18 Hz are one.
-        lever: m, distance of loads from the tray's middle, at which a rotation accelerates them; doubled, smaller
-            rotations are reported.
+        window: duration of the window of a vibration spectrum, s; with half the value 12 and 18 Hz cannot be separated.
+        lever: m, distance of loads from the tray's middle, at which a rotation accelerates them; with twice the value
+            smaller rotations are reported.
         negligible: m/s^2, acceleration below which a vibration is not reported, 0.2 % of the weight.
         false_alarm: probability that noise alone is reported as a vibration.
     """

@@ -37,7 +37,7 @@ class Judge:
     """Judges a motion of an arm with its load by the contact constraints of a plan's own verdict: at all speeds that
     the scenario asks for, with an arm that follows exactly, and with one that deviates under parameter errors.
 
-    constraints: without margins, of every network of touching objects.
+    constraints: those of every network of touching objects, without margins.
     """
 
     problem: TransportProblem

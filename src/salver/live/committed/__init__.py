@@ -1,1 +1,1 @@
-"""What a live motion is committed to: a verified motion to rest, its speed along its path, and its seal."""
+"""The committed motion of a live motion: verified, ending at rest, with its speed along its path and its seal."""

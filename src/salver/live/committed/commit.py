@@ -18,7 +18,8 @@ from salver.trajectory import JointMotion
 
 @dataclass(frozen=True)
 class Finding:
-    """What became of a motion that was looked at: committed, or why not. excess, what, slower: as of `Verdict`."""
+    """The result of judging a motion: the committed motion, or why it was refused. excess, what, slower: as in
+    `Verdict`."""
 
     committed: Committed | None
     excess: float
@@ -37,9 +38,9 @@ def verified(
     thoroughly: bool = False,
     profile: SpeedProfile | None = None,
 ) -> Finding:
-    """The verdict on a motion from live time `begins`, s, on that goes on from the one before (None: a long rest).
-    thoroughly: as of `verify`. profile: the path that it is, at which speed, for whoever changes the speed later;
-    nothing here depends on it."""
+    """The verdict on a motion from live time `begins`, s, on that continues the one before (None: a long rest).
+    thoroughly: as in `verify`. profile: its path and speed factor, for later changes of the speed; nothing here depends
+    on it."""
     if before is None:
         found = verify(problem, motion, None, options, thoroughly=thoroughly)
     else:
@@ -52,7 +53,8 @@ def verified(
 
 
 def committed_of(found: Verdict, begins: float) -> Committed:
-    """A motion that passed, with what goes on from it, in live time."""
+    """The committed motion, in live time, of a motion that passed the verdict, with the state in which it leaves arm
+    and load."""
     judged, margins = found.judged, found.margins
     assert judged is not None
     assert margins is not None

@@ -1,7 +1,7 @@
-"""What is committed: a verified motion that ends at rest, in the clock of the live motion.
+"""The committed motion: verified, ending at rest, in the clock of the live motion.
 
-A motion is quintic from knot to knot (`JointMotion`), so one that leaves another at an instant is exact again. What a
-wrong load and held commands have brought the arm into goes on from one motion to the next, and so do modal states.
+A motion is quintic from knot to knot (`JointMotion`), so one that leaves another at an instant is exact again. The
+arm's deviation under a parameter error and held commands continues from one motion to the next, and so do modal states.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ STEP = 1e-2  # s between instants
 
 @dataclass(frozen=True, eq=False)
 class Committed:
-    """A motion that ends at rest and whose rows were all looked at.
+    """A motion that ends at rest, with all its constraints checked.
 
     begins: live time of the motion's own time 0, s. motion: knots from 0 on; at rest after the last one, and before the
     first only when nothing moved before. nodes: (N,) live times at which the deviation is known. deviation:
-    (N, 2, n, k) e and e' of each term, see `JointLoop.start`; None where nothing is uncertain. loads: the
-    modal states of what moves inside along it, None where nothing does. off: (N,) m by which what stands on the tray
-    may be elsewhere. seal: that of the process which found that it passes (`salver.live.committed.seal`); empty while
-    nothing did. profile: which motion it is at full speed; None where it is that itself."""
+    (N, 2, n, k) e and e' of each term, see `JointLoop.start`; None where nothing is uncertain. loads: modal states of
+    liquids and pendulums along it, None without them. off: (N,) m by which objects on the tray may be displaced. seal:
+    from the process whose verdict it passed (`salver.live.committed.seal`); empty before that. profile: its path at
+    full speed and its speed factor; None at full speed."""
 
     begins: float
     motion: JointMotion
@@ -71,7 +71,7 @@ class Committed:
         return bool(np.all(self.motion.q == self.motion.q[0]))
 
     def stray(self, problem: TransportProblem) -> Array:
-        """(n,) rad, the most by which each joint may be off the motion under the uncertain set."""
+        """(n,) rad, largest deviation of each joint from the motion under the uncertain set."""
         if self.deviation is None or problem.tracking is None:
             return np.zeros(problem.n)
         e = self.deviation[:, 0]
@@ -81,8 +81,8 @@ class Committed:
         return np.asarray(off.max(axis=0))
 
     def left(self, t: float, problem: TransportProblem) -> TransportProblem:
-        """The problem of going on from it at live time t: with the deviation, and the modal states, that there are
-        then."""
+        """The problem of a motion that leaves this one at live time t: with the deviation and the modal states at that
+        instant."""
         if problem.cases:
             problem = replace(problem, past=self._loads_at(t, problem))
         return _astray(problem, self.deviation_at(t, problem))
@@ -125,8 +125,8 @@ class Committed:
 
 
 def standing_still(problem: TransportProblem, q: Array, seconds: float) -> MotionEvaluation:
-    """The arm at rest in a posture (n,) for so long, s, from the deviation and the modal states with which the problem
-    begins."""
+    """The arm at rest in a posture (n,) for a duration, s, from the deviation and the modal states with which the
+    problem begins."""
     z = np.zeros((4, max(5, int(np.ceil(seconds / STEP)) + 1), problem.n))
     z[0] = q
     return problem.at(np.linspace(0.0, 1.0, z.shape[1]), z, seconds)

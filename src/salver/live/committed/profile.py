@@ -1,7 +1,7 @@
 """A motion along its own path at another speed: the speed factor of a live motion, and how it changes.
 
-q(t) = path(u(t)) with u' = factor, so q' = factor path' and q'' = factor^2 path'' + factor' path'. The factor goes from
-where it is to another one as a cubic whose rate is zero at the end; so accelerations have no jump, and jerk is finite.
+q(t) = path(u(t)) with u' = factor, so q' = factor path' and q'' = factor^2 path'' + factor' path'. The factor changes
+to another one as a cubic whose rate is zero at the end; so accelerations have no jump, and jerk is finite.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ SAME = 1e-9  # s; instants nearer than this are one
 
 @dataclass(frozen=True)
 class SpeedOptions:
-    """How the speed factor of a live motion is changed: as soon as passes the verdict.
+    """How the speed factor of a live motion is changed: by the shortest change that passes the verdict.
 
     Attributes:
         least: smallest factor of full speed; a slower motion takes so long that it is not verified in time.
-        soonest, latest: s in which the factor changes; the first and the last duration that is tried.
-        braking: s, the last that is tried for a stop along the path of a motion that is run slowly. Other stops are
-            sooner by half of that at most, and are looked for 0.3 to 0.9 s.
+        soonest, latest: s, the first and the last duration of the change that are tried.
+        braking: s, longest duration that is tried for a stop along the path of a motion that is run slowly. Other stops
+            save at most half of it, and are searched for during 0.3 to 0.9 s.
         longer: ratio of each tried duration to the one before.
         glance: s between the instants of a first, quick verdict; only motions that pass it get the full verdict.
         again: s between a failed try and the next.
@@ -43,8 +43,8 @@ class SpeedOptions:
 class SpeedProfile:
     """A path, and how fast it is run.
 
-    path: the motion at full speed, in its own time u from 0 on. begins: live time, s, from which on the profile says
-    it; at: u then. factor, rate: the speed factor then, and its rate, 1/s. to: the factor that it has after `within` s.
+    path: the motion at full speed, in its own time u from 0 on. begins: live time, s, from which on the profile holds.
+    at: u at that time. factor, rate: the speed factor at that time, and its rate, 1/s. to: the factor after `within` s.
     """
 
     path: JointMotion
@@ -74,7 +74,7 @@ class SpeedProfile:
         return self.begins if self.factor == self.to and not self.rate else self.begins + self.within
 
     def then(self, live: float, to: float, within: float) -> SpeedProfile:
-        """From live time `live`, s, on to another factor."""
+        """The profile that changes to another factor from live time `live`, s, on."""
         at, factor, rate = (float(x[0]) for x in self.along(np.array([live - self.begins])))
         return SpeedProfile(self.path, live, at, factor, rate, to, within)
 
@@ -92,7 +92,7 @@ class SpeedProfile:
 
     def motion(self, start: tuple[Array, Array, Array] | None = None, step: float = 0.01) -> JointMotion:
         """The motion from its beginning to rest: exact at the path's knots and, while the factor changes, every `step`
-        s; between these it is quintic, as every motion is. start: q, dq, ddq (n,) of the motion that it goes on from,
+        s; between these it is quintic, as every motion is. start: q, dq, ddq (n,) of the motion that it continues,
         which was exact at other instants.
         """
         path, changing = self.path, self.within if self.settled > self.begins else 0.0

@@ -1,9 +1,9 @@
 """Seals of verdicts: those of this process, and of the processes that it started, are accepted.
 
-A motion that passed is sealed where that was found out, inside the verdict: a keyed digest of all that is known of it
-and of the one it goes on from. Whoever commits it has the same key, which it drew itself and gave to nobody but the
-planner it started. So what was altered after the verdict, taken from another arm or load, or proposed by somebody else
-has no valid seal, and is verified in full before it is committed. A digest takes less than a tenth of a verdict.
+The verdict seals a motion that passed, with a keyed digest of all data of it and of the motion that it continues. The
+process that commits it has the same key, which it drew itself and gave only to the planner that it started. So a motion
+that was altered after the verdict, belongs to another arm or load, or comes from another source has no valid seal, and
+is verified in full before it is committed. A digest takes less than a tenth of a verdict.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def seal_of(found: Committed, before: Committed | None, problem: TransportProble
 
 
 def sealed(found: Committed, before: Committed, problem: TransportProblem) -> bool:
-    """Whether a motion passed for a problem, as it is, as one that goes on from the one before."""
+    """Whether exactly this motion passed the verdict for a problem, as a continuation of the one before."""
     return bool(before.seal) and hmac.compare_digest(found.seal, seal_of(found, before, problem))
 
 

@@ -1,1 +1,1 @@
-"""What is asked of a live motion, and how it is planned anew: bent, replaced, led around what moves."""
+"""Requests of a live motion, and how it is planned anew: bent, replaced, led around moving obstacles."""

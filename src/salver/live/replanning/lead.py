@@ -1,4 +1,4 @@
-"""How long before a hand-over planning begins: as long as it took of late, and a little more."""
+"""The lead time: how long before a hand-over planning begins, which is a little more than recent planning took."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class LeadOptions:
-    """How a lead is learnt.
+    """How the lead time is learnt from the times that planning takes.
 
     Attributes:
         tick, speed, motion: s from the beginning of planning a tick, another speed or a whole motion to the hand-over,
             before it is known how long that takes.
-        of: plans of late from whose times the lead is taken.
-        spare: times the longest of them.
-        least: s.
-        most, most_with_dynamics: s.
+        of: number of recent plans from whose times the lead is taken.
+        spare: ratio of the lead to the longest of these times.
+        least: s, least lead.
+        most, most_with_dynamics: s, largest lead, without and with load dynamics.
     """
 
     tick: float = 0.05
@@ -30,8 +30,8 @@ class LeadOptions:
 
 
 class Lead:
-    """s from the beginning of planning to the hand-over, by kind: given, or learnt from how long
-    planning each takes. inner: where something moves inside a load."""
+    """Time from the beginning of planning to the hand-over, s, for each kind of planning: given, or learnt from the
+    time that planning takes. inner: whether a load has inner dynamics."""
 
     def __init__(self, given: float | None, inner: bool, options: LeadOptions) -> None:
         self._given, self._options = given, options
@@ -41,7 +41,7 @@ class Lead:
         }
 
     def took(self, kind: str, seconds: float) -> None:
-        """Planning one took so long."""
+        """Learn from the time, s, that one planning of this kind took."""
         self._spent[kind].append(seconds)
 
     def of(self, kind: str) -> float:

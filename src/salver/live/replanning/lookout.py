@@ -1,8 +1,8 @@
-"""Whether what is commanded keeps clear of what is predicted to pass, looked at whenever either changes.
+"""Whether the commanded motion keeps clear of predicted obstacles, checked whenever either changes.
 
-This knows nothing of planning and takes a few milliseconds. Distances of bounding spheres on a coarse grid of time say
-where nothing can meet. Elsewhere spans of time are halved: within a span nothing meets if the exact distances at its
-ends are together more than the way that both sides go in it.
+This knows nothing of planning and takes a few milliseconds. Distances of bounding spheres on a coarse grid of time show
+where no collision is possible. Elsewhere spans of time are halved: a span is free of collisions if the sum of the exact
+distances at its ends exceeds the path length of both sides in it.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from salver.trajectory import JointMotion
 
 @dataclass(frozen=True)
 class LookoutOptions:
-    """At which instants a commanded motion is looked at.
+    """The instants at which a commanded motion is checked against obstacles.
 
     Attributes:
-        step: s of the coarse grid, on which distances of bounding spheres are taken.
-        rates: instants in each of its steps at which the joints' rates are looked at.
-        finest: s, of a span that is not halved any more: what may meet in it is taken to meet.
+        step: s, step of the coarse grid on which distances of bounding spheres are computed.
+        rates: instants in each of its steps at which the joints' rates are evaluated.
+        finest: s, span that is not halved further: a collision that is possible in it counts as one.
     """
 
     step: float = 0.02
@@ -39,7 +39,7 @@ class LookoutOptions:
 class Sighting:
     """The moving obstacles of one call of `Live.obstacles`, with a number that tells calls apart.
 
-    news: counts the calls that told of something else than had been predicted.
+    news: number of calls whose obstacles differed from the prediction.
     """
 
     obstacles: tuple[Predicted, ...] = ()
@@ -56,7 +56,7 @@ class Sighting:
 
 @dataclass(frozen=True)
 class Near:
-    """An obstacle comes too near to a part at live time t, s; it is believed until then."""
+    """An obstacle comes too near to a part of the arm at live time t, s; the prediction holds until then."""
 
     obstacle: str
     part: str
@@ -105,7 +105,7 @@ class Path:
         return np.interp(t, self.t, self.off)
 
     def posture(self, t: float, step: float) -> Array:
-        """(n,) at a live time, s; linear between postures that are so far apart, s."""
+        """Posture (n,) at a live time, s; linear between postures that are `step` s apart."""
         if self._postures is None:
             own = np.linspace(0.0, self.motion.duration, int(np.ceil(self.motion.duration / step)) + 1)
             self._postures = self.motion.sample(own)[0]
@@ -137,7 +137,7 @@ class Lookout:
 
     @property
     def sees(self) -> bool:
-        """Whether the arm has any geometry to be looked at."""
+        """Whether the arm has any geometry to be checked."""
         return self._movable is not None
 
     def outlook(self, path: Path, sighting: Sighting, now: float) -> Outlook:

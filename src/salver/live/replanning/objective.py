@@ -1,4 +1,5 @@
-"""What a motion is to do: residuals of a twist, of timed poses or postures, and of a level tray, with their weights."""
+"""The objective of a live motion: residuals of a twist, of timed poses or postures, and of a level tray, with
+weights."""
 
 from __future__ import annotations
 
@@ -16,13 +17,13 @@ class Weights:
     """Weights of squared residuals, integrated over time.
 
     Attributes:
-        velocity, angular_velocity: of a twist, (m/s)^-2 and (rad/s)^-2.
-        joint_velocity: of joint velocities that are commanded, (rad/s)^-2 or (m/s)^-2.
-        position, rotation: of a pose that is commanded for a time, m^-2 and rad^-2.
-        joints: of a posture that is, rad^-2.
-        level, upright: of the sine of the tray's lean, where it must be level and where it may lean. Without, it came
-            to rest leaning by up to 4.3 deg after hostile twists, instead of 1.6.
-        jerk: of the joints', (rad/s^3)^-2. Without, a gentle twist is followed with 1.5 times the jerk.
+        velocity, angular_velocity: weights of a twist, (m/s)^-2 and (rad/s)^-2.
+        joint_velocity: weight of requested joint velocities, (rad/s)^-2 or (m/s)^-2.
+        position, rotation: weights of a requested pose at a time, m^-2 and rad^-2.
+        joints: weight of a requested posture at a time, rad^-2.
+        level, upright: weights of the sine of the tray's lean, where it must be level and where it may lean. Without
+            them the tray came to rest leaning by up to 4.3 deg after hostile twists, instead of 1.6 deg.
+        jerk: weight of the joints' jerk, (rad/s^3)^-2. Without it a gentle twist is followed with 1.5 times the jerk.
     """
 
     velocity: float = 100.0
@@ -51,7 +52,8 @@ class Wanted(Protocol):
     """A request that is followed as nearly as safety allows."""
 
     def residuals(self, motion: MotionEvaluation, t: Array, dt: Array, weights: Weights) -> Residuals:
-        """How far a motion is from it; t: (N,) live times of the nodes, dt: (N,) s, what each stands for."""
+        """The residuals of a motion; t: (N,) live times of the nodes, s; dt: (N,) s, weight of each node in an integral
+        over time."""
         ...
 
 
@@ -66,7 +68,7 @@ class JointsWanted:
     ahead: float = 0.12  # s for which the slope is believed
 
     def at(self, t: Array) -> Array:
-        """(N, m) at live times."""
+        """The requested velocities (N, m) at live times."""
         return np.asarray(self.rates + np.clip(t - self.t0, 0.0, self.ahead)[:, None] * self.slope)
 
     def residuals(self, motion: MotionEvaluation, t: Array, dt: Array, weights: Weights) -> Residuals:
@@ -89,8 +91,8 @@ class TwistWanted(JointsWanted):
 class ChunkWanted:
     """A timed motion of the tray or of the joints: samples at live times t (C,), increasing.
 
-    p_SE (C, 3) and R_SE (C, 3, 3), or q (C, n). Between them linear, turns about a fixed axis; after the last one it is
-    held.
+    p_SE (C, 3), m, and R_SE (C, 3, 3), or q (C, n), rad. Between samples the motion is linear, and turns about a fixed
+    axis; the last sample is held.
     """
 
     t: Array
@@ -140,7 +142,7 @@ def _pose(motion: MotionEvaluation, p_SE: Array, R_SE: Array, weight: Array) -> 
 
 
 def _joints(value: Array, order: int, nodes: Indices, weight: Array) -> Residuals:
-    """Postures, or their derivatives of an order, at nodes (N,) against what is commanded: value (N, n)."""
+    """Residuals (N, n) of postures, or of their derivatives of an order, at nodes (N,), relative to the request."""
     count, n = value.shape
     parts = np.zeros((count, n, 4, n))
     parts[:, range(n), order, range(n)] = 1.0

@@ -28,12 +28,12 @@ from salver.planning.trajopt.constraints.obstacles import CLEARANCE
 
 @dataclass(frozen=True)
 class ObstacleOptions:
-    """What is accepted of a moving obstacle.
+    """Limits of a moving obstacle that is accepted.
 
     Attributes:
         speed, size: m/s and m; beyond that a number is taken to be in another unit, and refused.
         lasts: s, the longest prediction.
-        ahead: s by which it may be said to be seen ahead of the loop's clock.
+        ahead: s by which its time stamp `seen` may be ahead of the loop's clock.
     """
 
     speed: float = 50.0
@@ -48,14 +48,14 @@ SAME = 1e-9  # m: rounding
 
 @dataclass(frozen=True, eq=False)
 class Moving:
-    """Something that moves, as it is seen now; S is the world.
+    """A moving obstacle as it is seen now; S is the world.
 
     type: "sphere" (radius, m), "capsule" (radius; length of its axis, m, along z) or "box" (size (3,), m). rotation:
-    (3, 3), kept while it moves. seen: when that was, on the clock of `Live.command`, s; when it is reported unless
-    given. position (3,), m, then; velocity, m/s, and acceleration, m/s^2 (of a thrown ball (0, 0, -9.81)), from then
-    on. samples: in place of these, times (K,), s from then, and positions (K, 3); linear between them, held after the
-    last. uncertainty: m by which it may be elsewhere then; growth: m/s by which that grows. lasts: s for which all this
-    is believed; what is not seen again by then counts as gone.
+    (3, 3), kept while it moves. seen: time of the observation on the clock of `Live.command`, s; default: the time of
+    the report. position (3,): m in S at that time; velocity, m/s, and acceleration, m/s^2, from that time on (a thrown
+    ball has (0, 0, -9.81)). samples: in place of these, times (K,), s after `seen`, and positions (K, 3), m in S;
+    linear between them, held after the last. uncertainty: m, error of the position at `seen`; growth: m/s by which it
+    grows. lasts: s for which the prediction holds; an obstacle that is not seen again by then counts as gone.
     """
 
     name: str
@@ -75,7 +75,8 @@ class Moving:
 
 
 def predicted(seen: Moving, now: float, clock: float | None = None, options: ObstacleOptions = STANDARD) -> Predicted:
-    """Predictions at live time `now`, s, when the loop's clock is at `clock`. Raises Refused where there is none."""
+    """Predictions at live time `now`, s, when the loop's clock is at `clock`, s. Raises Refused for an impossible
+    obstacle."""
 
     def refused(what: str) -> Refused:
         return Refused(f"{what} of the obstacle {seen.name}")
@@ -146,7 +147,8 @@ def predicted(seen: Moving, now: float, clock: float | None = None, options: Obs
 
 @dataclass(frozen=True, eq=False)
 class Predicted:
-    """Predicted position at live times: powers (3, 3) of the time since t0, or samples. Believed until `until`, s.
+    """Predicted position at live times: powers (3, 3) of the time since t0, or samples. The prediction holds until live
+    time `until`, s.
     solid: kind and sizes, m, of its shape."""
 
     name: str
@@ -185,34 +187,34 @@ class Predicted:
         return replace(self, powers=self.powers + np.outer([1.0, 0.0, 0.0], by), samples=samples)
 
     def place(self, t: float) -> Array:
-        """(3,) where it is at one live time."""
+        """Predicted position (3,), m in S, at one live time, s."""
         if self.samples is not None:
             return self.at(np.array([t]))[0][0]
         u, (p, v, a) = t - self.t0, self.powers
         return np.asarray(p + u * v + u * u * a)
 
     def around(self, t: Array) -> Array:
-        """(N,) m by which it may be elsewhere at live times."""
+        """Uncertainty (N,) of the predicted position at live times, m."""
         return self.uncertainty + self.growth * np.maximum(t - self.t0, 0.0)
 
     def standing(self) -> Predicted:
-        """The prediction of what stays there for ever. Raises Refused where it moves."""
+        """The prediction of an obstacle that stands still for ever. Raises Refused if it moves."""
         if self.samples is not None or self.powers[1:].any():
             raise Refused(f"it must stand still, without velocity, acceleration and samples: the obstacle {self.name}")
         return replace(self, growth=0.0, until=np.inf)
 
     @property
     def settles(self) -> float:
-        """Live time, s, from which on nothing about it changes."""
+        """Live time, s, from which on the prediction is constant."""
         return self.until if np.isfinite(self.until) else self.t0
 
     @cached_property
     def radius(self) -> float:
-        """m, of a sphere around its position that holds it."""
+        """Radius, m, of a sphere around its position that contains it."""
         return float(np.linalg.norm(self.shape.aabb_center)) + float(self.shape.aabb_radius)
 
     def fastest(self, speeds: Array) -> Array:
-        """(N,) m/s, no less than its speed at instants at which it is known, and between two of them."""
+        """Upper bound (N,) of its speed, m/s, at the instants of the prediction and between them."""
         if self.samples is None:
             return speeds
         times, positions = self.samples
@@ -220,8 +222,8 @@ class Predicted:
         return np.full_like(speeds, most.max(initial=0.0))
 
     def foresaw(self, seen: Predicted, now: float) -> bool:
-        """Whether what is seen now, live time in s, is where this has said that it may be, for as long as it is
-        believed."""
+        """Whether an obstacle that is seen now, at a live time in s, lies within this prediction for as long as both
+        hold."""
         if self.solid != seen.solid or not np.array_equal(self.R, seen.R) or self.until < now:
             return False
         t = np.linspace(now, max(now, self.settles), 8)
@@ -286,8 +288,8 @@ class Movable:
         return float(coal.distance(part, here, obstacle.shape, there, self._request, self.result))
 
     def distances(self, q: Array, obstacle: Predicted, p: Array, middles: Array | None = None) -> Array:
-        """(N, M) at postures (N, n) from an obstacle at p (N, 3), m; beyond `far` no larger than the true
-        ones. q may be one posture for all. middles: as of these postures, if they are known."""
+        """Distances (N, M) of all parts at postures (N, n) from an obstacle at p (N, 3), m; beyond `far` no larger than
+        the true ones. q may be one posture for all. middles: centres of the parts at these postures, if known."""
         middles = self.middles(q) if middles is None else middles
         out = np.linalg.norm(middles - p[:, None], axis=2) - self.radii - obstacle.radius
         last, placed = -1, None
@@ -325,10 +327,10 @@ class Movable:
 
 @dataclass(frozen=True, eq=False)
 class MovingClearance(Constraint):
-    """Rows of a motion whose time 0 is live time `begins`, s: clear of what is predicted to pass.
+    """Clearance constraints between a motion, whose time 0 is live time `begins`, s, and predicted obstacles.
 
-    at_nodes: m more that a programme keeps at its nodes, for what happens between them. rest_step: s between looks at
-    the arm at rest; both sides' way in that time is kept beside the distance.
+    at_nodes: m, additional distance at the nodes of a programme, for the motion between them. rest_step: s between
+    checks of the arm at rest; the path length of both sides in that time is added to the distance.
     """
 
     movable: Movable

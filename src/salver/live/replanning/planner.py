@@ -1,6 +1,7 @@
-"""One step of planning: what is asked and what was found. It knows no clock and no thread, so it may be made anywhere.
+"""One step of planning: a job and its answer. It knows no clock and no thread, so any process can do it.
 
-What it gives was verified (`salver.planning.verdict.verify`); whoever asked decides whether it still comes in time.
+Its motions are verified (`salver.planning.verdict.verify`); the process that sent the job decides whether they come in
+time.
 """
 
 from __future__ import annotations
@@ -29,15 +30,15 @@ THERE = 1e-5  # rad or m by which joints may miss a goal that they are at: round
 
 @dataclass(frozen=True)
 class EvasionOptions:
-    """How what comes is evaded.
+    """How moving obstacles are evaded.
 
     Attributes:
-        speed: m/s at which the tray is to leave the way of what comes, as far as load and limits allow.
-        window: s from each hand-over for which it is.
-        passes: s from when it is first too near in which it is taken to pass.
+        speed: m/s at which the tray is to leave the path of an obstacle, as far as load and limits allow.
+        window: s after each hand-over during which the tray is to move at this speed.
+        passes: s in which an obstacle is assumed to pass, from the first instant at which it is too near.
         asides: m, how far aside each direction is tried before one is chosen.
-        another: s by which an obstacle that is seen again is too near at another time to count as the same threat,
-            which is evaded in the direction chosen before.
+        another: s, difference of the times at which an obstacle is too near, up to which it counts as the same threat
+            when it is seen again; the same threat is evaded in the direction chosen before.
     """
 
     speed: float = 1.0
@@ -60,7 +61,7 @@ class PlannerOptions:
 
 @dataclass(frozen=True, eq=False)
 class Aside:
-    """Where to an obstacle is evaded that is first too near at live time t, s: in a direction (3,)."""
+    """The direction (3,) in which an obstacle is evaded that is first too near at live time t, s."""
 
     obstacle: str
     t: float
@@ -69,9 +70,9 @@ class Aside:
 
 @dataclass(frozen=True, eq=False)
 class Job:
-    """wish: what for. base: what is committed; begins: live time, s, at which it may be left. budget: s. obstacles:
-    what is predicted to pass; threats: where what is committed does not keep clear of it. now: live time, s, when it
-    was asked. factor: of full speed, at which goals are gone to."""
+    """A request to the planner. wish: what is requested. base: the committed motion; begins: live time, s, at which it
+    may be left. budget: time for planning, s. obstacles: predicted obstacles; threats: those to which the committed
+    motion comes too near. now: live time of the job, s. factor: share of full speed on the way to goals."""
 
     wish: Wish
     base: Committed
@@ -85,8 +86,8 @@ class Job:
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """found: a verified motion that goes on from the base, or None. done: nothing is to be added to the base for the
-    wish."""
+    """The planner's answer to a job. found: a verified motion that continues the base, or None. done: whether the base
+    already fulfils the request."""
 
     found: Committed | None
     status: Status
@@ -139,7 +140,7 @@ class Planner:
     def _retimed(
         self, job: Job, factor: float, problem: TransportProblem, latest: float
     ) -> tuple[Committed | None, Status]:
-        """What is committed, along its own path at another speed factor, reached in so many s at the latest."""
+        """The committed motion along its own path at another speed factor, which is reached within a time, s."""
         options, within, began = self.speed, self.speed.soonest, time.perf_counter()
         glance = replace(EXACT, step=options.glance, instants=1, each=1, step_with_dynamics=options.glance)
         while within <= latest and time.perf_counter() - began < job.budget:
@@ -157,7 +158,7 @@ class Planner:
         return None, Status("refused", "the load allows no other speed now", False)
 
     def _there(self, goal: Goal, base: Committed) -> bool:
-        """Whether what is committed ends at the goal."""
+        """Whether the committed motion ends at the goal."""
         q = base.motion.q[-1]
         posture = goal.end.nearest(self.problem.arm, self.problem.limits, q)
         return posture is not None and float(np.abs(posture - q).max()) < THERE
@@ -170,7 +171,7 @@ class Planner:
         return f"the load would not be safe at rest there: {finding.sentence}" if finding.committed is None else ""
 
     def _among(self, job: Job) -> TransportProblem:
-        """The problem with what is predicted to pass, in the time of a motion from the hand-over on."""
+        """The problem with the predicted obstacles, in the time of a motion from the hand-over on."""
         problem = self.problem
         obstacles = tuple(one for one in job.obstacles if one.until > job.begins)
         if not obstacles or self._movable is None:
@@ -197,8 +198,8 @@ class Planner:
         return Answer(found, status, found is None and self._evasive.given_up)
 
     def _shortest_aside(self, job: Job, near: Near) -> Array:
-        """The direction (3,), across the way of what comes, up or down, in which the committed motion would be clear of
-        it soonest if all of it were put aside: the same as with what comes put the other way."""
+        """The direction (3,), across the path of an obstacle, up or down, in which the committed motion, displaced as a
+        whole, would be clear of it soonest; displacing the obstacle the other way is equivalent."""
         assert self._movable is not None
         obstacle = next(one for one in job.obstacles if one.name == near.obstacle)
         t = near.t + self.evasion.passes * np.linspace(0.0, 1.0, 7)

@@ -1,7 +1,7 @@
 """A new motion while the old one runs: the shortest from the state at the hand-over to a goal, or to rest anywhere.
 
-It is sought under slightly stricter conditions than those it is then judged by, so that what is found passes, and what
-goes on from it can. What is sought is a good motion soon, not the best one late: iterations end when they gain little.
+The search uses slightly stricter constraints than the verdict, so that its result passes and can be continued. A good
+motion soon is worth more than the best one late: iterations end when they gain little.
 """
 
 from __future__ import annotations
@@ -51,22 +51,22 @@ SPLINE = RestSpline(degree=5, spans=8)
 
 @dataclass(frozen=True)
 class ReplanOptions:
-    """How a whole motion is sought, and what is done when it misses a constraint by little.
+    """Options of the search for a whole motion, and of its correction when it violates a constraint slightly.
 
     Attributes:
-        nodes_per_span: nodes of a motion that is judged at once.
-        few_nodes: nodes a span to which nodes are added where that led nowhere.
+        nodes_per_span: nodes in each span of the spline.
+        few_nodes: nodes in each span of a second attempt, which adds nodes where constraints are violated.
         gain: relative shortening below which an iteration counts as idle.
-        stretches: times that a motion is made longer at most, while what it is short of becomes less than half.
-        stretched: relative, by which each at most.
-        amply: times what would do from rest, by which a motion is made longer: one that begins moving does not become
-            slower as a whole.
-        a_little: relative, by which it is made longer beyond that: another look takes more time than this costs.
-        least_duration: s of a first guess at least.
-        likely: times what every joint, and friction, take at least, that a first guess lasts.
-        slowly: times as long a guess is where that led nowhere.
+        stretches: how often at most a motion is made longer, while each time its violation falls below half.
+        stretched: largest relative lengthening each time.
+        amply: ratio of the lengthening to the one that would suffice from rest: a motion that begins at speed does not
+            become slower as a whole.
+        a_little: relative lengthening beyond that; another check would take more time than this costs.
+        least_duration: s, least duration of an initial guess.
+        likely: ratio of the duration of an initial guess to the least time that every joint, and friction, allow.
+        slowly: factor by which the initial guess of a second attempt is longer.
         others: guesses from which a goal's postures are sought when none is near.
-        soon: s; who is at rest by then need not look for a shorter way to it, which takes as long.
+        soon: s; a motion that is at rest within this time is not shortened, because the search takes as long.
     """
 
     nodes_per_span: int = 6
@@ -85,9 +85,9 @@ class ReplanOptions:
 
 @dataclass(frozen=True, eq=False)
 class Firm(Constraint):
-    """A constraint under which motions are sought: what the verdict keeps of its rows is kept from the beginning on,
-    also where the margins of a motion that begins moving are eased, and beyond that so many `times` the planner's
-    margin; of distances, of which every millimetre counts, twice."""
+    """A tightened constraint for the search. It keeps the verdict's margins from the beginning on, also where the
+    verdict eases them for a motion that begins at speed, and in addition `times` the planner's margin (twice the margin
+    for distances, because every millimetre counts)."""
 
     judged: Constraint
     times: float = 2.0
@@ -108,10 +108,10 @@ class Firm(Constraint):
 
 
 class Sought(TransportProblem):
-    """The problem that bends are sought under. The state that a motion begins in is given, at rest too: what it lacks
-    of a planner's margins is made up for on the way."""
+    """The tightened problem for changes of the committed motion. The initial state is given, also at rest; margins of
+    the planner that are missing there are recovered on the way."""
 
-    times: ClassVar[float] = 2.0  # as of `Firm`
+    times: ClassVar[float] = 2.0  # as in `Firm`
 
     @cached_property
     def constraints(self) -> tuple[Firm, ...]:
@@ -128,14 +128,16 @@ class Sought(TransportProblem):
 
 
 class Firmer(Sought):
-    """The problem that whole motions are sought under: between nodes that are further apart, rows rise by more."""
+    """The tightened problem for whole motions: their nodes are further apart, so constraint values rise more between
+    them."""
 
     times: ClassVar[float] = 5.0
 
 
 @dataclass(frozen=True, eq=False)
 class Replanner:
-    """problem: by which motions are judged; sought: the same, under conditions a little stricter."""
+    """Searches for whole motions. problem: the constraints of the verdict; sought: the same problem, slightly
+    tightened."""
 
     problem: TransportProblem
     sought: TransportProblem
@@ -147,8 +149,8 @@ class Replanner:
         return cls(problem, Firmer.of(problem), options)
 
     def to(self, end: End, before: Committed, begins: float, time_limit: float) -> tuple[Committed | None, Status]:
-        """The shortest motion found from the committed one at live time `begins` to an end; from rest, also around what
-        is in the way."""
+        """The shortest motion found from the committed one at live time `begins`, s, to an end; from rest, also around
+        obstacles."""
         began, slow = time.perf_counter(), self.factor
         q, dq, ddq = before.state(begins)
         start = AtPosture(q, dq / slow, ddq / slow**2)  # as a motion at full speed has to begin, to go on from it
@@ -199,7 +201,7 @@ class Replanner:
         return found, self._stretched(at, found, before, begins)
 
     def _stretched(self, at: TransportProblem, motion: SplineMotion, before: Committed, begins: float) -> Finding:
-        """The verdict on a motion, or on one that takes a little longer, if that is what it lacks."""
+        """The verdict on a motion, or on one that takes a little longer, if a longer duration removes its violation."""
         finding = self._judged(at, motion, before, begins)
         for _ in range(self.options.stretches):
             if finding.committed is not None or finding.slower > self.options.stretched:
@@ -213,7 +215,7 @@ class Replanner:
         return finding
 
     def _judged(self, at: TransportProblem, found: SplineMotion, before: Committed, begins: float) -> Finding:
-        """The verdict on what was found."""
+        """The verdict on the motion that was found."""
         breaks = found.spline.breaks()
         q, dq, ddq, _ = FreeCurve(at, Grid.of(found.spline, breaks)).motion(found.coefficients, found.duration)
         for rate in (dq, ddq):
@@ -226,7 +228,7 @@ class Replanner:
 
 
 def going_on(at: TransportProblem, before: Committed, begins: float, options: ReplanOptions) -> SplineMotion:
-    """A first guess of a stop: what is committed."""
+    """An initial guess of a stop: the committed motion."""
     start = at.start
     assert isinstance(start, AtPosture)
     left = max(before.ends - begins, options.least_duration)
@@ -236,7 +238,7 @@ def going_on(at: TransportProblem, before: Committed, begins: float, options: Re
 
 
 def straight(at: TransportProblem, options: ReplanOptions) -> SplineMotion | None:
-    """A first guess of the way to a goal: straight on to the nearest of its postures; None when there is none."""
+    """An initial guess of the motion to a goal: straight to the nearest of its postures; None if it has none."""
     start = at.start
     assert isinstance(start, AtPosture)
     braking = braking_time(at)

@@ -1,4 +1,4 @@
-"""A hand or a policy in command: at each tick the committed motion is changed a little towards what is commanded.
+"""Steering by a hand or a policy: at each tick the committed motion is changed a little towards the request.
 
 The unknown is an increment: a coarse spline of the joints that begins at the hand-over with value, velocity and
 acceleration zero, and ends at rest within the horizon. A zero increment *is* the committed motion, so with bounds of
@@ -38,11 +38,11 @@ class SteeringOptions:
     Effects were measured on 12 s of gentle, hostile, noisy and interrupted twists, with a cube and a tall bottle.
 
     Attributes:
-        tick: s from one hand-over to the next; knots of increments are at its multiples. Doubled, a command is
-            followed 20 ms later.
+        tick: s from one hand-over to the next; knots of increments are at its multiples. With twice the value a command
+            is followed 20 ms later.
         breaks: ticks from the hand-over to the knots of an increment, at the last of which it is at rest.
-        nodes_per_span: at which constraints are imposed, from each knot to the next. At 3, a tick takes 0.8 of the time
-            and 1 % more of them are refused.
+        nodes_per_span: number of nodes from each knot to the next, at which constraints are imposed. At 3, a tick takes
+            0.8 of the time and 1 % more ticks are refused.
         depth: share of its limit by which a constraint may be away from its boundary and is still in the first
             programme; others join when a trial violates them. At 1, a tick takes 1.4 times as long.
         programmes: quadratic programmes in a tick at most: each but the last is followed by a trial of its solution.
@@ -60,7 +60,7 @@ class SteeringOptions:
         loosened: a constraint that the verdict found violated is tightened by its excess, at most by `depth`; after
             each increment that passed, by this share of that. Without tightening, 6 % of the ticks are refused.
         tolerance: of the solution of a quadratic programme.
-        same_knot: s; knots nearer than this are one: rounding.
+        same_knot: s; knots that are closer together count as one, because of rounding.
     """
 
     tick: float = 0.02
@@ -81,7 +81,7 @@ class SteeringOptions:
 
     @property
     def horizon(self) -> float:
-        """s in which every increment is at rest."""
+        """Time from the hand-over after which every increment is at rest, s."""
         return self.tick * self.breaks[-1]
 
 
@@ -101,8 +101,7 @@ class IncrementSpline(RestSpline):
 
 @dataclass
 class StepControl:
-    """The damping of increments, and by how much constraints are tightened, by name: what one tick learns for the
-    next."""
+    """State that one tick leaves to the next: the damping of increments, and the tightening of constraints by name."""
 
     options: SteeringOptions
     damping: float
@@ -117,25 +116,26 @@ class StepControl:
         self.damping = float(np.clip(factor * self.damping, options.least_damping, options.most_damping))
 
     def passed(self) -> None:
-        """All of an increment."""
+        """Note that a whole increment passed the verdict."""
         self.damped(self.options.passed)
         self.tightened = {name: self.options.loosened * margin for name, margin in self.tightened.items()}
 
     def refused(self, what: str, excess: float) -> None:
-        """Because of a constraint that it violates."""
+        """Note that the verdict refused an increment because of a constraint that it violates."""
         self.damped(self.options.refused)
         self.tightened[what] = min(self.tightened.get(what, 0.0) + excess, self.options.depth)
 
     def margin(self, block: Block) -> float:
-        """By which constraints are tightened; one that has a name may be that of a joint, `"acceleration of
-        panda_joint1"`, and is of the block of all joints."""
+        """The tightening of the constraints of a block; a name such as `"acceleration of panda_joint1"` belongs to the
+        block of all joints."""
         of = f"{block.name} of "
         return max((x for what, x in self.tightened.items() if what == block.name or what.startswith(of)), default=0.0)
 
 
 @dataclass(frozen=True, eq=False)
 class Steering:
-    """problem: by which motions are judged; sought: the same, under conditions a little stricter."""
+    """Changes the committed motion towards commands. problem: the constraints of the verdict; sought: the same problem,
+    slightly tightened."""
 
     problem: TransportProblem
     sought: Sought
@@ -166,7 +166,7 @@ class Steering:
         return cls(problem, sought, spline, grid, norm, jerk, hessian, StepControl.of(options), options, weights)
 
     def tick(self, wanted: Wanted, base: Committed, begins: float) -> tuple[Committed | None, Status]:
-        """Change the committed motion towards what is wanted, from live time `begins` on."""
+        """Change the committed motion towards the request, from live time `begins`, s, on."""
         control = self.control
         increment = self._increment(wanted, base, begins)
         if increment is None:
@@ -188,7 +188,7 @@ class Steering:
         return self.control.damping >= self.options.most_damping
 
     def _judged(self, base: Committed, begins: float, increment: Array) -> Finding:
-        """The verdict on what is committed with an increment."""
+        """The verdict on the committed motion with an increment."""
         return verified(self.problem, self.changed(base, begins, increment), begins, base)
 
     def changed(self, base: Committed, begins: float, increment: Array) -> JointMotion:
@@ -226,7 +226,7 @@ class Steering:
         return motion
 
     def _trial(self, motion: MotionEvaluation, increment: Array) -> MotionEvaluation:
-        """The motion with an increment. What the arm strays from it is nearly what it strays from the motion."""
+        """The motion with an increment. The arm's deviation from it is nearly that from the motion without it."""
         z = motion.z + self.grid.motion(increment, self.options.horizon)
         changed = replace(motion, z=z, known=NOTHING)
         changed = changed.knowing(terms=motion_terms(changed.model, changed.frame_id, *changed.at_nodes[:3]))
@@ -328,7 +328,8 @@ class Steering:
 
 
 def _programme(hessian: Array, cost: Array, matrix: Array, bound: Array, fixed: int) -> qp.Quadratic:
-    """Of the unknowns but the first ones, which are zero: the first control posture is that of the hand-over."""
+    """The programme in all unknowns but the first ones, which are zero: the first control posture is that of the
+    hand-over."""
     count = len(cost) - fixed
     none, free = np.zeros((0, count)), np.full(count, np.inf)
     return qp.Quadratic(hessian[fixed:, fixed:], cost[fixed:], matrix[:, fixed:], bound, none, np.zeros(0), -free, free)

@@ -1,4 +1,4 @@
-"""What may be asked of a live motion: a goal, a stop, a twist, a chunk. What cannot be is refused in a sentence."""
+"""Requests to a live motion: a goal, a stop, a twist, a chunk. An impossible request is refused in a sentence."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ ACCEPTED = Status("accepted", "Accepted.", True)
 
 @dataclass(frozen=True, eq=False)
 class Goal:
-    """To an end, at rest there. what: it is, in words."""
+    """A request to come to rest at an end of a motion. what: the end in words."""
 
     end: End
     what: str
@@ -40,17 +40,18 @@ class Goal:
 
 @dataclass(frozen=True, eq=False)
 class Halt:
-    """To rest, as soon as may be."""
+    """A request to come to rest as soon as possible."""
 
     source: Source = OPERATOR
 
 
 @dataclass(frozen=True, eq=False)
 class Follow:
-    """To do what is wanted as nearly as may be, and to stop when nothing is heard after live time `until`, s.
+    """A request to follow a stream or a chunk as closely as possible, and to stop when none comes after live time
+    `until`, s.
 
-    Of a chunk that ends in a posture or pose, it is held then. ends: this, as a goal for what was not done of it by
-    then; or why it can be none.
+    The last posture or pose of a chunk is held after that. ends: that posture or pose as a goal, in case it is not
+    reached by then; or why it cannot be a goal.
     """
 
     wanted: Wanted
@@ -62,11 +63,11 @@ class Follow:
 
     @property
     def streamed(self) -> bool:
-        """Whether it is of velocities, of a stream of which each replaces the one before."""
+        """Whether it is one of a stream of velocities, each of which replaces the one before."""
         return isinstance(self.wanted, JointsWanted)
 
     def later(self, by: float) -> Follow:
-        """The same chunk, so many s later; a twist counts from when it was said."""
+        """The request with its chunk delayed by a time, s; a twist counts from when it was made."""
         if not isinstance(self.wanted, ChunkWanted):
             return self
         wanted = replace(self.wanted, t=self.wanted.t + by)
@@ -75,14 +76,14 @@ class Follow:
 
 @dataclass(frozen=True, eq=False)
 class Evade:
-    """To keep clear of what is predicted to pass: nothing, where what is committed does; else rest elsewhere."""
+    """A request to keep clear of predicted obstacles: by the committed motion if it does, else by resting elsewhere."""
 
     source: Source = "monitor"
 
 
 @dataclass(frozen=True, eq=False)
 class Retime:
-    """To go on along the same path at another factor of full speed."""
+    """A request to continue along the same path at another share of full speed."""
 
     factor: float
     source: Source = "monitor"
@@ -92,21 +93,21 @@ Wish = Goal | Halt | Follow | Evade | Retime
 
 
 def id_of(wish: Wish | None) -> int:
-    """The number of the request that it is for; 0 where it is for none."""
+    """The number of the user's request that this one serves; 0 if it serves none."""
     return wish.id if isinstance(wish, Goal | Follow) else 0
 
 
 @dataclass(frozen=True)
 class RequestOptions:
-    """What is accepted of a request, and how it is understood.
+    """Which requests are accepted, and how they are understood.
 
     Attributes:
         speed, turn, distance: m/s, rad/s and m; beyond that a number is taken to be in another unit, and refused.
-        silence: s after a twist at which it counts no more. Doubled, an arm whose hand fell silent brakes 0.1 s later.
-        slope_window: s of twists of late whose slope over time is believed to go on; where there are none so near, the
-            last one of `slope_reach` s counts. At 0.04, a gentle hand is followed with 1.2 times the error.
-        slope_least: s from the first of them to now; of less no slope is told. At 0, after 0 and 0.1 m/s within 1 ms,
-            the tray went at up to 0.29 m/s.
+        silence: s after which a twist expires. Doubled, an arm whose operator falls silent brakes 0.1 s later.
+        slope_window: s of recent twists whose slope over time is extrapolated; if there are none in it, the last one
+            within `slope_reach` s counts. At 0.04, a gentle stream is followed with 1.2 times the error.
+        slope_least: s from the first of these twists to now, below which no slope is computed. At 0, after twists of 0
+            and 0.1 m/s within 1 ms, the tray moved at up to 0.29 m/s.
     """
 
     speed: float = 5.0
@@ -131,7 +132,7 @@ class Refused(Exception):
 
 
 def shown(value: object) -> str:
-    """The beginning of what was given, in quotes."""
+    """The beginning of a value's text, in quotes, for a message."""
     try:
         return repr(str(value)[:40])
     except Exception:  # a number of thousands of digits
@@ -139,17 +140,18 @@ def shown(value: object) -> str:
 
 
 def is_source(value: object) -> bool:
-    """Whether it is one of those that may request."""
+    """Whether a value is one of the sources of requests."""
     return isinstance(value, str) and value in PRIORITY
 
 
 def is_flag(value: object) -> bool:
-    """Whether it is True or False, and nothing that only counts as such."""
+    """Whether a value is True or False itself, and not only truthy."""
     return isinstance(value, bool | np.bool_)
 
 
 def _plain(value: Any, depth: int) -> bool:
-    """Whether it is real numbers, nested at most so deep: no truth values, texts, complex or masked numbers."""
+    """Whether a value consists of real numbers, nested up to a depth, without truth values, texts, complex or masked
+    numbers."""
     if isinstance(value, list | tuple):
         return depth > 0 and all(_plain(one, depth - 1) for one in value)
     if isinstance(value, np.ma.MaskedArray):
@@ -160,7 +162,7 @@ def _plain(value: Any, depth: int) -> bool:
 
 
 def numbers(value: Any, shape: tuple[int, ...], what: str) -> Array:
-    """An array of finite numbers of a shape; raises Refused where it is none."""
+    """An array of finite numbers with this shape; raises Refused for other values."""
     try:
         array = np.array(value, dtype=float) if _plain(value, len(shape)) else None
     except Exception:  # whatever is in what was given
@@ -175,7 +177,7 @@ def numbers(value: Any, shape: tuple[int, ...], what: str) -> Array:
 
 
 def factor_of(value: Any, least: float) -> float:
-    """A factor of full speed."""
+    """A share of full speed from a user's value; raises Refused for an impossible one."""
     try:
         factor = float(numbers(value, (), "the factor"))
     except Refused:
@@ -252,7 +254,8 @@ def stream_wish(
     heard: Sequence[tuple[float, Array]], latest: Array, now: float, kind: type[JointsWanted],
     options: RequestOptions = STANDARD_REQUESTS,
 ) -> Follow:  # fmt: skip
-    """The latest velocities (m,) of a stream, of a kind. heard: live times, and what was followed before."""
+    """The request that follows the latest velocities (m,) of a stream. heard: live times and velocities of the stream
+    so far."""
     before = [(t - now, old) for t, old in heard if now - options.slope_reach <= t < now]
     recent = [x for x in before if -x[0] <= options.slope_window + 1e-9] or before[-1:]
     slope = still = np.zeros_like(latest)
@@ -267,7 +270,7 @@ def chunk_wish(
     problem: TransportProblem, times: npt.ArrayLike, poses: Any, joints: npt.ArrayLike | None, now: float,
     factor: float = 1.0, options: RequestOptions = STANDARD_REQUESTS,
 ) -> Follow:  # fmt: skip
-    """Poses or postures at times (C,) from now on, s; at a factor of that speed."""
+    """The request for poses or postures at times (C,) from now on, s, at a share of that speed."""
     if (poses is None) == (joints is None):
         raise Refused("a chunk is of poses or of joints, one of them")
     try:
@@ -300,7 +303,7 @@ def chunk_wish(
 
 
 def why_not(problem: TransportProblem, goal: Goal) -> str:
-    """Why nothing can come to rest there, or nothing: what stands in the way of it."""
+    """Why the arm cannot come to rest there, in words; empty if it can."""
     if problem.keep_out is None:
         return ""
     parts = problem.keep_out.parts

@@ -17,7 +17,7 @@ LARGEST = 50_000_000  # bytes of a mesh or a URDF
 
 
 def read_mesh_file(file: str | Path, most: int = 1_000_000) -> Trimesh:
-    """The triangles of a file, at most so many, all parts together. Raises ValueError, whose message continues a
+    """The triangles of all parts of a file, up to a largest number. Raises ValueError, whose message continues a
     sentence."""
     import trimesh
 

@@ -68,8 +68,8 @@ def plan_legs(scenario: Scenario, *, options: FastestOptions | None = None, watc
 
 
 def _begins(problems: Sequence[TransportProblem], options: FastestOptions) -> Iterator[list[SplineMotion] | None]:
-    """Yield None, with which each leg chooses its own end posture; then initial motions of all legs along the most
-    promising chains of postures."""
+    """Yield None first, so that each leg chooses its own end posture; then yield initial motions of all legs along the
+    most promising chains of postures."""
     yield None
     few = few_pieces(options)
     for chain in chains(problems, np.random.default_rng(options.seed))[: options.pairs]:

@@ -26,7 +26,7 @@ class FastestOptions:
         refined, near: damping of the first step after spline pieces were added, and from the optimum of a similar
             problem; larger values stay closer to it.
         iterations: limit per optimum, as a multiple of the default (60; 25 for a rough one).
-        seed: of the random number generator.
+        seed: seed of the random number generator.
         time_limit: s; None for no limit, which makes the result independent of the computer's speed.
     """
 

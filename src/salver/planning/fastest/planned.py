@@ -147,8 +147,8 @@ def tightened(found: FastestMotion, most: float = 0.01) -> TransportProblem | No
 def slow_enough(
     found: FastestMotion, plan: Plan, planned: Callable[[FastestMotion], Plan], robust: bool
 ) -> tuple[FastestMotion, Plan]:
-    """The motion and its plan, slowed down by the smallest of a few shares with which it passes the plan's check, which
-    tests more instants than the optimiser does; unchanged if none is enough, which means an error of the optimiser."""
+    """The motion and its plan, slowed down by the smallest of a few shares at which it passes the plan's check, which
+    tests more instants than the optimiser. If no share is enough, both are unchanged: the optimiser has an error."""
     if found.status.ok and not _passes(plan, robust):
         for share in (1e-4, 1e-3, 4e-3, 1.6e-2):
             duration = found.duration * (1 + share)

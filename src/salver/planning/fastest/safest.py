@@ -76,16 +76,16 @@ def plan_best(
     options: FastestOptions,
     watch: Watch,
 ) -> Plan:
-    """The plan with the better of the local optima of an objective in a duration, s.
+    """The plan of the best local optimum of an objective in a duration, s.
 
     Args:
         quickest: the fastest motion (`quickest_within`).
         duration: s.
         objective: what the optima minimise.
-        cost: of an optimum; the one with the least is taken.
-        told: returns the first half of the plan's sentence, and what is added to its record.
-        method: of the plan.
-        options: of the search.
+        cost: cost of an optimum; the optimum with the least one is taken.
+        told: returns the first half of the plan's sentence, and entries of its record.
+        method: method of the plan, as it is recorded.
+        options: options of the search.
         watch: may end the search early, with the best motion so far.
     """
     scenario = quickest.problem.scenario

@@ -39,7 +39,7 @@ class FreeSpace:
 
     @classmethod
     def between(cls, problem: TransportProblem, ends: Array, looks: int) -> FreeSpace:
-        """The space of paths between end postures (N, n)."""
+        """The free space for paths between end postures (N, n), rad."""
         up = [problem.arm.tray_pose(q)[1][2, 2] for q in ends]
         lean = cls.level + max(0.0, *(float(np.arccos(np.clip(x, -1.0, 1.0))) for x in up))
         if problem.keep_out is None:

@@ -173,7 +173,7 @@ def rough(
 ) -> SqpSolution:
     """A rough optimum with few spline pieces, unchecked between its nodes: an initial guess for one with more.
 
-    gain, beat: as of `optimise`.
+    gain, beat: as in `optimise`.
     """
     programme = programme_of(problem.roughly, curve_of, start, start.spline.nodes(nodes_per_span), points=1)
     begun = programme.begin(start.coefficients, start.duration)

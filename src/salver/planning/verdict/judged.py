@@ -33,7 +33,7 @@ from salver.trajectory import JointMotion, Quintics, extremes
 
 @dataclass(frozen=True)
 class VerdictOptions:
-    """Instants of a verdict, and the margins that it requires there for peaks between them.
+    """The instants at which a verdict evaluates constraints, and the margins that it requires for peaks between them.
 
     Attributes:
         step: time between instants, s; every knot of the motion is an instant. With twice the step a verdict takes 0.7
@@ -59,9 +59,10 @@ class VerdictOptions:
             which the planner keeps at its instants only, may be smaller by as much: 0.01 mm. Live motions, from which
             others go on, must keep the whole margin.
         forgiven: share of a row's margin (never of the row itself) that may be missing during the first `beginning`
-            seconds, where the jerk has just changed. With 0, changes of motion are refused for an inherited margin.
-        at_rest: largest velocity and acceleration at the end of a motion, rad/s and rad/s^2: rounding.
-        continuous: largest difference of a motion's start from the arm's state, rad, rad/s, rad/s^2: rounding.
+            seconds, where the jerk has just changed. With 0, changes of motion are refused because of margins that the
+            motion before had already used.
+        at_rest: largest velocity and acceleration at the end of a motion, rad/s and rad/s^2, due to rounding.
+        continuous: largest difference of a motion's start from the arm's state, rad, rad/s, rad/s^2, due to rounding.
     """
 
     step: float = 2.5e-3

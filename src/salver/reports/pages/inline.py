@@ -1,4 +1,4 @@
-"""The page of a run as an object: shown where it stands in a notebook, written where it is told."""
+"""The page of a run as an object: shown in a notebook, and written to a path."""
 
 from __future__ import annotations
 

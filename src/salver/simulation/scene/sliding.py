@@ -1,7 +1,7 @@
 """Kinetic friction of the engine's contacts: a share of their static friction while they slide.
 
-MuJoCo has one coefficient for each pair of geoms. Before each command, that of the pairs that touch is set by the
-velocity at which they slide past each other there. Contacts that hold creep more slowly than `SLIDES`.
+MuJoCo has one coefficient for each pair of geoms. Before each command, the coefficient of each pair that touches is set
+by its sliding velocity at the contact. Contacts that hold creep more slowly than `SLIDES`.
 """
 
 from __future__ import annotations

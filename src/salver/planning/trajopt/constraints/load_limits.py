@@ -21,8 +21,8 @@ from salver.planning.trajopt.evaluation import MotionEvaluation
 @dataclass(frozen=True, eq=False)
 class LoadConstraint(Constraint):
     """Limits of a body's inner dynamics (`LoadResponse.limits`), during the motion and after it, in all cases; rows are
-    in units of the room up to the limit. speed: factor above 0. spare: share of the room that is kept below full speed,
-    for the speeds between those that are named."""
+    in units of the room up to the limit. speed: factor above 0. spare: share of the room that is kept free below full
+    speed, for speed factors between the constrained ones."""
 
     body: Body
     speed: Speed = FULL_SPEED
