@@ -16,7 +16,7 @@ class AuditOptions:
         acceleration at the highest frequency.
     noise: standard deviation of the samples, m (rad for joints); None: estimated. Half as sensitive to motion.
     longest_gap: s, longest gap that is interpolated; None: 0.02 s, or 3.5 steps. Longer guesses are judged.
-    slowest: s between samples from which on times are taken for ms. Slower recordings are judged.
+    slowest: time between samples, s, above which times are taken to be in ms. Slower recordings are judged.
     fewest: least number of samples of a verdict. Recordings must be twice as long.
     false_alarm: probability that noise counts as motion, for each kind of window. Slightly higher bandwidths.
     hideable: size of a vibration that is always found, standard deviations over its window. Noise hides twice as much.

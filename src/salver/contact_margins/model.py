@@ -74,8 +74,8 @@ class MarginModel(Outlined):
 def margin_model(scenario: Scenario, edges: int | None = None) -> MarginModel:
     """The margin model of a scenario, cached.
 
-    edges: of the friction pyramids. By default a multiple of the scenario's, so that these pyramids contain the
-    scenario's; the scenario's own if the contacts have too many points for more.
+    edges: number of edges of the friction pyramids. Default: a multiple of the scenario's number, so that these
+    pyramids contain the scenario's; the scenario's own number if the contacts have too many points for more.
     """
     own = scenario.contact.edges
     finer = own * -(-EDGES // own)

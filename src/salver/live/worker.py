@@ -54,10 +54,9 @@ class Worker:
         stops: bool = False,
         options: WorkerOptions = WorkerOptions(),
     ) -> None:
-        """budget: s that one step of planning may take, about. process: plan in a process of its own, so that the
-        loop's has its interpreter to itself; it takes some seconds to start. Otherwise a thread plans, which makes a
-        loop beside it late. stops: when nothing else is to be planned, plan stops that are then ready in the loop's
-        process.
+        """budget: approximate time of one step of planning, s. process: plan in a process of its own, which leaves the
+        interpreter to the robot's loop and takes some seconds to start; otherwise in a thread, which delays a loop
+        beside it. stops: when nothing else is to be planned, plan stops that are then ready in the loop's process.
 
         A small thread here exchanges with the process. Start it from a thread that has the loop's real-time priority:
         it inherits that, and the process does not. Without, the loop waits for it on a machine that is busy.

@@ -49,7 +49,7 @@ class LooseObject:
 
     @property
     def pushed(self) -> tuple[bool, bool]:
-        """Whether it is pushed against the rim along x and y of the tray, so that its place is exact there."""
+        """Whether the body is pushed against the rim along x and along y of the tray, where its place is then exact."""
         return any("x" in side for side in self.against), any("y" in side for side in self.against)
 
     @property

@@ -203,7 +203,7 @@ class LoadDynamics(ABC):
 
     @property
     def open(self) -> bool:
-        """Whether its body is open at the top."""
+        """Whether the body that contains the dynamics is open at the top."""
         return False
 
     def edge(self, value: float) -> float:

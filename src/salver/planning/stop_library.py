@@ -47,7 +47,7 @@ class StopLibrary(Shown):
     end: float
 
     def course(self, now: float) -> StopCourse:
-        """The course that is at rest first after a stop request at `now`, s of the plan's time."""
+        """The motion that comes to rest first after a stop request at `now`, s of the plan's time."""
         if now <= 0:
             return StopCourse(now, None, now)  # at rest where the plan would begin
         ahead = np.flatnonzero(self.t >= now - SAME)
@@ -90,7 +90,7 @@ class StopLibrary(Shown):
         return plan if course.stop is None else self.after(plan, course.stop)
 
     def after(self, plan: JointMotion, k: int) -> JointMotion:
-        """The plan up to the instant at which stop k leaves it, and that stop."""
+        """The motion of the plan up to the instant at which stop k leaves it, and then of that stop."""
         before, stop = plan.t[plan.t < self.t[k] - SAME], self.motion(k)
         t = np.concatenate([before, self.t[k] + stop.t])
         states = (np.vstack([a, b]) for a, b in zip(plan.sample(before), (stop.q, stop.dq, stop.ddq), strict=True))

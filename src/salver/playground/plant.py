@@ -53,7 +53,7 @@ class Plant:
         self.data.qacc_warmstart[:] = 0
 
     def step(self, controller: ArmController, t: float) -> None:
-        """One control period from time t."""
+        """Advance by one control period from time t, s."""
         torque = controller.step(ArmState(self.q, self.dq), t)
         step(self.scene, self.data, t, torque, self._steps, self.inner.took)
 

@@ -122,7 +122,7 @@ class World:
             time.sleep(2e-3)
 
     def advance(self) -> None:
-        """One control period."""
+        """Advance by one control period."""
         with self._lock:
             self.plant.step(self._controller if self.protected else self._jogging, self.t)
             self.t += self.period

@@ -134,12 +134,12 @@ class ReportedRun:
 
     @property
     def given(self) -> bool:
-        """Whether its motion was made by somebody else."""
+        """Whether the motion of the run was made by another planner."""
         return self.plan.summary.get("method") == "given"
 
     @property
     def paper(self) -> bool:
-        """Whether its plan is held to the paper's contact condition."""
+        """Whether the plan must satisfy the paper's contact condition."""
         return self.scenario.contact.condition == "paper" and not self.given
 
     @cached_property

@@ -351,7 +351,7 @@ class CarriedObject(Model):
 
     @property
     def sides(self) -> tuple[str, ...]:
-        """Names of the sides of the rim that it is pushed against."""
+        """Names of the sides of the rim against which the object is pushed."""
         return (self.against,) if isinstance(self.against, str) else tuple(self.against or ())
 
     def _check_against(self) -> None:

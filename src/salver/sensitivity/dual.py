@@ -60,7 +60,7 @@ class Dual:
 
     @cached_property
     def vanishes(self) -> bool:
-        """Whether it is identically zero."""
+        """Whether the number is identically zero."""
         return self.tangent is None and not self.value.any()
 
     def cross(self, other: Dual) -> Dual:

@@ -31,8 +31,9 @@ class LocalPage(ThreadingHTTPServer):
     block_on_close = False
 
     def __init__(self, show: Callable[[str], Shown], say: Callable[[Any], Any], port: int, most: int):
-        """show: what stands at an address below the token's: bytes and their kind, or events, or None. say: the answer,
-        for JSON, to a message that was posted. port: 0 for one that is free. most: bytes of a message.
+        """show: returns the content at an address below the token's: bytes and their type, or events, or None. say:
+        returns the answer to a posted message, for JSON. port: 0 for any free one. most: largest size of a message,
+        bytes.
 
         Raises SalverError when the port is taken.
         """

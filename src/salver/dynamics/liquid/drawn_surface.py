@@ -54,17 +54,17 @@ class DrawnSurface(Drawn):
 
     @property
     def level_B(self) -> Array:
-        """(3,) centre of the surface, in B; waves do not move it."""
+        """Centre (3,) of the surface in B, m; waves do not move it."""
         return self.body.inner_origin_B(self.fill)
 
     @property
     def bottom_B(self) -> Array:
-        """(n, 3) corners of the inside's bottom."""
+        """Corners (n, 3) of the inner bottom, m in B."""
         return self._ring(0.0)
 
     @property
     def edge_B(self) -> Array:
-        """(n, 3) corners of the brim."""
+        """Corners (n, 3) of the brim, m in B."""
         return self._ring(self.liquid.brim)
 
     def _ring(self, height: float) -> Array:
@@ -72,7 +72,7 @@ class DrawnSurface(Drawn):
         return np.column_stack([corners, np.zeros(len(corners))]) + self.body.inner_origin_B(height)
 
     def ring_B(self, k: int) -> Array:
-        """(n, 3) corners of the surface at sample k."""
+        """Corners (n, 3) of the surface at sample k, m in B."""
         corners = wall(self.body)
         return np.column_stack([corners, corners @ self.slope[k]]) + self.level_B
 

@@ -101,8 +101,8 @@ def _normal(
     delays: dict[str, float],
     bounds: SensorBounds,
 ) -> tuple[list[SystematicError], list[tuple[float, str]], Array, Array]:
-    """Systematic errors; ratios of noise to assumed noise with the names of channels; the normal equations of phi and
-    the errors, linearised about a load and delays of sensors, s."""
+    """The systematic errors, the ratio of noise to assumed noise of each channel with its name, and the normal
+    equations of phi and the errors, linearised about a load and delays of sensors, s."""
     index, errors, parts, noisier = dict[Key, int](), list[SystematicError](), [], list[tuple[float, str]]()
     slid = _slid(phi)
     for number, (readings, weight) in enumerate(zip(runs, weights, strict=True)):

@@ -74,7 +74,7 @@ def narrowed(
 
 
 def _within(k: int, sure: Ends, before: Ends, likely: Ends) -> Range:
-    """The range of entry k of `INERTIAL`, within the range before. Raises SalverError when it is empty."""
+    """The range of entry k of `INERTIAL`, within the range before. Raises SalverError when the new range is empty."""
     (a, b), known, probable = ((float(low[k]), float(high[k])) for low, high in (sure, before, likely))
     low, high = max(a, known[0]), min(b, known[1])
     if low > high:

@@ -67,7 +67,7 @@ class Committed:
 
     @property
     def at_rest(self) -> bool:
-        """Whether it does not move at all."""
+        """Whether the motion is a rest from its beginning on."""
         return bool(np.all(self.motion.q == self.motion.q[0]))
 
     def stray(self, problem: TransportProblem) -> Array:
@@ -101,7 +101,7 @@ class Committed:
         return along.response.state_at(along.shares * held, held)
 
     def _loads_at(self, t: float, problem: TransportProblem) -> Past:
-        """The modal states at live time t, of which there are some."""
+        """The modal states at live time t, s; only with a liquid or pendulum."""
         if self.loads is None:
             problem.check_still("a motion that goes on from another")
         assert self.loads is not None

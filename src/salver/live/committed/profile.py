@@ -80,7 +80,7 @@ class SpeedProfile:
 
     @property
     def over(self) -> bool:
-        """Whether the path has ended before the factor is there."""
+        """Whether the path has ended before the factor reaches its new value."""
         return float(self.along(np.array([self.within]))[0][0]) >= self.path.duration
 
     @property

@@ -45,7 +45,7 @@ class Lead:
         self._spent[kind].append(seconds)
 
     def of(self, kind: str) -> float:
-        """s."""
+        """Lead time of a kind of planning, s."""
         if self._given is not None:
             return self._given
         options, spent = self._options, self._spent[kind]

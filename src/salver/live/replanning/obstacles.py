@@ -163,11 +163,11 @@ class Predicted:
 
     @property
     def shape(self) -> Any:
-        """As Coal has it."""
+        """The obstacle as a shape of Coal."""
         return _shape(*self.solid)
 
     def at(self, t: Array) -> tuple[Array, Array]:
-        """(N, 3) positions and velocities at live times (N,)."""
+        """Predicted positions (N, 3), m in S, and velocities (N, 3), m/s, at live times (N,), s."""
         if self.samples is None:
             u = (t - self.t0)[:, None]
             p, v, a = self.powers

@@ -37,7 +37,7 @@ class LimitKind:
 
     @property
     def name(self) -> str:
-        """In words."""
+        """The kind of limit in words."""
         return self.key.replace("_", " ")
 
     def unit_of(self, linear: bool) -> str:
@@ -127,7 +127,7 @@ class JointLimits:
 
     @property
     def finite_velocity(self) -> Array:
-        """(n,) that velocities are measured by: the limit, 1 where nobody gave one."""
+        """Velocities (n,), rad/s, by which velocities are scaled: the limits, 1 for a joint without one."""
         return np.where(np.isfinite(self.velocity), self.velocity, 1.0)
 
     def velocity_at(self, q: Array, dq: Array) -> tuple[Array, Array]:
@@ -142,8 +142,8 @@ class JointLimits:
         return np.clip(limit, STANDING, self.velocity), np.where(free, by_q, 0.0)
 
     def shares(self, curves: Mapping[str, Array]) -> dict[str, Array]:
-        """Shares (..., n) used of each kind of limit, by key, for values (..., n) of some: 1 and -1 are the limits.
-        With positions among the values, velocities are measured by the limits there."""
+        """Shares (..., n) of each kind of limit, by key, for values (..., n) of some kinds: 1 and -1 are the limits. If
+        the values include positions, velocity limits are those at these positions."""
         found = {}
         for kind in LIMITS:
             if kind.key in curves:
@@ -154,7 +154,7 @@ class JointLimits:
         return found
 
     def scaled(self, shares: Mapping[str, float]) -> JointLimits:
-        """These shares, by key, of the limits; the whole of the others."""
+        """The limits scaled by shares, by key; limits without a share are unchanged."""
         by_position = self.velocity_by_position
         if by_position is not None:
             by_position = by_position.scaled(shares.get("velocity", 1.0))

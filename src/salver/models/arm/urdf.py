@@ -113,7 +113,7 @@ def read_chain(path: Path, flange: str, package_dirs: Sequence[Path] = (), longe
 def read_disabled_pairs(path: Path, links: Collection[str]) -> frozenset[tuple[str, str]]:
     """Pairs of links, names in order, whose collisions an SRDF (MoveIt's semantic description) disables.
 
-    Raises ScenarioError: it cannot be read, or names none of the robot's links.
+    Raises ScenarioError when the file cannot be read, or names none of the robot's links.
     """
     try:
         root = ElementTree.parse(path).getroot()

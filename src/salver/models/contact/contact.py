@@ -50,7 +50,7 @@ class ContactSet:
         )
 
     def joined(self, walls: ContactSet) -> ContactSet:
-        """These points, then those on walls, with the edges of these."""
+        """A contact set with these points, then those on walls, all with the cone edges of this set."""
         p_BC, R_BC = np.concatenate([self.p_BC, walls.p_BC]), np.concatenate([self.R_BC, walls.R_BC])
         friction = np.concatenate([self.friction, walls.friction])
         return replace(self, p_BC=p_BC, R_BC=R_BC, friction=friction, on_walls=walls.count)

@@ -67,7 +67,7 @@ class Parameter:
 
     @property
     def places(self) -> bool:
-        """Whether it is a position or a tilt."""
+        """Whether the parameter is a position or a tilt."""
         return self.kind in ("position", "tilt")
 
 

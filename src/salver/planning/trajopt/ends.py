@@ -32,7 +32,7 @@ class End(ABC):
 
 @dataclass(frozen=True, eq=False)
 class AtPose(End):
-    """At rest, with the load at a pose."""
+    """The boundary condition of rest, with the load at a pose."""
 
     target: PoseTarget
 

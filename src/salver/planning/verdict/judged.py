@@ -38,10 +38,12 @@ class VerdictOptions:
     Attributes:
         step: time between instants, s; every knot of the motion is an instant. With twice the step a verdict takes 0.7
             of the time, and contact rows rise by more than `contact` between instants.
-        instants: least number for a motion without load dynamics, but no closer than `period`. Stops of 0.2 s change
+        instants: least number of instants of a motion without load dynamics, if they are then at least `period` apart.
+            Stops of 0.2 s change
             fast: between instants `step` apart they exceeded torque rate limits by up to 1.8 %, contact by 0.2 %.
-        each: least number between two knots, but no closer than `period`: the jerk is a parabola there. With 1, a live
-            motion with knots 3.6 ms apart exceeded a torque rate limit by 3 % between two instants.
+        each: least number of instants between two knots, if they are then at least `period` apart: the jerk is a
+            parabola there. With 1, a live motion with knots 3.6 ms apart exceeded a torque rate limit by 3 % between
+            two instants.
         step_with_dynamics: s, instead of `step` with load dynamics, whose cases are expensive.
         deriving: derivatives of the dynamics are computed at every such instant and at knots, and are linear between.
             They multiply the small deviation: contact rows change by less than 2e-4 (test_live_verdict.py). With
@@ -254,8 +256,8 @@ class Judged:
 
     @cached_property
     def settling(self) -> float:
-        """m by which what stands on the tray may be further away in the rest after the motion than at its end; 0 where
-        that rest is judged with the motion."""
+        """Additional displacement of the objects on the tray in the rest after the motion, beyond that at its end, m; 0
+        where that rest is judged with the motion."""
         if self.along.response is None or not self.problem.cases:
             return 0.0
         stray = strayed(*self.along.rest.tray_radius())

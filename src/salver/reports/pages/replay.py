@@ -58,8 +58,8 @@ def stage(
 
 
 def _post(tray: Tray, flange_E: Array) -> list[list[float]]:
-    """Points, in E, of what holds the tray at the flange (3,): straight from below; from above around the tray's edge,
-    for the load is between them."""
+    """Points, m in E, of the drawn bracket from the flange (3,) to the tray: a straight line from below; from above a
+    line around the tray's edge, because the load is between flange and tray."""
     x, y, z = flange_E.tolist()
     if z <= 0.0:
         return [[x, y, z], [0.0, 0.0, -tray.thickness]]

@@ -98,7 +98,7 @@ def _alike(loads: CaseGroups) -> list[CaseGroups]:
 
 @dataclass(frozen=True, eq=False)
 class GroupResponse:
-    """All cases of a group of `alike` loads along a motion.
+    """Responses of a group of `alike` loads along a motion, in all their cases.
 
     planned: modes on a tray without tracking error. For a compliant arm: modes with its deviation, its reaction to
     them, and uncertain changes (K, T, 12, n_c) of the tray's motion regressor.

@@ -48,7 +48,7 @@ class LoadChange:
     def radius(self, sensitivity: Array) -> Array:
         """Half-width (...) of the tube of quantities with sensitivity (..., n_c) over the uncertain set.
 
-        The parameters vary within their set, and every product is at its largest.
+        The parameters take the worst values in their set, and every product of two its largest value.
         """
         terms, n_p = sensitivity * self.half_range, self.uncertain.size
         return support(terms[..., :n_p], self.uncertain.spread) + support(terms[..., n_p:], None)

@@ -123,12 +123,12 @@ class MotionTerms:
 
     @property
     def mass_matrix(self) -> Array:
-        """(T, n, n)."""
+        """Mass matrix (T, n, n) of the arm."""
         return self.torque_z[:, :, -self.torque.shape[1] :]
 
     @cached_property
     def mass_inverse(self) -> Array:
-        """(T, n, n)."""
+        """Inverse (T, n, n) of the mass matrix."""
         return np.asarray(np.linalg.inv(self.mass_matrix))
 
     @property
