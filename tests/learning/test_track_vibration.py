@@ -20,6 +20,7 @@ from salver.learning.tracking.track import Judge, track
 from salver.learning.tracking.vibration import vibration_of
 from salver.models.uncertain.parameters import Vibration
 from salver.planning.plan import Plan, load_plan
+from salver.planning.trajopt.problem import transport_problem
 
 ASKEW = np.array([0.36, 0.48, 0.8])
 Log = tuple[Array, Array]
@@ -113,6 +114,10 @@ def test_a_plan_with_the_shake_that_was_measured_counts_it_once(bottle_plan, jud
     assert told["shake"] == table
     words = f"[uncertainty] shake = {{ amplitude = {table['amplitude']:g}, frequency = 12 }}"
     assert words in " ".join(CliRunner().invoke(app, command).stdout.split())
+
+
+def test_a_log_has_the_delay_of_held_commands_in_it_which_is_not_added_to_it(bottle_plan, judge) -> None:
+    assert judge.problem.tracking.delay == 0.0 < transport_problem(bottle_plan.scenario).tracking.delay
 
 
 @pytest.mark.slow
