@@ -426,6 +426,10 @@ def test_commands_that_cannot_be(tmp_path):
             '--option live.queued is "0.5"; it must be a number above 0, as 100.',
         ),
         (
+            ["panda-cube", "--live", str(script_file), "--dry-run", "--option", "longest=soon"],
+            '--option longest is "soon"; it must be a number above 0, as 120.',
+        ),
+        (
             ["panda-cube", "--live", str(script_file), "--dry-run", "--option", "live.lead=1"],
             '--option: there is no "live.lead."; there are tick, speed',
         ),

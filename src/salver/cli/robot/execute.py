@@ -188,7 +188,8 @@ def _changed(options: Any, name: str, value: str, before: str = "") -> Any:
     now = known[first]
     if is_dataclass(now):
         return replace(options, **{first: _changed(now, rest, value, f"{before}{first}.")})
-    (number,) = numbers(value) if len(value.split()) == 1 else (0.0,)
+    given = numbers(value)
+    number = given[0] if len(given) == 1 else 0.0
     if rest or not isinstance(now, int | float) or not 0.0 < number < float("inf") or type(now)(number) != number:
         must = f"a number above 0, as {now:g}" if isinstance(now, int | float) and not rest else "a number of its own"
         raise SalverError(f'--option {before}{name} is "{value}"; it must be {must}.')
