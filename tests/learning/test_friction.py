@@ -171,6 +171,11 @@ def test_command_plans_and_reads(tmp_path: Path) -> None:
     run = str(tmp_path / "tilt")
     assert said("panda-cube", "--shows", "0.3", "-o", run).startswith("0 ")
     assert "Friction is at least 0.30" in said(run, "--scenario", "panda-cube")
+    alone, beside = said(run), " ".join(said(run, "--against", run).split())
+    assert "--against" in alone
+    assert "--against" not in beside
+    assert "The plan presses with up to 2.51 N: the friction holds for it." in beside
+    assert said("panda-cube", "--shows", "0.3", "-o", run, "--against", run).startswith("2 ")
     assert said("panda-cube", "--slid", "3").startswith("2 ")
     assert said("panda-cube", "--shows", "0.3").startswith("2 ")
     assert said("upright-cups", "--shows", "0.3", "-o", str(tmp_path / "cups")).startswith("2 ")

@@ -92,5 +92,7 @@ def calibrate(
         return
     for sentence in (*(found.sentences or ("This run does not narrow the friction.",)), *pressing):
         result_console().print(sentence)
+    if found.sentences and against is None:
+        say("Whether a plan presses harder is said with --against, its run directory.")
     if out is not None:
         say(f"Written to {out}; next: salver plan {quote(str(out))}.")

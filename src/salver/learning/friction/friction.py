@@ -105,10 +105,7 @@ class Friction:
         """A sentence on the force and the mean pressure under which the friction was shown."""
         area = _area(self.plan.scenario.payload.first)
         kPa = f", a mean pressure of {1e-3 * self.force / area:.3g} kPa on {1e4 * area:.3g} cm^2" if area else ""
-        return (
-            f"It was shown under {self.force:.3g} N{kPa}. As far as surfaces stick to one another, it is less under "
-            "more: give a plan with --against."
-        )
+        return f"It was shown under {self.force:.3g} N{kPa}; surfaces that stick to one another have less under more."
 
     def against(self, plan: Plan) -> str:
         """A sentence on whether a plan presses its load on the tray harder than it was pressed in the run, both at
