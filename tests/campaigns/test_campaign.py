@@ -139,12 +139,12 @@ def test_runs_can_be_added_where_the_first_ones_do_not_depend_on_how_many_there_
 
 @pytest.mark.slow
 def test_a_finished_campaign_is_not_run_again(finished, monkeypatch):
-    from salver.campaigns import workers
+    from salver.campaigns.runners import Context
 
     def refuse(*_):
         raise AssertionError("a finished run was made again")
 
-    monkeypatch.setattr(workers, "serial", refuse)
+    monkeypatch.setattr(Context, "execute", refuse)
     before = (finished.folder / "runs.parquet").read_bytes()
     again = run_campaign(finished.folder.parent, n=N, engine="closed-loop", jobs=1)
     assert again.summary == finished.summary

@@ -102,8 +102,7 @@ def test_joint_torques_locate_a_load_by_an_excitation_trajectory() -> None:
     """Carried gently they weigh it; that motion takes a tenth off the second trip. Nothing is lost, the truth stays in
     the ranges."""
     wide = {"mass": "50%", "com": [0.015, 0.015, 0.015], "friction": 0.2}
-    changes = {"objects__0__uncertainty": wide, "objects__0__friction": 0.4, "motion__speeds": "full"}
-    scenario, seed = load("panda-tall-bottle").with_changes(**changes), 1
+    scenario, seed = load("panda-tall-bottle").with_changes(objects__0__uncertainty=wide, objects__0__friction=0.4), 1
     careful, second = trips(scenario, 2, seed, "torques")
     assert [careful.outcome, careful.excitation.outcome, second.outcome] == ["holds"] * 3
     assert second.plan.duration < 0.9 * careful.plan.duration

@@ -69,13 +69,13 @@ def channels_of(samples: Samples) -> Channels:
     return Channels(samples.t, np.hstack([samples.p, samples.quat_wxyz]), metres, resolution(samples.p))
 
 
-def repaired(channels: Channels, options: AuditOptions) -> Channels:
-    """The repaired samples, with the defects that were found."""
+def repaired(channels: Channels, options: AuditOptions, fewest: int = 16) -> Channels:
+    """The repaired samples, with the defects that were found. fewest: number of samples in which defects show."""
     if not np.ptp(channels.y, axis=0).any():
         return channels
     known = _in_metres, _without_repeats, _with_even_clock, _of_one_sensor, _not_on_lines, _without_breaks, _in_one_unit
     for step in known:
-        if len(channels.t) >= options.fewest:
+        if len(channels.t) >= fewest:
             channels = step(channels, options)
     return channels
 

@@ -136,7 +136,7 @@ class Drawn(ABC):
 
     def edge_colour(self, t: float) -> Colour:
         """Colour of the edge at time t, s."""
-        return self.edge_colours[self.beyond is not None and t >= self.beyond]
+        return self.edge_colours[int(self.beyond is not None and t >= self.beyond)]
 
 
 class LoadDynamics(ABC):
