@@ -92,6 +92,20 @@ def test_a_rim_makes_the_motion_faster_and_holds_the_load_and_without_it_the_loa
     assert run.outcome != "holds"
 
 
+def test_a_load_against_a_wall_does_not_creep() -> None:
+    """Its friction would be spent on creep into the wall: at its least, this box slid along the wall by 2.1 mm."""
+    ranges = {"mass": "10%", "friction": "10%"}
+    shape = {"type": "box", "size": [0.06, 0.06, 0.15]}
+    box = {"name": "box", "shape": shape, "mass": 0.4, "friction": 0.3, "against": "-x", "uncertainty": ranges}
+    start, goal = [0.54237, -0.370574, 0.4], [0.444272, 0.100574, 0.4]
+    motion = {"start": {"position": start}, "goal": {"position": goal}}
+    tray = {"rim": {"height": 0.03}, "height": 0.05}
+    content = {"name": "rim", "motion": motion, "objects": [box], "tray": tray, "arm": {"model": "panda"}}
+    run = Experiment(plan_fastest(Scenario.model_validate(content))).run({"friction": 0.27, "mass": 0.44})
+    assert run.slip.max() < 2e-4
+    assert not run.creep_E.any()
+
+
 @pytest.mark.slow
 def test_creep_of_the_engine_that_a_wall_holds_back_is_no_slip() -> None:
     """At half speed nothing else moves a load in a corner, and it would creep by a seventh of a millimetre."""

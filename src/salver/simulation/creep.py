@@ -10,6 +10,10 @@ less because velocity is updated before position (semi-implicit integration), th
 
 with P the projection onto the contact plane. The bias of a free body at a point r from its origin is
 omega x (omega x r). No number is fitted; test_physics_calibration.py compares the law with the engine.
+
+A load against the rim cannot creep into the wall. Its friction, which tries to, is then missing in other directions: a
+box slid along its wall by 2 mm. With such a load the creep is therefore prevented, in the steps of the engine
+(salver.simulation.trace), and not subtracted.
 """
 
 from __future__ import annotations
@@ -41,12 +45,13 @@ class TrayBias:
         return spin @ spin
 
     @cached_property
-    def _by_place(self) -> Array:
+    def by_place(self) -> Array:
+        """(N, 3, 3): times r, what the bias has more at a point r from the origin of E that is fixed to the tray."""
         return hat(self.angular) + self.centripetal
 
     def of_point(self, p_E: Array) -> Array:
         """Bias (N, 3) of a point (3,) fixed to the tray."""
-        return self.linear + self._by_place @ p_E
+        return self.linear + self.by_place @ p_E
 
 
 def tray_bias(arm: ArmModel, q: Array, dq: Array, R_tilt: Array) -> TrayBias:

@@ -70,7 +70,7 @@ def behaviour(scene: Scene, trace: Trace, bias: creep.TrayBias, tray_size: tuple
         creep_E[:, k] = _creep(trace.t, bias, load, load.base_centre_B, scene, below, gain)
         if below is not None:
             creep_E[:, k] += creep_E[:, below]
-        creep_E[:, k] = _beside_walls(creep_E[:, k] - creep_E[start, k], load)
+        creep_E[:, k] -= creep_E[start, k]
         centre = _points(p_EB[:, k], R_EB[:, k], load.base_centre_B)
         slip_E[:, k] = centre - centre[start]
         to_support = _in_support(p_EB, R_EB, k, below)
@@ -79,7 +79,7 @@ def behaviour(scene: Scene, trace: Trace, bias: creep.TrayBias, tray_size: tuple
             own_creep = _creep(trace.t, bias, load, point, scene, below, gain)
             if below is not None:
                 own_creep = own_creep @ scene.loads[below].R_EB
-            moved = d - d[start] - _beside_walls(own_creep - own_creep[start], load)
+            moved = d - d[start] - (own_creep - own_creep[start])
             slip[:, k] = np.maximum(slip[:, k], np.hypot(moved[:, 0], moved[:, 1]))
             lift[:, k] = np.minimum(lift[:, k], d[:, 2] - d[start, 2])
         relative = np.swapaxes(to_support[1][start], 0, 1) @ to_support[1]
@@ -107,15 +107,6 @@ def _creep(
     if below is None:
         return creep.on_tray(t, bias, load.p_EB, load.p_EB + load.R_EB @ point_B, gain)
     return creep.on_object(t, bias, load.p_EB, scene.loads[below].p_EB, gain)
-
-
-def _beside_walls(creep_E: Array, load: Load) -> Array:
-    """Creep (N, 3) that a rim allows: where it would go on into a wall it is held, so that the wall reflects it."""
-    if load.nominal.walls is not None:
-        for inward_E in np.unique(np.round(load.nominal.walls.R_BC[:, :, 2] @ load.R_EB.T, 12), axis=0):
-            held = np.minimum(np.minimum.accumulate(creep_E @ inward_E), 0.0)
-            creep_E = creep_E - held[:, None] * inward_E
-    return creep_E
 
 
 def inner_motions(scene: Scene, trace: Trace) -> Array:

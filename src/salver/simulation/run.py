@@ -99,6 +99,7 @@ def measure(
         bias, p_SE, R_SE = creep.still_bias(len(trace.t)), run.wanted_E.p_SB, run.wanted_E.R_SB @ scene.world.R_tilt
     else:
         bias, p_SE, R_SE = creep.tray_bias(scene.arm, trace.q, trace.dq, scene.world.R_tilt), trace.p_XE, trace.R_XE
+        bias = creep.still_bias(len(trace.t)) if scene.beside_walls else bias
     seen, inner = behaviour(scene, trace, bias, scenario.tray.size), inner_motions(scene, trace)
     p_SB = p_SE[:, None] + np.einsum("tij,tmj->tmi", R_SE, seen.p_EB)
     R_SB = R_SE[:, None] @ seen.R_EB

@@ -8,7 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from salver.geometry import Array, matrix_from_quat_wxyz
+from salver.geometry import Array, hat, matrix_from_quat_wxyz
+from salver.simulation import creep
+from salver.simulation.scene.elements import DAMPING_WIDTH
 from salver.simulation.scene.engine import mujoco
 from salver.simulation.scene.scene import Scene
 from salver.simulation.tray_frame import TrayMotion
@@ -26,10 +28,38 @@ def step(scene: Scene, data: Any, t: float, tau: Array, steps: int, take: Take) 
     data.qfrc_applied[:n] = tau
     scene.slide(data)
     scene.shake(data, t)
-    mujoco.mj_step(scene.model, data)
+    _advance(scene, data, 1)
     take(t, q, dq, tau, data)
-    if steps > 1:
-        mujoco.mj_step(scene.model, data, nstep=steps - 1)
+    _advance(scene, data, steps - 1)
+
+
+def _advance(scene: Scene, data: Any, steps: int) -> None:
+    if steps > 0 and not scene.beside_walls:
+        mujoco.mj_step(scene.model, data, nstep=steps)
+        return
+    for _ in range(steps):
+        mujoco.mj_step1(scene.model, data)
+        _prevent_creep(scene, data)
+        mujoco.mj_step2(scene.model, data)
+
+
+def _prevent_creep(scene: Scene, data: Any) -> None:
+    """Take the share of the bias that makes the creep off the accelerations which contacts of the load aim at, between
+    `mj_step1` and `mj_step2`."""
+    assert scene.arm is not None
+    n, contact, time = scene.n, data.contact, scene.contact_time
+    share = creep.gain(time, scene.model.opt.timestep, DAMPING_WIDTH) / (0.5 * DAMPING_WIDTH * time)
+    tray = creep.tray_bias(scene.arm, data.qpos[None, :n], data.qvel[None, :n], scene.world.R_tilt)
+    R_SE = scene.tray_pose(data)[1]
+    biased = {int(scene.tray_id): (R_SE @ tray.linear[0], R_SE @ tray.by_place[0] @ R_SE.T)}
+    for body, first in zip(scene.object_ids.tolist(), scene.qvel_ids.tolist(), strict=True):
+        spin = hat(data.xmat[body].reshape(3, 3) @ data.qvel[first + 3 : first + 6])
+        biased[body] = np.zeros(3), spin @ spin
+    bodies, axes = scene.model.geom_bodyid[contact.geom], contact.frame.reshape(-1, 3, 3)
+    for pair, row, place, frame in zip(bodies.tolist(), contact.efc_address.tolist(), contact.pos, axes, strict=True):
+        if row >= 0 and all(body in biased for body in pair):
+            own, other = (biased[body][0] + biased[body][1] @ (place - data.xpos[body]) for body in pair)
+            data.efc_aref[row : row + 3] -= share * frame @ (other - own)
 
 
 @dataclass(frozen=True)

@@ -88,6 +88,11 @@ class Scene:
         return 0 if self.arm is None else self.arm.n
 
     @property
+    def beside_walls(self) -> bool:
+        """Whether an arm carries a load against the rim, whose contacts must not creep (salver.simulation.creep)."""
+        return self.arm is not None and any(load.nominal.walls is not None for load in self.loads)
+
+    @property
     def point_ids(self) -> list[int]:
         """MuJoCo bodies that are point masses: the pendulums inside the objects."""
         return [int(i) for swing in self.swings for i in swing.body_ids]
