@@ -211,6 +211,8 @@ def test_two_sources_that_take_turns_are_told_from_a_shake():
     assert codes(found(p)) == ["alternating"]
     assert "alternating" in judged(p).nominal.details["reasons"]
     assert "alternating" not in codes(found(SHAKEN))
+    at_a_sixth_of_the_rate = truth(T) + 2e-3 * np.sin(2 * np.pi * RATE / 6 * T + 0.3)[:, None] * [0, 1, 0]
+    assert "alternating" not in codes(found(at_a_sixth_of_the_rate))
 
 
 @pytest.mark.parametrize("rate", [70.0, 210.0])
