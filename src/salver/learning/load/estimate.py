@@ -48,7 +48,7 @@ def solve(
     """Estimate the load from the readings of all runs, each with a weight."""
     phi, spread = prior
     delays = _first_delays(runs, bounds)
-    for _ in range(3):  # linearised about the prior, then about the estimate
+    for k in range(8):  # linearised about the prior, then about the estimate, until the delays settle
         errors, channels, information, pull = _normal(runs, weights, prior, phi, delays, bounds)
         known = np.diag(np.concatenate([1 / spread**2, np.ones(len(errors))]))
         covariance = np.asarray(np.linalg.inv(information + known), dtype=float)
@@ -56,7 +56,11 @@ def solve(
         phi, seen = prior[0] + found[:10], found[10:]
         if phi[0] <= 0:  # no valid load to linearise about
             break
-        delays = {e.of: x * bounds.delay for e, x in zip(errors, seen.clip(-20, 20), strict=True) if e.kind == "delay"}
+        late = {e.of: x * bounds.delay for e, x in zip(errors, seen.clip(-20, 20), strict=True) if e.kind == "delay"}
+        settled = all(abs(late[sensor] - delays[sensor]) < 0.01 * bounds.delay for sensor in late)
+        delays = late
+        if settled and k >= 2:
+            break
     variance = np.diag(covariance)[10:]
     systematic = covariance[:10, 10:]
     noise = covariance[:10, :10] - systematic @ systematic.T
