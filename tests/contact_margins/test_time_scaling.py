@@ -7,7 +7,7 @@ import pytest
 
 from recorded_motions import GOAL, START, line
 from salver import scenario as scenarios
-from salver.contact_margins import BrakingOptions, Margins, braking, margin_model, safe_speeds
+from salver.contact_margins import Braking, BrakingOptions, Margins, braking, margin_model, safe_speeds
 from salver.contact_margins.time_scaling import TimeScaled, _edge, lacking_of_few
 from salver.geometry import exp, log
 from salver.models.tray_motion import FULL_SPEED, Speed, motion_vector
@@ -298,3 +298,11 @@ def test_margins_along_a_stop_are_those_of_the_motion_that_it_makes():
         assert abs(found.margin[k, m] - least) < 2e-4
     assert np.isnan(found.margin[-1, -1])
     assert np.ptp(found.margin[np.isfinite(found.margin)]) > 0.2
+
+
+def test_the_shortest_stop_from_an_instant_is_the_first_that_keeps_the_load_and_none_where_all_lose_it() -> None:
+    durations, begins, none = np.array([0.1, 0.2, 0.4]), np.array([0.0, 0.3, 0.6, 0.9]), np.nan
+    margin = np.array([[-0.2, 0.1, -0.1], [0.0, 0.3, none], [-0.1, none, none], [none, none, none]])
+    found = Braking(durations, margin, begins)
+    np.testing.assert_array_equal(found.shortest, [0.2, 0.1, none, none])
+    np.testing.assert_allclose(found.kept, [1 / 3, 1.0, 0.0])

@@ -127,6 +127,17 @@ def margin_charts(run: ReportedRun) -> list[Spec]:
                 "series": [series(m, m.label, known.durations, 100 * known.kept) for m, known in stops],
             }
         )
+        charts.append(
+            time_chart(
+                "Shortest stop on the path",
+                "duration of the stop, s",
+                [series(m, m.label, known.begins, known.shortest) for m, known in stops],
+                "A stop that begins at this instant keeps the load if it takes this long, in the worst case. A gap: no "
+                "stop on the path that ends before the motion keeps it there; only planned stops do, or going on.",
+                "s",
+                zero=True,
+            )
+        )
     return charts
 
 
