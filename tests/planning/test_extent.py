@@ -72,7 +72,7 @@ def test_an_open_cup_needs_the_room_that_a_still_surface_takes_on_the_leaning_ac
     )
     slope = np.hypot(3.0, 9.81 * np.sin(lean)) / (9.81 * np.cos(lean))
     found = extent(samples, AT_B, None, 0.04)
-    assert found.rim == pytest.approx(0.04 * slope)
+    assert found.brim == pytest.approx(0.04 * slope)
     assert found.sentence.endswith(
         ". An open cup would spill if it were filled to less than 14 mm below its brim, sloshing not counted."
     )
@@ -82,13 +82,13 @@ def test_an_open_cup_needs_the_room_that_a_still_surface_takes_on_the_leaning_ac
     leaning = MotionSamples(
         np.arange(2.0), still, still, np.tile(sideways, (2, 1)), np.array([into @ AT_B] * 2), still, still
     )
-    assert extent(leaning, AT_B, None, 0.04).rim == pytest.approx(0.0, abs=1e-12)
-    assert extent(leaning, AT_B, None).rim is None
+    assert extent(leaning, AT_B, None, 0.04).brim == pytest.approx(0.0, abs=1e-12)
+    assert extent(leaning, AT_B, None).brim is None
 
 
 def test_the_widest_cylinder_without_a_liquid_is_the_cup() -> None:
-    assert make_plan(scenario.load("ur10-bottle").with_changes(arm=None)).extent.rim is not None
-    assert make_plan(scenario.load("panda-cube").with_changes(arm=None)).extent.rim is None
+    assert make_plan(scenario.load("ur10-bottle").with_changes(arm=None)).extent.brim is not None
+    assert make_plan(scenario.load("panda-cube").with_changes(arm=None)).extent.brim is None
 
 
 @pytest.mark.slow

@@ -21,9 +21,9 @@ class Extent:
     x axis, seen from above) since the start, rad. rise, sink: how far the origin of the first object's frame B goes
     above and below both of its ends, m. speed: largest speed of B, m/s. nearest: the moving part ("first") and the
     obstacle ("second") that come closest, with their "distance" (m) and its "time" (s); None without obstacles or
-    without an arm. rim: how far a still surface rises at the wall of the widest cylinder that is carried as a solid, if
-    it is an open cup, m: its radius times the largest slope of the specific force at B; None without such a cylinder,
-    or if the tray drops away from it.
+    without an arm. brim: how far a still surface rises at the wall of the widest cylinder that is carried as a solid,
+    if it is an open cup, m: its radius times the largest slope of the specific force at B; None without such a
+    cylinder, or if the tray drops away from it.
     """
 
     lean: float
@@ -32,7 +32,7 @@ class Extent:
     sink: float
     speed: float
     nearest: Mapping[str, Any] | None
-    rim: float | None = None
+    brim: float | None = None
 
     @property
     def sentence(self) -> str:
@@ -50,9 +50,9 @@ class Extent:
         if self.nearest is not None:
             near = "; {first} passes {second} at {mm:.0f} mm (t = {time:.2f} s)"
             text += near.format(mm=1e3 * self.nearest["distance"], **self.nearest)
-        if self.rim is None:
+        if self.brim is None:
             return f"{text}."
-        below = f"{1e3 * self.rim:.0f} mm below its brim"
+        below = f"{1e3 * self.brim:.0f} mm below its brim"
         return f"{text}. An open cup would spill if it were filled to less than {below}, sloshing not counted."
 
     def record(self) -> dict[str, Any]:
@@ -84,5 +84,5 @@ def extent(samples: MotionSamples, R_EB: Array, arm: Status | None, radius: floa
         sink=float(min(z[0], z[-1]) - z.min()),
         speed=float(np.linalg.norm(samples.v_S, axis=1).max()),
         nearest=None if arm is None else arm.details.get("obstacle_clearance"),
-        rim=None if radius is None or np.any(up <= 0.0) else radius * float((aside / up).max()),
+        brim=None if radius is None or np.any(up <= 0.0) else radius * float((aside / up).max()),
     )
