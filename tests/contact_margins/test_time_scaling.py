@@ -291,6 +291,7 @@ def test_margins_along_a_stop_are_those_of_the_motion_that_it_makes():
         model_of(0.35, 0.06, {"friction": 0.02, "com": [0.002] * 3}),
     )
     found = braking(model, tray, True, OPTIONS)
+    np.testing.assert_allclose(found.begins, 0.4 + 1.5 * np.arange(OPTIONS.instants) / OPTIONS.instants)
     for k, m in ((0, 25), (0, 38), (2, 30), (4, 5)):
         begin, T = 1.5 * k / OPTIONS.instants, found.durations[m]
         s = motion(np.linspace(0.0, T, OPTIONS.steps), lambda t, begin=begin, T=T: begin + t - t**2 / (2 * T))

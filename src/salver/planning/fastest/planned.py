@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -145,12 +145,16 @@ def tightened(found: FastestMotion, most: float = 0.01) -> TransportProblem | No
 
 
 def slow_enough(
-    found: FastestMotion, plan: Plan, planned: Callable[[FastestMotion], Plan], robust: bool
+    found: FastestMotion,
+    plan: Plan,
+    planned: Callable[[FastestMotion], Plan],
+    robust: bool,
+    shares: Sequence[float] = (1e-4, 1e-3, 4e-3, 1.6e-2),
 ) -> tuple[FastestMotion, Plan]:
-    """The motion and its plan, slowed down by the smallest of a few shares at which it passes the plan's check, which
-    tests more instants than the optimiser. If no share is enough, both are unchanged: the optimiser has an error."""
+    """The motion and its plan, slowed down by the smallest of these shares of its duration at which it passes the
+    plan's check, which tests more instants than the optimiser. If no share is enough, both are unchanged."""
     if found.status.ok and not _passes(plan, robust):
-        for share in (1e-4, 1e-3, 4e-3, 1.6e-2):
+        for share in shares:
             duration = found.duration * (1 + share)
             status = reached(SHORTEST.sought, duration) if found.status.code == "optimal" else found.status
             slower = replace(found, duration=duration, status=status)

@@ -281,12 +281,13 @@ def solve_model(
     damping: float = 0.0,
     radius: float = np.inf,
     penalty: float | None = None,
+    most_rounds: int = 60,
 ) -> Step | None:
     """Minimise |r + J d|^2 + damping |d|^2 over |d_i| <= radius, goal met, all rows above the margin.
 
     penalty: on one common violation s >= 0 of all rows; None: the rows are hard constraints; infinite: only s is
-    minimised (a tiny weight of the cost decides between equal solutions). Returns None when the rows contradict each
-    other.
+    minimised (a tiny weight of the cost decides between equal solutions). most_rounds: of adding tangents. Returns None
+    when the rows contradict each other.
     """
     n, elastic = model.residual_jacobian.shape[1], penalty is not None
     if n == 0:  # the boundary conditions leave nothing free
@@ -299,7 +300,7 @@ def solve_model(
         unit = max(constant, 1e-12)
         hessian, gradient, penalty = 1e-6 * hessian / unit, 1e-6 * gradient / unit, 1.0
     programme, step = _Programme(hessian, gradient, model, radius, penalty), None
-    for rounds in range(1, 61):  # of adding tangents
+    for rounds in range(1, most_rounds + 1):
         answer = programme.solve()
         if answer is None:  # with a penalty: the latest tangents differ by rounding only, the last step is as good
             return step if elastic else None
