@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Plausible:
+class ExpectedValues:
     """Values beyond which a scenario probably has a mistake.
 
     Attributes:
@@ -34,7 +34,7 @@ class Plausible:
     tilt: float = 2.0
 
 
-PLAUSIBLE = Plausible()
+EXPECTED = ExpectedValues()
 
 
 def warnings_of(scenario: Scenario) -> tuple[str, ...]:
@@ -91,16 +91,16 @@ def _of_payload(scenario: Scenario, arm: ArmModel) -> Iterator[str]:
 
 def _of_objects(scenario: Scenario) -> Iterator[str]:
     for item in scenario.objects:
-        if item.friction > PLAUSIBLE.friction:
-            yield f"friction = {item.friction:g} of {item.name}: few materials have more than {PLAUSIBLE.friction:g}."
+        if item.friction > EXPECTED.friction:
+            yield f"friction = {item.friction:g} of {item.name}: few materials have more than {EXPECTED.friction:g}."
         loose = item.loose()
         density = loose.inertial.mass / float(
             np.prod(np.ptp(loose.solid.bounding_points_G, axis=0))
         )  # kg/m^3, from the volume of its bounding box
-        if item.mass <= PLAUSIBLE.mass:
+        if item.mass <= EXPECTED.mass:
             yield f"mass = {item.mass:g} of {item.name} is {1e3 * item.mass:.3g} g; masses are in kg."
-        elif not PLAUSIBLE.densities[0] <= density <= PLAUSIBLE.densities[1]:
-            like = "lighter than foam" if density < PLAUSIBLE.densities[0] else "heavier than gold"
+        elif not EXPECTED.densities[0] <= density <= EXPECTED.densities[1]:
+            like = "lighter than foam" if density < EXPECTED.densities[0] else "heavier than gold"
             yield (
                 f"mass = {item.mass:g} of {item.name} makes {density:.3g} kg/m^3 of its shape, {like}; masses are in "
                 "kg, lengths in m."
@@ -120,7 +120,7 @@ def _of_angles(table: Any, where: str = "") -> Iterator[str]:
 
 def _in_radians(angles: Array, key: str) -> bool:
     if key == "max_tilt_deg":
-        return bool(angles[0] < PLAUSIBLE.tilt)
+        return bool(angles[0] < EXPECTED.tilt)
     parts = np.abs(angles) * 12 / np.pi
     near = (np.abs(parts - np.round(parts)) < 0.02) & (np.round(parts) > 0) & (np.abs(angles) < 6.3)
     rounded = np.abs(angles * 10 - np.round(angles * 10)) < 1e-9  # one decimal, as 2.1: probably meant as degrees
