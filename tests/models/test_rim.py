@@ -205,6 +205,11 @@ MISTAKES = [
     ),
     (
         beside,
+        [box(at=[0.0, -0.069], uncertainty={"position": [0.0, 0.002]})],
+        r"box may stand 1.0 mm inside the rim at -y",
+    ),
+    (
+        beside,
         [box(against="-x", at=[0.0, 0.069], uncertainty={"position": [0.002, 0.002]})],
         r"1.0 mm inside the rim at \+y",
     ),
