@@ -91,18 +91,18 @@ def tray_motion(
             notes=(*samples.notes, note),
             options=options,
         )
-    found = _in_ranges(repaired(channels_of(samples), options), samples.q, arm)
+    found = _in_ranges(repaired(channels_of(samples), options), samples.q, arm, options)
     poses = [arm.tray_pose(q) for q in found.y]
     quat = continuous(quat_wxyz_from_matrix(np.array([R for _, R in poses])))
     seen = TraySamples(found.t, np.array([p for p, _ in poses]), quat, "E", samples.source, samples.notes)
     return _recorded(seen, _gains(arm, found), found, options)
 
 
-def _in_ranges(found: Channels, q: Array, arm: ArmModel) -> Channels:
+def _in_ranges(found: Channels, q: Array, arm: ArmModel, options: AuditOptions) -> Channels:
     """Add a defect if recorded positions q (N, n) are further out of the joints' ranges than another zero explains."""
     beyond = np.maximum(arm.limits.q_min - q, q - arm.limits.q_max).max(axis=0)
     j = int(np.argmax(beyond))
-    if beyond[j] <= DEFAULT.beyond:
+    if beyond[j] <= options.beyond:
         return found
     clause = (
         f"{arm.joint_names[j]} is up to {beyond[j]:.3g} {arm.unit(j)} out of its range: its unit, the order of the "
