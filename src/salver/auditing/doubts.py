@@ -21,7 +21,7 @@ class Borne:
 
     reserve (T,): m/s^2, additional acceleration in any direction at which the load still holds. rest, begun: the
     reserves at rest on a level tray, and in the first posture. pushed: m/s^2, unknown acceleration by the reaction of
-    liquids and pendulums.
+    liquids and pendulums. kinetic: kinetic friction as a share of the static one.
     """
 
     motion: AuditedMotion
@@ -29,6 +29,7 @@ class Borne:
     rest: float
     pushed: float = 0.0
     begun: float = np.inf
+    kinetic: float = 1.0
 
     @property
     def error(self) -> Array:
@@ -113,6 +114,13 @@ class Borne:
                 f"acceleration: {6 * fast.frequency:.0f} a second would"
             )
             doubts.append(("unresolved", clause))
+        if self.kinetic < 1 and max(slip.distance, fast.distance, slide(t, short)) > 0:
+            clause = (
+                "a shake that the samples do not show could start a slide, and under physics.kinetic_friction = "
+                f"{self.kinetic:g} it may not stop: less noise would tell, or the knowledge that nothing is faster "
+                "(--highest)"
+            )
+            doubts.append(("kinetic", clause))
         return doubts
 
     def left_out(self) -> str:

@@ -137,8 +137,9 @@ class Audit(Shown, Tabular):
         zero = np.zeros((1, 3))
         begun = motion_vector(self.motion.samples.R_SB[:1], zero, zero, zero)
         still = Margins(self._model, np.zeros(2), np.concatenate([at_rest()[None], begun]))
+        kinetic = self.scenario.physics.kinetic_friction
         nominal, worst = (
-            Borne(self.motion, 9.81 * margin, 9.81 * resting[0], self._pushed(bool(case)), 9.81 * resting[1])
+            Borne(self.motion, 9.81 * margin, 9.81 * resting[0], self._pushed(bool(case)), 9.81 * resting[1], kinetic)
             for case, (margin, resting) in enumerate(zip(self.reserves, (still.exact, still.exact_worst), strict=True))
         )
         return nominal, worst
