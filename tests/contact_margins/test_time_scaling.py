@@ -306,4 +306,7 @@ def test_the_shortest_stop_from_an_instant_is_the_first_that_keeps_the_load_and_
     margin = np.array([[-0.2, 0.1, -0.1], [0.0, 0.3, none], [-0.1, none, none], [none, none, none]])
     found = Braking(durations, margin, begins)
     np.testing.assert_array_equal(found.shortest, [0.2, 0.1, none, none])
+    t, y = found.steps
+    np.testing.assert_allclose(t, [0.0, 0.3, 0.3, 0.6, 0.6, 0.9, 0.9, 1.2])
+    np.testing.assert_array_equal(y, [0.2, 0.2, 0.1, 0.1, *[none] * 4])
     np.testing.assert_allclose(found.kept, [1 / 3, 1.0, 0.0])

@@ -56,6 +56,12 @@ class Braking:
         return np.where(keeps.any(axis=1), self.durations[keeps.argmax(axis=1)], np.nan)
 
     @property
+    def steps(self) -> tuple[Array, Array]:
+        """`shortest` as a curve of steps: times (2 K,) and durations (2 K,), s, from each instant to the next."""
+        step = self.begins[1] - self.begins[0]
+        return np.stack([self.begins, self.begins + step], axis=1).ravel(), np.repeat(self.shortest, 2)
+
+    @property
     def kept(self) -> Array:
         """Share (M,) of instants from which a stop of each duration keeps the load, if it ends before the motion."""
         return np.sum(self.margin >= 0, axis=0) / np.sum(np.isfinite(self.margin), axis=0)

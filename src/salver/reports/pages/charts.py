@@ -127,11 +127,13 @@ def margin_charts(run: ReportedRun) -> list[Spec]:
                 "series": [series(m, m.label, known.durations, 100 * known.kept) for m, known in stops],
             }
         )
+    shortest = [(m, known) for m, known in stops if np.isfinite(known.shortest).any()]
+    if shortest:
         charts.append(
             time_chart(
                 "Shortest stop on the path",
                 "duration of the stop, s",
-                [series(m, m.label, known.begins, known.shortest) for m, known in stops],
+                [series(m, m.label, *known.steps) for m, known in shortest],
                 "A stop that begins at this instant keeps the load if it takes this long, in the worst case. A gap: no "
                 "stop on the path that ends before the motion keeps it there; only planned stops do, or going on.",
                 "s",
