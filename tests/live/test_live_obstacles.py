@@ -551,8 +551,11 @@ def test_what_is_put_in_the_way_stays_there_until_it_is_removed(cube, problem):
         (lambda: live.put(thrown(p, 1.0, (0, 1, 0))), "it must stand still"),
         (lambda: live.put("crate"), "it must be a Moving"),
         (lambda: live.put(replace(crate, name=["crate"])), "its name must be text, not"),
+        (lambda: live.put(replace(crate, name=(["crate"],))), "its name must be text, not"),
         (lambda: live.obstacles([replace(crate, name=["crate"])]), "its name must be text, not"),
+        (lambda: live.obstacles([replace(crate, name=(np.zeros(2),))]), "its name must be text, not"),
         (lambda: live.remove(["crate"]), "there are none"),
+        (lambda: live.remove(np.array(["crate", "box"])), "there are none"),
         (lambda: live.obstacles([crate, crate]), "another one is 'crate'"),
     ):
         status = refused()
@@ -560,3 +563,4 @@ def test_what_is_put_in_the_way_stays_there_until_it_is_removed(cube, problem):
         assert why in status.sentence
     live.put(crate)
     assert "another one is 'crate'" in live.obstacles([crate]).sentence
+    assert "there is no \"['crate' 'box']\"; there are crate" in live.remove(np.array(["crate", "box"])).sentence

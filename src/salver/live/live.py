@@ -13,7 +13,7 @@ from __future__ import annotations
 import contextlib
 import threading
 import time
-from collections.abc import Callable, Container, Hashable, Sequence
+from collections.abc import Callable, Container, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -142,8 +142,8 @@ class Live(Requested):
     def remove(self, name: str) -> Status:
         """Remove the obstacle that was `put` under a name."""
         with self._anew:
-            if name not in list(self._standing):  # compared, since whatever is given might not be hashable
-                raise Refused(f"there is no {shown(name)}; there are {', '.join(map(str, self._standing)) or 'none'}")
+            if not isinstance(name, str) or name not in self._standing:
+                raise Refused(f"there is no {shown(name)}; there are {', '.join(self._standing) or 'none'}")
             del self._standing[name]
             self._sight()
         return ACCEPTED
@@ -152,7 +152,7 @@ class Live(Requested):
         """others: names that it must not have."""
         if not self._lookout.sees:
             raise Refused("the arm has no geometry that could keep clear of it")
-        if not isinstance(seen.name, Hashable):
+        if not isinstance(seen.name, str):
             raise Refused(f"its name must be text, not {shown(seen.name)}")
         if seen.name in others:
             raise Refused(f"each obstacle must have a name of its own, and another one is {shown(seen.name)}")
