@@ -123,6 +123,20 @@ def test_twists_are_one_request_until_there_are_none_for_a_while(cube):
     assert live.state.requests[-1].outcome == "dropped"
 
 
+def test_another_source_or_kind_of_velocities_is_another_request(cube):
+    """It begins anew: a twist of six numbers says nothing of how seven joint velocities change."""
+    live = Live(cube, lead=0.02)
+    live.command(0.0)
+    assert live.twist((0.1, 0.0, 0.0), source="policy").ok
+    live.command(0.01)
+    assert live.twist((0.1, 0.0, 0.0)).ok
+    live.command(0.02)
+    assert live.jog([0.1, 0, 0, 0, 0, 0, 0]).ok
+    live.command(0.03)
+    assert live.jog([0.2, 0, 0, 0, 0, 0, 0]).ok
+    assert [one.what for one in live.state.requests] == ["twists", "twists", "joint velocities"]
+
+
 @pytest.mark.slow
 def test_a_chunk_is_followed_and_its_end_is_reached(cube):
     live = Live(cube, lead=0.02)
