@@ -8,6 +8,8 @@ import pytest
 from salver.geometry import exp
 from salver.scenario import Scenario, load, parse
 from salver.simulation.physics import simulate_tray
+from salver.simulation.scene.engine import mujoco
+from salver.simulation.scene.sliding import Sliding
 from salver.trajectory import min_jerk_line
 
 G, FRICTION = 9.81, 0.5
@@ -49,6 +51,30 @@ def test_a_cube_that_never_slips_is_not_affected() -> None:
     one, other = (moved(0.005, share, LIMIT - np.deg2rad(2.0)) for share in (1.0, 0.3))
     assert one.outcome == "holds"
     assert np.array_equal(one.slip, other.slip)
+
+
+TURNTABLE = """
+<mujoco>
+  <worldbody>
+    <body name="table" pos="0.3 0.2 0"><freejoint/><geom name="table" type="box" size=".2 .2 .01" mass="1"/></body>
+    <body name="box" pos="0.4 0.25 0.02"><freejoint/><geom name="box" type="box" size=".03 .02 .01" mass="1"/></body>
+  </worldbody>
+  <contact><pair geom1="box" geom2="table" friction="0.5 0.5 0.01 0.001 0.001"/></contact>
+</mujoco>
+"""
+
+
+@pytest.mark.parametrize(("turned_along", "friction"), [(True, 0.5), (False, 0.3)])
+def test_a_box_that_a_turntable_takes_along_does_not_slide(turned_along: bool, friction: float) -> None:
+    model = mujoco.MjModel.from_xml_string(TURNTABLE)
+    data, turn = mujoco.MjData(model), np.array([0.0, 0.0, 1.5])
+    data.qvel[3:6] = turn
+    if turned_along:
+        data.qvel[6:9], data.qvel[9:12] = np.cross(turn, [0.1, 0.05, 0.02]), turn
+    mujoco.mj_forward(model, data)
+    assert data.ncon == 4
+    Sliding.of(model, 0.6).apply(model, data)
+    assert model.pair_friction[0, 0] == pytest.approx(friction)
 
 
 def test_plans_made_before_the_key_existed_keep_their_digest() -> None:
