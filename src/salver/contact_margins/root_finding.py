@@ -1,5 +1,8 @@
-"""A zero of a function of one variable, without SciPy's `optimize`, whose import takes longer than planning the paper's
-motion."""
+"""A zero of a function of one variable.
+
+SciPy 1.15 has this method, `scipy.optimize.elementwise.find_root`; its import takes longer than planning the paper's
+motion.
+"""
 
 from __future__ import annotations
 
@@ -13,12 +16,17 @@ def zero_between(value: Callable[[float], float], low: float, high: float, toler
 
     tolerance: largest error of the zero, absolute. Raises ArithmeticError for a value that is no number.
     """
-    x1, f1, x2, f2, share = low, value(low), high, value(high), 0.5
+
+    def valued(x: float) -> float:
+        found = value(x)
+        if math.isnan(found):
+            raise ArithmeticError(f"The function has no value at {x:g}.")
+        return found
+
+    x1, f1, x2, f2, share = low, valued(low), high, valued(high), 0.5
     while f1 != 0 and f2 != 0 and tolerance < abs(x2 - x1):
         x = x1 + share * (x2 - x1)
-        f = value(x)
-        if math.isnan(f):
-            raise ArithmeticError(f"The function has no value at {x:g}.")
+        f = valued(x)
         if (f < 0) == (f1 < 0):
             x3, f3 = x1, f1
         else:
