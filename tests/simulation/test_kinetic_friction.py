@@ -77,6 +77,18 @@ def test_a_box_that_a_turntable_takes_along_does_not_slide(turned_along: bool, f
     assert model.pair_friction[0, 0] == pytest.approx(friction)
 
 
+@pytest.mark.parametrize("corner", [(0.03, 0.02), (-0.03, 0.02), (-0.03, -0.02), (0.03, -0.02)])
+def test_a_box_that_turns_about_one_corner_slides_at_the_others(corner: tuple[float, float]) -> None:
+    """One pair of geoms has four contacts; their order does not matter."""
+    model = mujoco.MjModel.from_xml_string(TURNTABLE)
+    data, turn = mujoco.MjData(model), np.array([0.0, 0.0, 1.5])
+    data.qvel[6:9], data.qvel[9:12] = -np.cross(turn, [*corner, 0.0]), turn
+    mujoco.mj_forward(model, data)
+    assert data.ncon == 4
+    Sliding.of(model, 0.6).apply(model, data)
+    assert model.pair_friction[0, 0] == pytest.approx(0.3)
+
+
 def test_plans_made_before_the_key_existed_keep_their_digest() -> None:
     assert "kinetic_friction" not in load("panda-cube").model_dump()["physics"]
     assert load("panda-cube").digest == cube(1.0).with_changes(physics__settle_after=0.5).digest

@@ -1,7 +1,7 @@
 """Kinetic friction of the engine's contacts: a share of their static friction while they slide.
 
 MuJoCo has one coefficient for each pair of geoms. Before each command, the coefficient of each pair that touches is set
-by its sliding velocity at the contact. Contacts that hold creep more slowly than `SLIDES`.
+by the largest sliding velocity at its contacts. Contacts that hold creep more slowly than `SLIDES`.
 """
 
 from __future__ import annotations
@@ -43,9 +43,10 @@ class Sliding:
         normal = data.contact.frame[:, :3]
         past = second - first
         past -= np.einsum("ci,ci->c", past, normal)[:, None] * normal
-        for (one, other), slides in zip(geoms.tolist(), np.linalg.norm(past, axis=1) > SLIDES, strict=True):
+        slides = (np.linalg.norm(past, axis=1) > SLIDES).tolist()
+        for sliding, one, other in sorted(zip(slides, *geoms.T.tolist(), strict=True)):  # the contacts that slide last
             if (pair := self.pairs.get((one, other))) is not None:
-                model.pair_friction[pair] = self.static[pair] * (self.share if slides else 1.0)
+                model.pair_friction[pair] = self.static[pair] * (self.share if sliding else 1.0)
 
 
 def _velocity(model: Any, data: Any, geoms: Indices, place: Array) -> Array:
