@@ -17,8 +17,8 @@
 
 Each may have a "source": "operator" (the default) or "policy". t is in s from the instant at which the motion may
 begin, and never less than in the line before; without it the request follows the one before at once. A twist is
-repeated for the time "for", s; without "for" it is sent once. A stop waits for no line before it: lines that were not
-carried out by then are dropped.
+repeated for the time "for", s, or until a line requests another motion or a rest; without "for" it is sent once. A stop
+waits for no line before it: lines that were not carried out by then are dropped.
 """
 
 from __future__ import annotations
@@ -54,6 +54,7 @@ KEYS = {
     "put": set(),
     "remove": set(),
 }
+BESIDE = {"override", "put", "remove"}  # change what a motion must keep, and request none
 
 
 @dataclass(frozen=True)
@@ -334,9 +335,10 @@ class Prompter:
             self.notes.append(note)
 
     def _begin(self, said: Said, t: float) -> None:
-        """Make a request, which ends a twist that lasts."""
-        self._lasting = (said, t + said.lasts) if said.lasts else None
-        self._again = t + self.options.again
+        """Make a request; one for a motion or a rest ends a twist that lasts."""
+        if BESIDE.isdisjoint(said.words):
+            self._lasting = (said, t + said.lasts) if said.lasts else None
+            self._again = t + self.options.again
         self._say(said, t, noted=True)
 
     def _say(self, said: Said, t: float, noted: bool) -> None:
