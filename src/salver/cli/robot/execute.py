@@ -188,11 +188,13 @@ def _changed(options: Any, name: str, value: str, before: str = "") -> Any:
     now = known[first]
     if is_dataclass(now):
         return replace(options, **{first: _changed(now, rest, value, f"{before}{first}.")})
+    if rest or not isinstance(now, int | float):
+        raise SalverError(f"--option {before}{name}: there is no number of that name.")
     given = numbers(value)
     number = given[0] if len(given) == 1 else 0.0
-    if rest or not isinstance(now, int | float) or not 0.0 < number < float("inf") or type(now)(number) != number:
-        must = f"a number above 0, as {now:g}" if isinstance(now, int | float) and not rest else "a number of its own"
-        raise SalverError(f'--option {before}{name} is "{value}"; it must be {must}.')
+    if not 0.0 < number < float("inf") or type(now)(number) != number:
+        whole = "whole " if isinstance(now, int) else ""
+        raise SalverError(f'--option {before}{name} is "{value}"; it must be a {whole}number above 0, as {now:g}.')
     return replace(options, **{first: type(now)(number)})
 
 
