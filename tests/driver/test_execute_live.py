@@ -16,12 +16,13 @@ from live_runs import EVERY, LEAD, PATIENCE
 from pylibfranka_stand_in import Library
 from salver.cli import app
 from salver.driver.execution import Watchdog
-from salver.driver.live import commanded, run_live
+from salver.driver.live import LiveRunOptions, commanded, run_live
 from salver.driver.robots.franka import within_fr3
 from salver.driver.robots.simulated import SimulatedRobot
 from salver.driver.signals import Signals
 from salver.errors import SalverError
 from salver.live import Live, LiveCourse
+from salver.live.options import LiveOptions
 from salver.live.script import Prompter, script
 from salver.planning.plan import load_plan
 from salver.trajectory import JointMotion
@@ -316,6 +317,26 @@ def test_wishes_are_said_at_their_times_and_a_twist_as_long_as_it_lasts():
     )
 
 
+def test_a_twist_lasts_while_the_cell_and_the_speed_change():
+    """Until another motion, a stop or a hold is requested."""
+    ball = {"name": "ball", "type": "sphere", "position": [0, 0, 1], "radius": 0.1}
+    for said, lasts in (({"put": ball}, 6), ({"remove": "ball"}, 6), ({"override": 0.5}, 6), ({"hold": True}, 3)):
+        heard = Heard()
+        prompter = Prompter(heard).of(
+            script(lines({"t": 0.0, "twist": [0.1, 0.0, 0.0], "for": 0.1}, {"t": 0.05, **said}), "wishes")
+        )
+        for k in range(200):
+            prompter.period(k * 1e-3)
+        assert [name for name, *_ in heard.told].count("twist") == lasts
+        assert prompter.over
+
+
+def test_a_run_takes_its_options():
+    """The record of the live motion is as long as the run, unless it is to be longer."""
+    assert LiveRunOptions(longest=300.0).kept.record == 300.0
+    assert LiveRunOptions(longest=30.0, live=LiveOptions(record=500.0)).kept.record == 500.0
+
+
 def heard_in(prompter, heard, periods):
     """What is requested in so many periods, once all lines have come."""
     while not prompter._ended:
@@ -423,7 +444,15 @@ def test_commands_that_cannot_be(tmp_path):
         ),
         (
             ["panda-cube", "--live", str(script_file), "--dry-run", "--option", "live.queued=0.5"],
-            '--option live.queued is "0.5"; it must be a number above 0, as 100.',
+            '--option live.queued is "0.5"; it must be a whole number above 0, as 100.',
+        ),
+        (
+            ["panda-cube", "--live", str(script_file), "--dry-run", "--option", "live.planner.steering.breaks=3"],
+            "--option live.planner.steering.breaks: there is no number of that name.",
+        ),
+        (
+            ["panda-cube", "--live", str(script_file), "--dry-run", "--option", "longest.live=3"],
+            "--option longest.live: there is no number of that name.",
         ),
         (
             ["panda-cube", "--live", str(script_file), "--dry-run", "--option", "longest=soon"],
@@ -464,6 +493,8 @@ def test_options_of_a_run_are_set_from_the_command(tmp_path):
     (tmp_path / "s.jsonl").write_text("\n".join(lines(goal, goal)))
     result = CliRunner().invoke(app, [*command, "-o", str(tmp_path / "out"), "--json"])
     assert "1 goals are queued already, which is the most" in result.stdout
+    result = CliRunner().invoke(app, [*command, "--option", "script.notes=1", "-o", str(tmp_path / "out"), "--json"])
+    assert "1 goals are queued already, which is the most" not in result.stdout
 
 
 def test_what_a_course_gave_stays_what_it_was(cube):
