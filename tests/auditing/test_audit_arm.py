@@ -128,6 +128,19 @@ def test_joints_that_carry_the_tray_elsewhere_leave_the_verdict_open(ur10, tmp_p
         assert f"{1e3 * moved:.0f} mm and {np.rad2deg(turned):.1f} deg" in found.worst.sentence
 
 
+def test_joints_beside_the_tray_leave_the_doubts_about_its_recording(ur10):
+    """The table lacks 0.3 s of both."""
+    arm = load_arm(ur10.arm, ur10.tray)
+    q = START - 0.1 * np.outer(BLEND, LEVEL_DOWN)
+    tray = [np.hstack([p, quat_wxyz_from_matrix(R)]) for p, R in map(arm.tray_pose, q)]
+    header = ["t", "x", "y", "z", "qw", "qx", "qy", "qz", *(f"q_{name}" for name in arm.joint_names)]
+    table = np.column_stack([T, tray, q])
+    assert sv.audit(dict(zip(header, table.T, strict=True)), ur10).ok
+    found = sv.audit(dict(zip(header, np.delete(table, slice(140, 170), axis=0).T, strict=True)), ur10)
+    assert found.arm.ok
+    assert found.worst.details["reasons"] == ["gap"]
+
+
 def test_the_floor_is_what_the_scenario_says(ur10):
     """Of a motion that lowers the arm beyond its table, and touches nothing else."""
     low, nowhere = 0.6 * np.eye(6)[1], ur10.with_changes(surroundings__floor="none")

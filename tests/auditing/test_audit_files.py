@@ -405,6 +405,7 @@ def test_only_the_named_units_are_converted_and_a_time_whose_name_has_a_unit_is_
     found = read(path, units=Units.parse("mm"))
     assert np.allclose(found.p, s.p_SB, atol=1e-9)
     assert np.allclose(found.t, s.t, atol=1e-11)
+    assert found.notes[0] == "Units of the table: mm; every answer and every written file is in rad, m, s."
     header = HEADER.replace("t,", "t_us,", 1)
     named = read(write_csv(tmp_path / "b.csv", header, 1e6 * s.t, s.p_SB, s.quat_SB_wxyz), units=Units.parse("ms"))
     assert np.allclose(named.t, s.t, atol=1e-11)
