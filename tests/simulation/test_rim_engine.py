@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import salver as sv
-from salver.errors import ScenarioError
+from salver.errors import ScenarioError, UnreachableError
 from salver.learning.friction.tilts import tilt_test
 from salver.live import Live
 from salver.models.arm.arm import load_arm
@@ -61,6 +61,16 @@ def test_collisions_know_the_rim() -> None:
     ]
     moved = flat.placement.actInv(tray.placement)
     assert_allclose(moved.translation, [0.0, 0.0, 0.0125], atol=1e-12)
+
+
+def test_a_goal_may_lean_towards_the_rim_and_not_away_from_it() -> None:
+    """By 25 degrees, where a book with a friction of 0.153 to 0.207 slides without a rim."""
+    towards, away = ({"motion__goal__rpy_deg": [roll, 0.0, 0.0]} for roll in (25.0, -25.0))
+    assert plan_fastest(book().with_changes(**towards)).ok
+    with pytest.raises(UnreachableError, match="At the goal book cannot stay even at rest"):
+        plan_fastest(book().with_changes(**away))
+    with pytest.raises(ScenarioError, match="at which book slides even at rest"):
+        book(None, None).with_changes(**towards)
 
 
 def test_friction_is_not_learnt_from_a_load_that_the_rim_holds() -> None:
