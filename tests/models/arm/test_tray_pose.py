@@ -17,6 +17,7 @@ from salver.learning.load.sensors import SensedArm, Sensors, nominal_load
 from salver.models.arm.arm import ArmModel, load_arm
 from salver.models.arm.arm_geometry import arm_geometry
 from salver.models.arm.known_arms import KNOWN_ARMS, robot_file
+from salver.models.described import Tray
 from salver.planning.make import make_plan
 from salver.sensitivity.arm.terms import motion_terms
 from salver.simulation.physics import simulate
@@ -156,3 +157,16 @@ def test_side_mount_is_planned_holds_in_the_engine_and_weighs_its_load() -> None
     assert log.wrench_F[0, :3] == pytest.approx(upwards, abs=0.6)  # type: ignore[index]
     found = identify(plan, [log], sensed.log(None))
     assert found.phi[0] == pytest.approx(mass, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("enough", "too_near"),
+    [({"rim": {"height": 0.3}}, {"rim": {"height": 0.2}}), ({"offset": [-0.3, 0.0]}, {"offset": [-0.2, 0.0]})],
+    ids=["rim", "offset"],
+)
+def test_a_tray_may_have_the_inertia_of_its_farthest_parts(enough: dict, too_near: dict) -> None:
+    """1 kg: 0.07 kg m^2 need 0.26 m."""
+    tray = {"size": [0.02, 0.02], "thickness": 0.004, "height": 0.01, "mass": 1.0, "inertia": [0.07, 0.07, 0.07]}
+    assert Tray.model_validate(tray | enough).inertia == (0.07, 0.07, 0.07)
+    with pytest.raises(ValueError, match="is too large: 1 kg"):
+        Tray.model_validate(tray | too_near)
