@@ -384,7 +384,8 @@ class Requested(Commanded):
             self._requests.becomes(wish.id, "reached")
 
     def outcomes(self) -> Iterator[list[Request]]:
-        """Each `next` returns the requests whose outcome has changed since the call before; it never waits."""
+        """Each `next` returns the requests that are new, or whose outcome has changed, since the call before; it never
+        waits. Of more than 200 requests between two calls only the latest 200 are known."""
         known: dict[int, Request] = {}
         while True:
             self._arrived()
