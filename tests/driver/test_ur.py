@@ -90,7 +90,8 @@ def run(directory: Path, **options: Any) -> execute.Execution:
 
 def test_a_ur_is_sent_the_plan_and_told_its_payload(directory: Path, plan: Plan, controller: Make) -> None:
     robot = controller()
-    result = run(directory)
+    result = run(directory, options=ur.UROptions(gain=450.0))
+    assert "gain=450.0" in robot.program
     assert result.achieved
     assert result.summary["source"] == "ur at 127.0.0.1"
     log, joint = result.arrays, plan.joint

@@ -564,4 +564,6 @@ def test_what_is_put_in_the_way_stays_there_until_it_is_removed(cube, problem):
         assert why in status.sentence
     live.put(crate)
     assert "another one is 'crate'" in live.obstacles([crate]).sentence
+    assert live.obstacles([replace(crate, name="ball")]).ok
+    assert "another one is 'ball'" in live.put(replace(crate, name="ball")).sentence
     assert "there is no \"['crate' 'box']\"; there are crate" in live.remove(np.array(["crate", "box"])).sentence

@@ -55,6 +55,12 @@ def test_what_became_of_requests_is_told_once_each_time(cube):
     assert next(news) == []
     drive(live, 0.2)
     assert [(one.id, one.outcome) for one in next(news)] == [(1, "followed")]
+    drive(live, 3.0, begins=0.2)
+    assert [(one.id, one.outcome) for one in next(news)] == [(1, "reached"), (2, "reached")]
+    live.goto((0.45, 0.1, 0.45))
+    drive(live, 0.3, begins=3.2)
+    drive(live, 2.0, every=None, begins=3.5)  # nobody plans any more
+    assert [(one.id, one.outcome) for one in next(news)] == [(3, "reached")]
 
 
 def test_a_motion_that_comes_too_late_is_said_to_be_late_until_another_is_followed(cube):
