@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from salver import scenario as scenarios
 from salver.auditing import Audit, AuditOptions, audit
-from salver.auditing.commanded import open_questions
+from salver.auditing.commanded import commanded_motion, open_questions
 from salver.cli import app
 from salver.errors import SalverError
 from salver.models.arm.arm import load_arm
@@ -321,3 +321,13 @@ def test_velocities_in_degrees_are_told_from_those_that_are_only_large():
     ((code, sentence),) = degrees
     assert code == "clock"
     assert "would move the joints by 17.2 rad in all, the positions by 0.3 rad" in sentence  # 180 / pi times 0.3
+
+
+def test_the_peak_acceleration_of_a_long_quintic_between_two_waypoints_is_seen():
+    """A minimum-jerk motion of 2 s: its peak is 10 / sqrt(3) / 2^2 of the way, to 0.1 %."""
+    way, still = np.array([0.7, -1.2]), np.zeros((2, 2))
+    q = 0.3 + np.outer([0, 1], way)
+    ddq = commanded_motion(JointSamples(np.array([1.0, 3.0]), ("a", "b"), q, still, still, "by hand", commanded=True))[
+        3
+    ]
+    assert ddq.max(axis=0) == pytest.approx(10 / np.sqrt(3) / 4 * np.abs(way), rel=1e-3)
