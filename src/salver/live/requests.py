@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Literal
 
-KEPT = 200  # requests of late of which it is said what became of them; no more than half of that can be open
+KEPT = 200  # latest requests whose outcomes are kept; at most half of them can be open
 Outcome = Literal["accepted", "late", "followed", "reached", "dropped"]
 
 
