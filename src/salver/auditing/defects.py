@@ -1,8 +1,8 @@
 """Defects of a recording by logger, sensor or software, found in the samples and repaired if that is sound.
 
 In this order: a wrong unit, repeated samples, jitter of the clock, two sources that take turns, interpolation, spikes
-and jumps. They are searched for in the
-channels as they are in the file: a pose, or joint positions.
+and jumps, one column in another unit. They are searched for in the channels as they are in the file: a pose, or joint
+positions.
 """
 
 from __future__ import annotations
