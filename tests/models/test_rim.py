@@ -7,6 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from armless_scenarios import scenario
+from salver.contact_margins import Margins, margin_model
 from salver.errors import ScenarioError
 from salver.geometry import exp
 from salver.models.bodies import Body
@@ -186,6 +187,17 @@ def test_friction_needed_and_distance_to_tipping_beside_a_wall() -> None:
     assert_allclose(distance[2], 0.03 - 5.0 * 0.045 / G, rtol=1e-6)
     assert_allclose(distance[3:], 0.03 - np.array([1.0, 2.9]) * 0.075 / G, rtol=1e-6)
     assert tip_over_margin(contacts, np.array([0.4 * 7.0, 0, 0.4 * G, 0, 0, 0]))[0] < 0
+
+
+def test_verdict_beside_a_wall_is_that_of_its_own_friction_not_of_the_interpolated_need() -> None:
+    """Nearly tipping over the rim, the interpolated need is 5 % above the friction with which the box just holds."""
+    model = margin_model(beside(box(against="-x")))
+    for along, code in ((2.9, None), (2.96, "slides")):
+        w = np.zeros((1, 12))
+        w[0, :3] = [6.4, along, G]
+        (contact,) = Margins(model, np.zeros(1), w).interfaces
+        failure = contact.failure(worst=False)
+        assert (failure and failure[2]) == code
 
 
 def test_no_turning_beside_the_wall_relies_on_a_preload() -> None:
