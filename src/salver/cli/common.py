@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 
 class ExitCode(IntEnum):
-    """How a command ends. NO_SAFE_PLAN also stands for what an audit or motion capture cannot tell."""
+    """How a command ends. NO_SAFE_PLAN also stands for what an audit cannot tell."""
 
     ACHIEVED = 0
     NOT_ACHIEVED = 1

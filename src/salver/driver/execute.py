@@ -11,17 +11,15 @@ from typing import Any
 import numpy as np
 
 from salver.control.arm import ArmController, ArmState, controller_for
-from salver.driver import mocap, seen
 from salver.driver.execution import Drive, ExecutionLog, Watchdog, named
-from salver.driver.logs import FOLDER, arrays_of, check_place, keep, summary_of
+from salver.driver.logs import arrays_of, check_place, keep, summary_of
 from salver.driver.preflight import STANDARD as PREFLIGHT
 from salver.driver.preflight import Check, PreflightOptions, check_approach, check_plan, check_posture, demand
 from salver.driver.robots.robots import Robot, robot_class
 from salver.driver.robots.simulated import SimulatedRobot
 from salver.driver.signals import Signals, noted_signals
 from salver.driver.stops import StopFrom, stops_of
-from salver.errors import FileFormatError, SalverError, UnreachableError
-from salver.files import read_result
+from salver.errors import SalverError, UnreachableError
 from salver.geometry import Array
 from salver.models.arm.arm import ArmModel, load_arm
 from salver.models.bodies import Body
@@ -128,61 +126,6 @@ def seen_in_the_engine(
         return arrays, {**summary, "load": f"What became of the load was not measured ({named(error)})."}
     known = {key: record.summary[key] for key in JUDGED if key in record.summary}
     return {name: np.asarray(getattr(record, name)) for name in RECORDED}, {**summary, **known}
-
-
-def merge_mocap(
-    directory: str | Path,
-    stem: str,
-    path: str | Path,
-    object_name: str | None = None,
-    tray_name: str | None = None,
-    offset: float | None = None,
-    world: tuple[Array, Array] | None = None,
-    options: mocap.CaptureOptions = mocap.STANDARD,
-) -> Execution:
-    """Add the motion of object and tray, as seen by motion capture, to the log of a run. The object's default name is
-    that of the first object.
-
-    Raises FileFormatError when there is no log or no motion capture in the file, SalverError for unknown names.
-    """
-    plan, _, carried = _prepared(directory, stem)
-    folder = Path(directory) / FOLDER
-    if not (folder / f"{stem}.npz").is_file():
-        raise FileFormatError(f"{folder} holds no log of {stem}; run `salver execute {directory}` first.")
-    arrays, summary = read_result(folder / stem, ("t", "p_SE", "quat_SE_wxyz"))
-    name = object_name or carried[0].name
-    tracks = mocap.read_tracks(path)
-    merged = mocap.merge(
-        arrays,
-        tracks,
-        plan.reference,
-        carried[0],
-        object_name=name,
-        tray_name=tray_name,
-        offset=offset,
-        p_SV=world[0] if world else None,
-        R_SV=world[1] if world else None,
-        options=options,
-    )
-    during = merged["t"] >= 0
-    summary |= {key: _peak(merged[array][during]) for key, array in _PEAKS.items()}
-    summary["mocap"] = {"file": Path(path).name, "offset": float(merged["mocap_offset"]), "tray": tray_name}
-    summary["outcome"] = "stopped" if summary["stopped"] else "done"
-    summary["load"] = "Whether the load held is told only with the tray in the recording (--mocap-tray)."
-    if tray_name is not None:
-        told = seen.judge(merged, tracks, plan.reference, carried, name, tray_name, options)
-        summary["load"] = told.sentence
-        summary["outcome"] = summary["outcome"] if summary["stopped"] else told.code
-    return _kept(directory, stem, merged, summary, [])
-
-
-_PEAKS = {"e_p_peak": "e_p", "e_o_peak": "e_o", "slip_peak": "slip"}
-
-
-def _peak(values: Array) -> float | None:
-    """The largest where it was seen; None when it never was."""
-    known = values[np.isfinite(values)]
-    return float(known.max()) if known.size else None
 
 
 def _prepared(directory: str | Path, stem: str) -> tuple[Plan, ArmModel, Sequence[Body]]:

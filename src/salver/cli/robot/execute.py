@@ -53,15 +53,6 @@ def execute(
             help="With --live: an option of the run, as longest=300 or live.strayed=0.02; repeat for several."
         ),
     ] = None,
-    mocap: Annotated[
-        Path | None, typer.Option(help="Do not move; merge this motion capture (CSV) into the log of the last run.")
-    ] = None,
-    mocap_object: Annotated[str | None, typer.Option(help="The object's name there; its own by default.")] = None,
-    mocap_tray: Annotated[str | None, typer.Option(help="The tray's name there, to measure slip.")] = None,
-    mocap_offset: Annotated[float | None, typer.Option(help="Its time at the start of the motion, s.")] = None,
-    mocap_world: Annotated[
-        str | None, typer.Option(help='Pose of its world in the arm\'s: "x y z roll pitch yaw" in m and degrees.')
-    ] = None,
     yes: Annotated[bool, typer.Option("--yes", help="Do not ask before the arm moves.")] = False,
     json: Json = False,
 ) -> None:
@@ -77,12 +68,11 @@ def execute(
     A plan of several legs runs leg by leg, with a question before each and a log of each; the run ends after a leg that
     fails.
 
-    Ends with 0 when the motion ran to its end (with --mocap: and the load held as far as it was seen), with 1 when it
-    did not or every request was refused, with 3 when motion capture cannot tell.
+    Ends with 0 when the motion ran to its end, with 1 when it did not or every request was refused.
 
     Example: `salver execute runs/panda-cube --dry-run`
     """
-    from salver.driver.execute import merge_mocap, run_plan
+    from salver.driver.execute import run_plan
     from salver.driver.execution import Watchdog
     from salver.driver.robots.robots import robot_class
     from salver.run_directory import scenario_of
@@ -98,13 +88,11 @@ def execute(
         raise SalverError("--option goes with --live; a run along a plan has none.")
     done: list[dict[str, Any]] = []
     if live is not None:
-        if mocap is not None or move_to_start or full_speed_only or stem != "plan":
-            raise SalverError("--live goes with none of --mocap, --move-to-start, --full-speed-only and --stem.")
+        if move_to_start or full_speed_only or stem != "plan":
+            raise SalverError("--live goes with none of --move-to-start, --full-speed-only and --stem.")
         if robot == "ur":
             raise SalverError("--live drives a franka or the simulated arm; a ur is driven along plans.")
         result = _told(directory, live, out, robot, address, Watchdog(watchdog), realtime, yes, confirm, option or [])
-    elif mocap is not None:
-        result = merge_mocap(directory, stem, mocap, mocap_object, mocap_tray, mocap_offset, _pose(mocap_world))
     else:
         legs = load(scenario_of(directory)).legs if stem == "plan" else []
         if legs and yes and not simulated:
@@ -135,8 +123,7 @@ def execute(
     else:
         _tell(result)
     if not result.achieved:
-        unknown = result.summary["outcome"] == "cannot_tell"
-        raise typer.Exit(ExitCode.NO_SAFE_PLAN if unknown else ExitCode.NOT_ACHIEVED)
+        raise typer.Exit(ExitCode.NOT_ACHIEVED)
 
 
 def _told(
@@ -225,20 +212,6 @@ def _assent(yes: bool, json: bool) -> Any:
         return typer.confirm("The arm will move. Is its way clear, and a hand on the stop?", err=True)
 
     return ask
-
-
-def _pose(text: str | None) -> Any:
-    """The pose (p, R) in "x y z roll pitch yaw", in m and degrees."""
-    if text is None:
-        return None
-    import numpy as np
-
-    from salver.geometry import matrix_from_rpy
-
-    pose = numbers(text)
-    if len(pose) != 6:
-        raise SalverError(f'--mocap-world is "{text}"; it must be six numbers: x y z in m, roll pitch yaw in degrees.')
-    return np.array(pose[:3]), matrix_from_rpy(np.deg2rad(pose[3:]))
 
 
 def _tell(result: Execution) -> None:

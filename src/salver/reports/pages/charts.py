@@ -367,10 +367,8 @@ def suited(peak: float, units: Units) -> tuple[str, float]:
 
 
 def record_curve(record: Record | None, key: str) -> Array | None:
-    """A quantity over time (T,) of a record, the largest over the objects; None when it has none or never saw it."""
+    """A quantity over time (T,) of a record, the largest over the objects; None when it has none."""
     if record is None or key not in record.arrays:
         return None
     values = record.arrays[key]
-    if not np.any(np.isfinite(values)):  # motion capture that saw nothing
-        return None
     return values if values.ndim == 1 else values.max(axis=1)

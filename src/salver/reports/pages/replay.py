@@ -177,10 +177,8 @@ def poses(motion: ReportedMotion, bodies: Sequence[Body], keep: np.ndarray) -> t
     source = record.arrays
     tray = np.hstack([source["p_SE"], source["quat_SE_wxyz"]])[keep]
     objects = _on_tray(tray[:, :3], matrix_from_quat_wxyz(tray[:, 3:]), bodies)
-    if "p_SB" in source:  # seen, if only now and then and not all of them
-        seen = np.concatenate([source["p_SB"], source["quat_SB_wxyz"]], axis=2)[keep]
-        m = seen.shape[1]
-        objects[:, :m] = np.where(np.isfinite(seen), seen, objects[:, :m])
+    if "p_SB" in source:
+        objects = np.concatenate([source["p_SB"], source["quat_SB_wxyz"]], axis=2)[keep]
     return tray, objects
 
 
