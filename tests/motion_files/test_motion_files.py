@@ -1,7 +1,6 @@
 """One family of motion files: what is written is read again, in every format, by every command that takes one."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,10 +11,9 @@ from typer.testing import CliRunner
 
 import salver as sv
 from salver import scenario as scenarios
-from salver.auditing import AuditOptions
 from salver.cli import app
 from salver.errors import FileFormatError, SalverError
-from salver.given import at_pace, read_waypoints
+from salver.given import read_waypoints
 from salver.motion_files import (
     ENDINGS,
     JointSamples,
@@ -164,58 +162,6 @@ def test_a_file_of_tray_and_joints_is_the_trays_for_an_audit_and_the_joints_for_
     assert np.array_equal(read_path(path, JOINTS), joints.q)
 
 
-def test_paced_motion_has_the_derivatives_of_its_time():
-    """d/dt of q(t / f) is q' / f, the second q'' / f^2: against differences of the paced positions."""
-    slow = joint_swing(2001).paced(1.7)
-    assert np.allclose(np.gradient(slow.q, slow.t, axis=0)[1:-1], slow.dq[1:-1], atol=1e-6)
-    assert np.allclose(np.gradient(slow.dq, slow.t, axis=0)[1:-1], slow.ddq[1:-1], atol=1e-5)
-
-
-def test_the_least_pace_is_that_of_the_friction():
-    """A level quintic of length L in T needs a peak acceleration of 10 L / (sqrt(3) T^2); it may be mu g. In the worst
-    case mu = 0.5: the panda-cube's friction is not uncertain, its mass does not matter."""
-    scenario = sv.load_scenario("panda-cube")
-    samples = swing(2.0, 500.0)
-    expected = np.sqrt(10 * 0.3 / (np.sqrt(3) * 0.5 * 9.81)) / 2.0
-    found = at_pace(samples, scenario, options=AuditOptions(highest=20.0))
-    assert found.ok
-    assert expected * 0.995 < found.factor < expected * 1.12  # cones of 16 sides, steps of 2 %
-    assert not at_pace(samples, scenario, 0.97 * expected, options=AuditOptions(highest=20.0)).ok
-    assert found.unchecked == "any limit of an arm"
-
-
-def test_a_joint_beyond_its_speed_limit_is_no_yes():
-    """The fastest joint of the swing, 20 times as fast, against the maker's limit of 2.175 rad/s."""
-    samples = joint_swing(201)
-    found = at_pace(samples, sv.load_scenario("panda-cube"), 0.05)
-    share = 20 * np.abs(samples.dq[:, 0]).max() / (0.98 * 2.175)  # plans keep 2 % of it
-    assert share > 1
-    assert found.too_fast == f"panda_joint1 moves at {100 * share:.0f} % of the speed that plans allow it"
-    assert not found.ok
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("form", ["csv", "ros2"])
-def test_what_could_be_faster_is_written_in_the_format_it_came_in(tmp_path, form):
-    path = named(form, tmp_path)
-    write(MotionSeries.of(swing(2.0, 250.0) if form == "csv" else joint_swing(60)), path, form)
-    run = CliRunner()
-    told = run.invoke(app, ["audit", str(path), "-s", "panda-cube", "--highest", "20"])
-    assert told.exit_code == 0, told.output
-    line = next(line for line in told.output.splitlines() if "in the same format: " in line)
-    command = line.split("salver ", 1)[1].split()
-    done = run.invoke(app, [*command, "--json"])
-    assert done.exit_code == 0, done.output
-    result = json.loads(done.stdout)
-    assert result["factor"] < 0.95
-    target = next(Path(f) for f in result["files"])
-    target = target.parent if form == "ros2" else target
-    again = read(target, lambda: JOINTS)
-    assert again.form == form
-    assert again.t[-1] == pytest.approx(2.0 * result["factor"], abs=1e-8)
-    assert run.invoke(app, ["audit", str(target), "-s", "panda-cube", "--highest", "20"]).exit_code == 0
-
-
 @pytest.mark.slow
 def test_simulate_takes_a_file_and_the_engine_agrees_with_the_audit(tmp_path):
     """Half of what friction gives holds, one and a half times as much slides (and twice as much would tip a cube)."""
@@ -319,14 +265,6 @@ def test_every_command_takes_and_writes_a_plan_in_every_form(plan_in_every_form,
     record = read(ran)
     ends = plan.reference.sample(np.array([0.0, plan.duration])).p_SB
     assert np.allclose(np.ptp(record.p, axis=0), np.abs(ends[1] - ends[0]), atol=1e-3)
-    slower = json.loads(
-        typed("retime", path, *at, *slow, "--pace", 1.2, "--write", tmp_path / f"slow{path.suffix}", "--json")
-    )
-    target = tmp_path / f"slow{path.suffix}"
-    again = read(target, lambda: JOINTS)
-    assert again.form == form
-    assert again.t[-1] == pytest.approx(1.2 * 1.5, abs=1e-9)
-    assert slower["ok"]
     if form not in ("csv", "ros2"):  # a table, a bag; each other one: above
         return
     typed("retime", path, *at, "-o", tmp_path / "run", "--write", tmp_path / f"fast{path.suffix}")
@@ -335,18 +273,6 @@ def test_every_command_takes_and_writes_a_plan_in_every_form(plan_in_every_form,
     assert np.allclose(fast.q[[0, -1]], planned[[0, -1]], atol=1e-6)
     typed("report", path, *at, *slow, "-o", tmp_path / "page.html")
     assert (tmp_path / "page.html").stat().st_size > 50_000
-
-
-@pytest.mark.parametrize("given", [["-o", "slow.csv"], ["--stops"]])
-def test_what_has_no_meaning_with_a_pace_is_not_taken_in_silence(tmp_path, given):
-    """The file was written beside the motion, and the name that was given forgotten."""
-    (tmp_path / "line.csv").write_text("t,x,y,z,qw,qx,qy,qz\n", encoding="utf-8")
-    done = CliRunner().invoke(
-        app, ["retime", str(tmp_path / "line.csv"), "-s", "panda-cube", "--pace", "least", *given]
-    )
-    assert done.exit_code == 2
-    assert "--write names its file" in " ".join(done.output.replace("│", " ").split())
-    assert list(tmp_path.iterdir()) == [tmp_path / "line.csv"]
 
 
 def test_a_log_of_a_run_becomes_a_table_of_the_arms_joints(tmp_path):
@@ -411,17 +337,15 @@ def test_every_command_that_reads_a_table_takes_its_units_and_writes_si(tmp_path
     with_units = ["own.csv", "-s", "panda-cube", "--units", "deg,ms"]
     for words in (
         ["export", "--format", "json", "-o", "exported.json"],
-        ["retime", "--pace", "1", "--write", "paced.csv"],
         ["simulate", "--write", "done.csv", "--json"],
         ["report", "-o", "page.html"],
         ["audit", "--json"],
     ):
         done = CliRunner().invoke(app, [words[0], *with_units, *words[1:]])
         assert done.exit_code == 0, done.output
-        if words[0] in ("export", "retime"):
+        if words[0] == "export":
             assert "Units of the table: deg, ms" in done.output
-    for name in ("exported.json", "paced.csv"):
-        assert np.allclose(read(tmp_path / name, lambda: JOINTS).q, q, atol=1e-9)
+    assert np.allclose(read(tmp_path / "exported.json", lambda: JOINTS).q, q, atol=1e-9)
     assert np.ptp(read(tmp_path / "done.csv").t) == pytest.approx(2.0, abs=1.0)
     with pytest.raises(FileFormatError, match=r"taught\.csv has panda_joint\d at .*degrees: give --units deg"):
         read_waypoints(tmp_path / "taught.csv", case)

@@ -15,7 +15,7 @@ from salver.errors import Status, UnsafeError
 from salver.export import FORMATS, OF_PLANS, convert, write_export
 from salver.files import load_npz, read_json
 from salver.motion_files import read
-from salver.planning.make import make_plan, plan_pair
+from salver.planning.make import plan_pair
 from salver.planning.plan import load_plan
 
 # Stem of a run directory to what fails there.
@@ -107,38 +107,6 @@ def test_export_ends_with_3_and_one_sentence(run: Path, tmp_path: Path) -> None:
     code, _ = called("export", run, "--format", "moveit", "--stem", "baseline", "-o", tmp_path / "m.yaml", "--unsafe")
     assert code == 0
     assert [path.name for path in tmp_path.iterdir()] == ["m-UNSAFE.yaml"]
-
-
-@pytest.mark.slow
-def test_retime_writes_no_program_of_what_does_not_hold(tmp_path: Path) -> None:
-    """At the pace given the arm is too fast; along the path given no timing is safe."""
-    case = scenario.load("ur5-bottle")
-    make_plan(case, "baseline").save(tmp_path / "run")
-    (path,) = write_export(tmp_path / "run", "csv", tmp_path / "motion.csv", rate=200.0)
-    before = set(tmp_path.iterdir())
-    words = ("retime", path, "-s", "ur5-bottle", "--pace", "0.3")
-    code, said = called(*words)
-    assert code == 3
-    assert "motion-paced.csv is not written" in said
-    assert set(tmp_path.iterdir()) == before
-    code, said = called(*words, "--unsafe")
-    assert code == 3
-    assert {found.name for found in set(tmp_path.iterdir()) - before} == {"motion-paced-UNSAFE.csv"}
-    code, said = called("retime", path, "-s", "ur5-bottle", "--pace", "2")
-    assert code == 0, said
-    assert not (tmp_path / "motion-paced.csv").read_text().startswith("#")
-
-
-@pytest.mark.slow
-def test_of_a_paced_file_that_called_itself_unsafe_the_mark_stays(run: Path, tmp_path: Path) -> None:
-    """An audit knows no obstacles: that it holds at another pace does not take back what a plan said."""
-    (path,) = write_export(run, "csv", tmp_path / "motion.csv", rate=500.0, unsafe=True)
-    code, said = called("retime", path, "-s", "ur5-bottle", "--pace", "4", "--json", "--unsafe")
-    found = json.loads(said)
-    assert code == 0
-    assert found["ok"]
-    assert found["files"] == [str(tmp_path / "motion-UNSAFE-paced.csv")]
-    assert (tmp_path / "motion-UNSAFE-paced.csv").read_text().startswith("# UNSAFE: ur5 cannot follow")
 
 
 @pytest.mark.slow

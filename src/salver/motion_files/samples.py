@@ -37,10 +37,6 @@ class TraySamples(Outlined):
     form: str = "csv"
     verdict: str = ""
 
-    def paced(self, factor: float) -> TraySamples:
-        """The motion stretched in time by `factor`."""
-        return replace(self, t=self.t * factor)
-
 
 @dataclass(frozen=True, repr=False)
 class JointSamples(Outlined):
@@ -61,11 +57,6 @@ class JointSamples(Outlined):
     form: str = "csv"
     tau: Array | None = None
     verdict: str = ""
-
-    def paced(self, factor: float) -> JointSamples:
-        """The motion stretched in time by `factor`."""
-        dq, ddq = (None if x is None else x / factor**k for k, x in ((1, self.dq), (2, self.ddq)))
-        return replace(self, t=self.t * factor, dq=dq, ddq=ddq)
 
     def between(self, first: int, last: int) -> JointSamples:
         """The samples from index `first` to `last`, both included, at times from the first of them."""

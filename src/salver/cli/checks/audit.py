@@ -119,9 +119,6 @@ def _show(result: Audit, given: str = "", options: str = "") -> None:
     for case, speeds in (("nominal", result.speeds), ("worst case", result.speeds_worst)):
         lines.append(f"Speeds, {case}: {speeds.sentence}")
         lines.append(f"Pace, {case}: {_pace_words(speeds.pace)}")
-    factor = result.speeds_worst.pace.details["factor"]
-    if given and factor is not None and abs(factor - 1) > 5e-3:
-        lines.append(f"Written so that it holds, in the same format: salver retime {given} --pace least{options}")
     if given:
         lines.append(f"As a page, with a replay: salver report {given}{options}")
     for line in lines:
