@@ -274,6 +274,13 @@ def test_one_column_in_another_unit_is_noisier():
     assert judged(p, noise=0.0).outcome == "cannot_tell"
 
 
+def test_a_hum_in_one_column_is_no_other_unit():
+    """3 mm at 3/8 of the rate of the samples: from one sample to the next as alike as white noise, to the third not."""
+    p = truth(T)
+    p[:, 2] += 3e-3 * np.sin(2 * np.pi * 3 / 8 * RATE * T)
+    assert "unit" not in codes(found(p))
+
+
 def test_a_tray_at_rest_where_only_the_worst_friction_would_not_hold_the_load_is_doubted_in_the_worst_case():
     """It leans by 0.42 rad, which needs a friction of 0.447; it is 0.4 to 0.6."""
     case = CUBE.with_changes(objects__0__uncertainty={"friction": 0.1})

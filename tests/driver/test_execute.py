@@ -322,6 +322,7 @@ def test_ctrl_c_on_the_way_to_the_start_stops_the_arm(
     with pytest.raises(SalverError, match=r"Interrupted at t = 0\.2\d\d s\. The arm was stopped on its way"):
         execute.run_plan(directory, "franka", "arm", move_to_start=True)
     assert len(positions) == 201
+    assert positions[0] == pytest.approx(posture, abs=1e-8)  # no jump: a millisecond moves it by 1e-9 rad
     assert fake.calls[-1] == ("stopped",)
 
 

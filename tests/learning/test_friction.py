@@ -80,6 +80,7 @@ def test_a_tray_planned_to_tilt_proves_what_was_asked(plan: Plan) -> None:
     shakier = friction(plan, level=2.0).low
     assert shakier is not None
     assert shakier < found.low
+    assert friction(plan, slid=0.9).high_time == pytest.approx(0.9, abs=0.02)  # a sample
 
 
 @pytest.mark.parametrize("heading", [0.7, -2.0])

@@ -200,6 +200,15 @@ def test_verdict_beside_a_wall_is_that_of_its_own_friction_not_of_the_interpolat
         assert (failure and failure[2]) == code
 
 
+def test_no_friction_suffices_where_the_worst_case_tips_over_the_rim() -> None:
+    """Beside a wall tipping depends on friction too; here it does not slide with next to none."""
+    item, w = box(against="-x", uncertainty={"com": [0.002, 0.002, 0.005]}), np.zeros((1, 12))
+    w[0, :3] = [6.04, 0.01, G]
+    (contact,) = Margins(margin_model(beside(item)), np.zeros(1), w).interfaces
+    assert contact.friction_needed.max() < 0.01
+    assert contact.friction_needed_worst == np.inf
+
+
 def test_no_turning_beside_the_wall_relies_on_a_preload() -> None:
     """Leaning on the rim beyond its foot, held only by a couple of wall and friction: not counted on."""
     payload = beside(box(against="-x")).payload
