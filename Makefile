@@ -36,6 +36,7 @@ $(RUNS): requirements.lock pyproject.toml
 	"$(PYTHON)" -m venv $(VENV)
 	$(BIN)/python -m pip install -qq --disable-pip-version-check --require-hashes -r requirements.lock
 	$(BIN)/python -m pip install -qq --disable-pip-version-check --no-deps --no-build-isolation -e .
+	rm -rf $(VENV)/lib/python3*/site-packages/cmeel.prefix/include # 200 MB of Pinocchio's C++ headers
 	@touch $@
 
 $(READY): $(RUNS) requirements-dev.lock
@@ -109,8 +110,8 @@ LOCK = $(BIN)/uv pip compile --universal --python-version 3.11 --generate-hashes
 
 lock: $(READY)
 	$(BIN)/python -m pip install -qq --disable-pip-version-check uv
-	$(LOCK) pyproject.toml --group dev -o requirements-dev.lock
-	$(LOCK) pyproject.toml --group build -c requirements-dev.lock -o requirements.lock
+	$(LOCK) pyproject.toml --extra full --group dev -o requirements-dev.lock
+	$(LOCK) pyproject.toml --extra full --group build -c requirements-dev.lock -o requirements.lock
 	$(LOCK) --group docs -c requirements-dev.lock -o requirements-docs.lock
 
 clean:

@@ -71,13 +71,17 @@ def tried(wheel: Path, python: str, code: str, says: str) -> str:
     with tempfile.TemporaryDirectory() as folder:
         subprocess.run([python, "-m", "venv", folder], check=True)
         own = Path(folder, "bin", "python")
-        bare = sum(p.lstat().st_blocks for p in Path(folder).rglob("*"))
-        subprocess.run([own, "-m", "pip", "install", "-q", "--disable-pip-version-check", wheel.resolve()], check=True)
+        sizes = []
+        for extra in ("", "[engine]"):  # to plan, and with what the README's lines need
+            sizes.append(sum(p.lstat().st_blocks for p in Path(folder).rglob("*")))
+            given = f"{wheel.resolve()}{extra}"
+            subprocess.run([own, "-m", "pip", "install", "-q", "--disable-pip-version-check", given], check=True)
         done = subprocess.run([own, "-I", "-c", code], cwd=folder, capture_output=True, text=True, check=False)
         if done.stdout != says:
             sys.exit(f"{python}: the README's lines print\n{done.stdout}{done.stderr}and not\n{says}")
-        size = sum(p.lstat().st_blocks for p in Path(folder).rglob("*")) - bare
-    return f"{python}: installed in {512 * size / 1e6:.0f} MB; the README's lines print what it says"
+        sizes.append(sum(p.lstat().st_blocks for p in Path(folder).rglob("*")))
+    alone, engine = (512e-6 * (size - sizes[0]) for size in sizes[1:])
+    return f"{python}: {alone:.0f} MB to plan, {engine:.0f} MB with the engine; the README's lines print what it says"
 
 
 if __name__ == "__main__":

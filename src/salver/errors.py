@@ -8,7 +8,8 @@ by the result, because it is not exceptional and callers need to read it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -27,6 +28,19 @@ class FileFormatError(SalverError):
 
 class MissingDependencyError(SalverError):
     """An optional package, a renderer or a robot interface is needed but not installed."""
+
+
+@contextmanager
+def needs(extra: str, what: str) -> Iterator[None]:
+    """Around imports of the packages of an extra (pyproject.toml): one that is not installed raises
+    MissingDependencyError, whose sentence says that `what` needs it and how to install it."""
+    try:
+        yield
+    except ImportError as error:
+        package = (error.name or str(error)).split(".")[0]
+        raise MissingDependencyError(
+            f"{what} needs {package}, which is not installed; install it with: pip install 'salver[{extra}]'."
+        ) from None
 
 
 class UnsafeError(SalverError):

@@ -24,7 +24,6 @@ from salver.motion_files.units import Units
 from salver.planning.plan import Plan, load_plan
 from salver.run_directory import SCENARIO
 from salver.scenario import Scenario
-from salver.simulation.physics import simulate_tray
 from salver.simulation.record import SimulationRecord
 from salver.trajectory import SampledReference
 
@@ -71,6 +70,8 @@ def simulate_given(
     parameters: true values by name, in SI units; the others are nominal. options: how the samples are interpreted, as
     in an audit. Raises SalverError for a motion that does not begin at rest, because the engine does.
     """
+    from salver.simulation.physics import simulate_tray
+
     motion = audit_samples(samples, scenario, options).motion.samples.distinct()
     speed = float(np.linalg.norm(motion.v_S[0]))
     if speed > AT_REST:

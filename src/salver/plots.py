@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from salver.errors import SalverError
+from salver.errors import SalverError, needs
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -37,10 +37,12 @@ class Plotted:
 
         Raises:
             SalverError: another number of axes.
+            MissingDependencyError: no axes, and matplotlib is not installed.
         """
         t, panels = self.curves()
         if axes is None:
-            import matplotlib.pyplot as plt
+            with needs("plots", "plot"):
+                import matplotlib.pyplot as plt
 
             size = (7.0, 0.6 + 1.7 * len(panels))
             _, made = plt.subplots(len(panels), sharex=True, squeeze=False, figsize=size, layout="constrained")

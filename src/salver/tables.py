@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from itertools import product
 from typing import TYPE_CHECKING, Any
 
-from salver.errors import MissingDependencyError
+from salver.errors import needs
 
 if TYPE_CHECKING:
     import pandas
@@ -49,10 +49,8 @@ class Tabular:
 
     def to_xarray(self) -> xarray.Dataset:
         """The result as an `xarray.Dataset` with named dimensions. Raises MissingDependencyError without xarray."""
-        try:
+        with needs("tables", "to_xarray"):
             import xarray
-        except ImportError:
-            raise _missing("xarray") from None
         table = self.table()
         labels = {name: list(values) for name, values in (_COMPONENTS | dict(table.labels)).items()}
         used = {name for dimensions, _ in table.variables.values() for name in dimensions}
@@ -93,12 +91,6 @@ def dimensioned(
 
 def pandas_module() -> Any:
     """The module pandas. Raises MissingDependencyError if it is not installed."""
-    try:
+    with needs("tables", "to_pandas"):
         import pandas
-    except ImportError:
-        raise _missing("pandas") from None
     return pandas
-
-
-def _missing(package: str) -> MissingDependencyError:
-    return MissingDependencyError(f"{package} is not installed; it comes with: pip install 'salver[tables]'.")

@@ -138,7 +138,44 @@ try:
 except MissingDependencyError as error:
     print(json.dumps(str(error)))
 """
-    assert "pip install 'salver[engine]'" in _run(code)
+    assert "pip install 'salver[own-loop]'" in _run(code)
+
+
+@pytest.mark.slow
+def test_without_the_extras_plans_are_made_checked_shown_and_exported(tmp_path):
+    """And what an extra is for says in one sentence how to install it."""
+    code = f"""
+import json, sys
+for name in ("mujoco", "matplotlib", "rosbags", "arro3", "PIL", "pandas", "xarray", "casadi"):
+    sys.modules[name] = None  # as if it were not installed
+import salver as sv
+from salver.errors import MissingDependencyError
+from salver.export import write_export
+plan = sv.plan("panda-cube-1.2s")
+folder = plan.save({str(tmp_path / "run")!r})
+(path,) = write_export(folder, "csv")
+assert sv.audit(path, "panda-cube-1.2s").ok
+assert sv.retime(plan).ok
+assert "<html" in sv.report(plan).html
+said = []
+for needed in (
+    lambda: sv.simulate(plan),
+    lambda: sv.campaign(folder, 2),
+    lambda: sv.margins(plan).plot(),
+    lambda: plan.to_xarray(),
+    lambda: plan.to_pandas(),
+    lambda: write_export(folder, "ros2"),
+):
+    try:
+        needed()
+    except MissingDependencyError as error:
+        said.append(str(error))
+print(json.dumps(said))
+"""
+    needed = [("mujoco", "engine")] * 2 + [("matplotlib", "plots"), ("xarray", "tables"), ("pandas", "tables")]
+    for sentence, (package, extra) in zip(_run(code), [*needed, ("rosbags", "bags")], strict=True):
+        install = f"pip install 'salver[{extra}]'"
+        assert sentence.endswith(f" needs {package}, which is not installed; install it with: {install}.")
 
 
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="how other libraries keep what is freed is theirs")

@@ -12,7 +12,7 @@ from typing import Any
 
 from salver.campaigns.definition import DEFAULT_FOLDER
 from salver.campaigns.journal import Item, Record
-from salver.errors import FileFormatError
+from salver.errors import FileFormatError, needs
 from salver.files import write_atomic
 from salver.statistics import clopper_pearson, mcnemar, quantiles
 
@@ -49,8 +49,9 @@ def table(records: Mapping[Item, Record], stems: Sequence[str]) -> list[Row]:
 
 def write_table(path: Path, rows: Sequence[Row]) -> str:
     """Write rows as Parquet, columns in order of first appearance; returns the digest. Equal rows give equal bytes."""
-    from arro3.core import Array, DataType, Table
-    from arro3.io import write_parquet
+    with needs("engine", "A campaign"):
+        from arro3.core import Array, DataType, Table
+        from arro3.io import write_parquet
 
     types = {bool: DataType.bool(), int: DataType.int64(), float: DataType.float64(), str: DataType.string()}
     names = list(dict.fromkeys(name for row in rows for name in row))
@@ -77,7 +78,8 @@ def read_table(path: str | Path) -> dict[str, list[Any]]:
 
 def columns_of(content: bytes, path: Path) -> dict[str, list[Any]]:
     """The columns of a runs.parquet from its content. Raises FileFormatError, naming `path`."""
-    from arro3.io import read_parquet
+    with needs("engine", path.name):
+        from arro3.io import read_parquet
 
     if len(content) < 2 * len(MAGIC) or {content[: len(MAGIC)], content[-len(MAGIC) :]} != {MAGIC}:
         raise FileFormatError(f"{path} is not a Parquet file, or is truncated.")

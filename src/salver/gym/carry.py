@@ -20,7 +20,7 @@ import numpy as np
 
 from salver.control.arm import controller_for
 from salver.driver.live import STANDARD
-from salver.errors import MissingDependencyError, SalverError, ScenarioError
+from salver.errors import SalverError, ScenarioError, needs
 from salver.geometry import Array, quat_wxyz_from_matrix
 from salver.live import Live, LiveCourse
 from salver.live.replanning.steer import TICK
@@ -30,13 +30,9 @@ from salver.playground.unprotected import Unprotected
 from salver.sampling import draw
 from salver.scenario import Scenario, load
 
-try:
+with needs("gym", "The environment salver/Carry-v0"):
     import gymnasium
     from gymnasium import spaces
-except ImportError:
-    raise MissingDependencyError(
-        "The environment salver/Carry-v0 needs Gymnasium; install it with: pip install 'salver[gym]'."
-    ) from None
 
 STEP = TICK  # s of an action
 Actions = Literal["twist", "joints"]

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from salver.errors import FileFormatError
+from salver.errors import FileFormatError, needs
 from salver.geometry import Array, interpolated
 from salver.motion_files.motion import STOPS
 from salver.motion_files.samples import FEWEST, JointSamples, Samples, TraySamples, joint_samples, tray_samples
@@ -242,8 +242,9 @@ def read_sensed(path: Path, topic: str | None = None) -> tuple[JointSamples, Arr
 def _messages(path: Path, chosen: Callable[[Sequence[Any]], list[Any]]) -> list[tuple[str, str, list[tuple[int, Any]]]]:
     """Topic, type and messages, with the times of their recording, of each connection of a bag that `chosen`
     selects."""
-    from rosbags.highlevel import AnyReader
-    from rosbags.typesys import Stores, get_typestore
+    with needs("bags", "A ROS bag"):
+        from rosbags.highlevel import AnyReader
+        from rosbags.typesys import Stores, get_typestore
 
     if (path / "scenario.toml").is_file():
         raise FileFormatError(

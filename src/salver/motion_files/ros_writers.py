@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from salver.errors import SalverError
+from salver.errors import SalverError, needs
 from salver.files import to_json, write_atomic, writing
 from salver.geometry import Array
 from salver.motion_files.motion import STOPS, MotionSeries
@@ -82,8 +82,9 @@ def _time(ns: int) -> dict[str, int]:
 def write_bag(motion: MotionSeries, path: Path) -> list[Path]:
     """Write a rosbag2 directory with one mcap file and one message in each topic; the topic STOPS has one message for
     each stop, recorded at the instant at which the motion may be left. Raises SalverError when `path` exists."""
-    from rosbags.rosbag2 import StoragePlugin, Writer
-    from rosbags.typesys import Stores, get_typestore
+    with needs("bags", "A ROS 2 bag"):
+        from rosbags.rosbag2 import StoragePlugin, Writer
+        from rosbags.typesys import Stores, get_typestore
 
     if path.exists():
         raise SalverError(f"{path} exists; a ROS 2 bag is a new directory: name another with -o, or remove that one.")

@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-from salver.errors import MissingDependencyError
+from salver.errors import needs
 
-try:
+with needs("own-loop", "A user-defined loop"):
     import casadi as ca
-except ImportError:
-    raise MissingDependencyError(
-        "Sensitivities of a user-defined loop need CasADi; install it with: pip install 'salver[engine]'."
-    ) from None
 
 __all__ = ["ca"]

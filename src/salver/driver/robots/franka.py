@@ -16,7 +16,7 @@ from salver.control.arm import ArmState
 from salver.driver.gate import Gate
 from salver.driver.preflight import Check, looked_at
 from salver.driver.signals import Signals, noted_signals
-from salver.errors import MissingDependencyError, SalverError
+from salver.errors import SalverError, needs
 from salver.geometry import Array
 from salver.models.arm.arm_limits import JointLimits
 from salver.models.arm.known_arms import KNOWN_ARMS
@@ -191,12 +191,8 @@ class FrankaRobot:
 
 def library() -> Any:
     """pylibfranka, or one sentence that says how to get it."""
-    try:
+    with needs("robot", "Driving a Franka"):
         import pylibfranka
-    except ImportError:
-        raise MissingDependencyError(
-            "Driving a Franka needs the package pylibfranka; install it with: pip install 'salver[robot]'."
-        ) from None
     return pylibfranka
 
 

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from salver.errors import FileFormatError, ScenarioError
+from salver.errors import FileFormatError, ScenarioError, needs
 from salver.files import output_file, put_in_place, writing
 from salver.geometry import Array
 from salver.models.arm.arm import load_arm, moved_links
@@ -87,8 +87,9 @@ JOINTS = {"position": "q", "velocity": "dq", "effort": "tau"}
 
 
 def _write(path: Path, rows: Iterator[Row]) -> None:
-    from rosbags.rosbag2 import StoragePlugin, Writer
-    from rosbags.typesys import Stores, get_typestore
+    with needs("bags", "A recording for Foxglove"):
+        from rosbags.rosbag2 import StoragePlugin, Writer
+        from rosbags.typesys import Stores, get_typestore
 
     store, connections = get_typestore(Stores.ROS2_JAZZY), dict[str, Any]()
     with writing(path), tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as folder:

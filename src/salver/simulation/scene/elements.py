@@ -27,7 +27,7 @@ from salver.models.rigid_body import RigidBody
 from salver.models.shapes.obstacle_shapes import mesh_pieces
 from salver.scenario import Cylinder, Obstacle, Tray
 from salver.simulation.scene.engine import mujoco
-from salver.simulation.scene.loads import Load
+from salver.simulation.scene.loads import WALL_OPACITY, Load
 
 FOOT_RADIUS = 5e-4  # m
 FARTHEST_SWING = 60.0  # degrees; at 90 the two hinges of a pendulum become singular, and the engine diverges
@@ -45,7 +45,6 @@ WALL = "salver:rim:"
 INERT: dict[str, Any] = {"contype": 0, "conaffinity": 0, "mass": 0}
 TRAY_COLOUR, POST_COLOUR = (0.06, 0.30, 0.36, 1.0), (0.35, 0.37, 0.40, 1.0)  # dark against floor, sky and white links
 POST_RADIUS = 0.026  # m, as the replay draws it
-WALL_OPACITY = 0.25  # of an object with a liquid or a pendulum
 COLOURS = ((0.80, 0.36, 0.22), (0.20, 0.45, 0.70), (0.35, 0.60, 0.30), (0.75, 0.60, 0.20), (0.50, 0.35, 0.60))
 
 

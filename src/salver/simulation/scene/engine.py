@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import os
 
-from salver.errors import MissingDependencyError
+from salver.errors import MissingDependencyError, needs
 
 try:
-    import mujoco
-except ImportError:
-    raise MissingDependencyError(
-        "The physics engine is not installed; install the package mujoco (pip install mujoco) to simulate."
-    ) from None
+    with needs("engine", "The physics engine"):
+        import mujoco
+except MissingDependencyError:
+    raise
 except Exception:
     # MUJOCO_GL names a backend that is not available. Physics needs none; render.py chooses its own.
     _wanted = os.environ.pop("MUJOCO_GL", None)

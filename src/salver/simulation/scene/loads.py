@@ -30,6 +30,7 @@ from salver.scenario import CarriedObject, Scenario
 
 LEAST_MOMENT = 1e-14  # kg m^2; MuJoCo treats less as zero
 ON_A_LINE = 1e-3  # share of the largest principal moment that replaces a zero one; with 1e-6 contacts are unstable
+WALL_OPACITY = 0.25  # of an object with a liquid or a pendulum, where it is drawn
 ROUND_POINTS = 24  # support points of a round base: the inscribed polygon is at most 0.9 % inside the circle
 
 
