@@ -10,7 +10,7 @@ import salver as sv
 from salver import scenario as scenarios
 from salver.auditing import AuditOptions, audit
 from salver.auditing.defects import channels_of, repaired
-from salver.auditing.noise import filtered_at
+from salver.auditing.noise import dead_band, filtered_at
 from salver.auditing.options import DEFAULT
 from salver.geometry import continuous, quat_wxyz_from_matrix
 from salver.models.arm.arm import load_arm
@@ -202,6 +202,23 @@ def test_a_plan_in_four_digits_is_not_said_to_lose_its_load(fastest, of, rate):
 
 
 SHAKEN = truth(T, shake=2 * 4.905 / (2 * np.pi * 18) ** 2)  # twice the friction there is
+
+
+@pytest.mark.parametrize("band", [5e-5, 1.25e-4])
+def test_a_dead_band_is_a_resolution(band):
+    """Of a safe chirp, 2 to 12 Hz at half of what friction bears, the samples seemed to go as at 15 000 m/s^2."""
+    frequency = 2 + 5 * T
+    size = 2.5 / (2 * np.pi * frequency) ** 2 * np.clip(T / 0.3, 0, 1) ** 2 * np.clip((2 - T) / 0.2, 0, 1) ** 2
+    turn = 2 * np.pi * np.cumsum(frequency) / RATE
+    p = np.stack([0.5 + size * np.sin(turn), size * np.cos(turn), 0.4 + 0 * T], axis=1)
+    assert dead_band(p) == 0.0
+    for column in p.T:
+        for k in range(1, len(column)):
+            column[k] = column[k] if abs(column[k] - column[k - 1]) > band else column[k - 1]
+    assert band < dead_band(p) < 1.6 * band  # a step is the next sample beyond it
+    verdict = judged(p, noise=0.0).nominal
+    assert "noise" in verdict.details["reasons"]
+    assert "no arm" not in verdict.sentence
 
 
 def test_axes_of_which_another_is_up_give_no_verdict():

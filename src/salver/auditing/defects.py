@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import maximum_filter1d, median_filter
 
-from salver.auditing.noise import resolution
+from salver.auditing.noise import of_one_size, resolution
 from salver.auditing.options import AuditOptions
 from salver.auditing.recorded import LEVER
 from salver.geometry import Array
@@ -102,8 +102,7 @@ def _without_repeats(channels: Channels, options: AuditOptions) -> Channels:
         return channels
     far = np.append(np.linalg.norm(moved * channels.metres, axis=1), 0.0)
     held = np.mean(length[1:-1] > 1) > 0.5
-    alike = np.quantile(far[far > 0], 0.1) > 0.3 * np.median(far[far > 0])
-    if held and alike and np.ptp(np.quantile(length[1:-1], (0.1, 0.9))) > 1:
+    if held and of_one_size(far[far > 0]) and np.ptp(np.quantile(length[1:-1], (0.1, 0.9))) > 1:
         return channels  # occasional moves of one size are the resolution of the sensor
     catch_up = far[np.append(begins[1:], len(t)) - 1]  # displacement at the end of each run of equal samples
     passed = np.concatenate([[0.0], np.cumsum(far)])

@@ -123,7 +123,29 @@ def noise_level(t: Array, y: Array) -> NoiseLevel:
     """Noise and resolution of samples y (N, 3), or quaternions (N, 4), at times t (N,)."""
     found, step = Spectrum.of(t, y), resolution(y)
     # Rounded samples deviate from every smooth curve; smooth ones may be multiples of a step by chance.
-    return NoiseLevel(found.noise, step if np.sqrt(found.power[-1].max()) > 0.05 * step else 0.0)
+    return NoiseLevel(found.noise, max(dead_band(y), step if np.sqrt(found.power[-1].max()) > 0.05 * step else 0.0))
+
+
+def of_one_size(moves: Array) -> bool:
+    """Whether moves (N,) > 0 from sample to sample are of one size, as a resolution or a dead band makes them; those of
+    a motion become small wherever it turns."""
+    return bool(np.quantile(moves, 0.1) > 0.3 * np.median(moves))
+
+
+def dead_band(y: Array, fewest: int = 6, still: float = 0.1) -> float:
+    """Dead band of a logger in values (N, d), which writes a value anew once it has changed by so much: it hides
+    smaller motion as a resolution does. The largest of all columns; 0 if there is none.
+
+    fewest: least number of moves that show it. still: least share of samples between moves that repeat the one before.
+    """
+    found = [0.0]
+    for moves in np.abs(np.diff(y, axis=0)).T:
+        changes = np.flatnonzero(moves)
+        if len(changes) < fewest or len(changes) > (1 - still) * (changes[-1] - changes[0] + 1):
+            continue
+        if of_one_size(moves[changes]):
+            found.append(float(np.quantile(moves[changes], 0.1)))
+    return max(found)
 
 
 def resolution(y: Array) -> float:
