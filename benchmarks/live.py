@@ -1,37 +1,52 @@
-"""Live motions: how long a change takes, what is followed, and whether anything is dropped.
+"""Live motions: how long a change takes, what is followed, and whether anything is dropped: docs/live.md.
 
-python benchmarks/live.py [-n RUNS] [--engine EVERY] [--seconds S]
-    python benchmarks/live.py -n 1000 --length 10 --engine 1 --data docs/data/live-long.json    # long streams
-    python benchmarks/live.py --liquids -n 4 --engine 1    # open liquids
-    python benchmarks/live.py -n 100 --kinds arrivals    # how long new goals take beside the best known
-    python benchmarks/live.py --kinds obstacles [--virtual]    # balls and posts that come at the load, in real time
-    python benchmarks/live.py -n 150 --kinds faults    # while everything around them fails
+    python benchmarks/live.py -n 4                                       streams, and goals that change
+    python benchmarks/live.py -n 1000 --length 10 --engine 1             long streams
+    python benchmarks/live.py -n 4 --engine 1 --liquids                  open liquids
+    python benchmarks/live.py -n 300 --kinds arrivals                    how long new goals take beside the best known
+    python benchmarks/live.py -n 34 --kinds obstacles --jobs 16          balls and posts come at the load, in real time
+    python benchmarks/live.py -n 34 --kinds virtual                      where planning takes its processor time
+    python benchmarks/live.py -n 170 --kinds faults --engine 1           while everything around them fails
+    python benchmarks/live.py -n 34 --kinds overrides rests              speed override and hold
+    python benchmarks/live.py -n 1 --kinds loop                          the 1 kHz loop beside a planner, in real time
 
-Runs are kept in docs/data/live.json, of liquids in live-liquids.json, and are not made again (--again: all anew), so
-that counts can be gone on with. `make pages` writes docs/live.md and a table of docs/liquids.md from them.
+    ... [-o out/live.jsonl] [--seconds 300] [--jobs 16]    add lines to a file; what stands there is not done again
+    ... [-o out/live.jsonl] --summary                      print what is known
+    ... [-o out/live.jsonl] --docs                         write it into docs/data, for `make pages`
+
 Times are CPU times of one core, in the same process. What was executed is judged as one motion, at every millisecond
 and from its own beginning; every so many runs (--engine) it is then run in the physics engine, where the load is as far
 from nominal as it may be, beside what a filter makes of the same stream that knows the arm's limits and no load.
+
+What runs in real time comes first, and each such session counts as three jobs: a loop, its planner and a camera.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import pickle
 import sys
 import time
+from argparse import Namespace
+from collections.abc import Callable, Iterator
+from multiprocessing import Pool
 from pathlib import Path
 from typing import Any
+from zlib import crc32
 
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests" / "helpers"))
+import live_loop
 import salver as sv
-from live_arrivals import HIGHEST, LOWEST, arrival, arrived
-from live_faults import faults_in_words, faulty
-from live_obstacles import table, throws
-from live_page import faster, row
+from lines import Line, read, taken, write
+from live_arrivals import HIGHEST, LOWEST, arrival
+from live_faults import faulty
+from live_obstacles import encounters, way_out
+from live_page import told_of
 from live_runs import EVERY, drive, executed, halted, in_turn, rows_of
+from live_speed import session, ways_to_rest
 from live_streams import SECONDS, STREAMS, clipped, stream
 from salver.campaigns.summary import DROPPED, LARGEST_SLIP
 from salver.errors import Status
@@ -42,6 +57,7 @@ from salver.planning.fastest import TransportProblem, joint_plan
 from salver.trajectory import JointMotion
 
 SCENARIOS = ("panda-cube", "panda-tall-bottle")
+LOADS = (*SCENARIOS, "ur3-cup", "ur5-bottle", "ur10-bottle", "gen3-cup")
 LIQUIDS = ("panda-coffee", "panda-four-glasses", "ur10-beaker")
 LOST = (*DROPPED, "spills")
 LOWEST_UR10, HIGHEST_UR10 = np.array([0.45, -0.30, 0.50]), np.array([0.75, 0.30, 0.80])  # m, of goals of a UR10
@@ -49,8 +65,11 @@ TIMED = 10  # long streams of each kind of which it is kept what every step took
 SILENCE = 1.4  # s after a stream
 LAGS = np.arange(0.0, 0.06, 1e-3)  # s
 NOTHING = Status("optimal", "", True)
-DOCS = Path(__file__).parent.parent / "docs"
-DATA, LIQUIDS_DATA, FAULTS_DATA = (DOCS / "data" / f"{name}.json" for name in ("live", "live-liquids", "live-faults"))
+DOCS = Path(__file__).parent.parent / "docs" / "data"
+TOGETHER = 5  # encounters with obstacles in one session
+WITHIN, GRACE = 0.75, 20.0  # share of the time that real time may take; s for a run that has begun
+LOOP = 60.0  # s
+Job = tuple[Namespace, float, str, str, list[int]]  # what was asked, until when, the load, the kind, which runs
 
 
 class Planned:
@@ -94,7 +113,7 @@ def goals(scenario: sv.Scenario, rng: np.random.Generator) -> tuple[Planned, tup
     return live, in_turn(states, drive(live, 1.6, begins=2.0)), {"changes": len(wishes)}
 
 
-KINDS, ARRIVALS, FAULTS, OBSTACLES = ["goals that change", *STREAMS], "arrivals", "faults", "obstacles"
+KINDS = ["goals that change", *STREAMS]
 
 
 def twists(scenario: sv.Scenario, told, seconds: float) -> tuple[Planned, tuple, dict[str, float]]:
@@ -152,89 +171,166 @@ def run(name: str, kind: str, k: int, engine: bool, beside: bool, seconds: float
     return found
 
 
-def failed(name: str, k: int, engine: bool) -> dict[str, Any]:
-    """The k-th run with a load in which everything else fails. engine: there too."""
-    rng = drawn(name, FAULTS, k)
-    found, problem, motion = faulty(sv.load_scenario(name), rng)
-    return found | ({"lost": lost(problem, motion, rng)} if engine else {})
-
-
 def _speed(problem: TransportProblem, motion: JointMotion, t: float) -> float:
     q, dq, _ = motion.sample(t)
     return float(np.linalg.norm((problem.arm.body_jacobian(q[0]) @ dq[0])[:3]))
 
 
-def commands(scenario: sv.Scenario) -> tuple[float, float]:
-    """CPU time of `command`, us: median and 99.9 % of means of ten."""
-    live = Live(scenario, lead=0.1)
-    drive(live, 0.4, [(0.0, lambda _: live.goto((0.45, 0.1, 0.45)))])
-    spent = []
-    for k in range(5000):
-        begun = time.thread_time_ns()
-        live.command(0.4 + 1e-4 * k)
-        spent.append(1e-3 * (time.thread_time_ns() - begun))
-    return float(np.median(spent)), float(np.quantile(spent, 0.999))
+def again(name: str, kind: str, k: int) -> np.random.Generator:
+    """What is random in the k-th run of another kind with a load."""
+    return np.random.default_rng([crc32(f"{name}, {kind}".encode()), k])
 
 
-def keep(path: Path, runs: dict[str, list[dict[str, Any]]]) -> None:
-    """Runs by kind, one a line: so it can be read what came anew."""
-    line = json.JSONEncoder(default=lambda number: number.item()).encode
-    each = (f"{json.dumps(kind)}: [\n" + ",\n".join(map(line, kept)) + "\n]" for kind, kept in runs.items())
+def streamed(name: str, kind: str, k: int, asked: Namespace) -> Line:
+    # By a filter a liquid is lost beyond what the engine takes.
+    beside = k % asked.filter == 0 and name not in LIQUIDS
+    return run(name, kind, k, k % asked.engine == 0, beside, asked.length) | {"length": asked.length}
+
+
+def judged(of: Callable[[str, np.random.Generator], tuple[Line, TransportProblem, JointMotion]], every: bool) -> Any:
+    """A kind of run that is run in the engine too. every: of each run, not only of those asked for."""
+
+    def one(name: str, kind: str, k: int, asked: Namespace) -> Line:
+        rng = again(name, kind, k)
+        found, problem, motion = of(name, rng)
+        return found | ({"lost": lost(problem, motion, rng)} if every or k % asked.engine == 0 else {})
+
+    return one
+
+
+RUNS: dict[str, Callable[[str, str, int, Namespace], Line]] = {
+    **dict.fromkeys(KINDS, streamed),
+    "arrivals": lambda name, kind, k, _: arrival(sv.load_scenario(name), drawn(name, kind, k)),
+    "faults": judged(faulty, False),
+    "overrides": judged(session, True),
+    "rests": lambda name, kind, k, _: ways_to_rest(name, again(name, kind, k)),
+    "loop": lambda name, *_: live_loop.lateness(name, LOOP),
+    "ways": lambda name, _, k, asked: {"way": way_out(name, _situation(asked.path, name, "obstacles", k))},
+    "virtual ways": lambda name, _, k, asked: {"way": way_out(name, _situation(asked.path, name, "virtual", k))},
+}
+REAL = ("obstacles", "loop")  # what runs in real time
+WAYS = {"obstacles": "ways", "virtual": "virtual ways"}  # searches where something hits
+
+
+def _situation(path: Path, name: str, kind: str, k: int, found: Any = None) -> Any:
+    """The situation in which an obstacle was seen first; kept beside the lines."""
+    at = path.parent / "situations" / f"{name}-{kind}-{k}.pickle"
+    if found is None:
+        return pickle.loads(at.read_bytes())  # noqa: S301  made here
+    at.parent.mkdir(exist_ok=True)
+    at.write_bytes(pickle.dumps(found))
+    return found
+
+
+def work(job: Job) -> list[Line]:
+    """The lines of some runs, written as they are made; none is begun when the time is over."""
+    asked, until, name, kind, numbers = job
+    lines = []
+    if kind in WAYS:
+        for k, found, situation in encounters(name, numbers, kind == "virtual", until):
+            _situation(asked.path, name, kind, k, situation)
+            lines.append(write(asked.path, {"name": name, "kind": kind, "number": k} | found))
+    elif time.time() < until:
+        for k in numbers:
+            lines.append(
+                write(asked.path, {"name": name, "kind": kind, "number": k} | RUNS[kind](name, kind, k, asked))
+            )
+    return lines
+
+
+def missing(asked: Namespace, kind: str, until: float) -> Iterator[Job]:
+    """Jobs of a kind whose lines are missing."""
+    lines = read(asked.path)
+    done = {(line["name"], line["kind"], line["number"]) for line in lines}
+    if kind in WAYS.values():
+        of = next(first for first, then in WAYS.items() if then == kind)
+        due = [
+            (line["name"], line["number"])
+            for line in lines
+            if line["kind"] == of and line["would"] and line["hit"] is not None
+        ]
+    else:
+        names = asked.liquids or (SCENARIOS if kind in (*KINDS, "arrivals") else LOADS)
+        due = [(name, k) for k in range(asked.n) for name in (live_loop.KINDS if kind == "loop" else names)]
+    left = [(name, k) for name, k in due if (name, kind, k) not in done]
+    if kind not in WAYS:
+        yield from ((asked, until, name, kind, [k]) for name, k in left)
+        return
+    for first in range(0, len(left), TOGETHER):  # all loads in turn
+        for name in dict.fromkeys(name for name, _ in left):
+            if some := [k for each, k in left if each == name][first : first + TOGETHER]:
+                yield asked, until, name, kind, some
+
+
+def benchmark(asked: Namespace) -> None:
+    """Make the lines that are missing."""
+    asked.path.parent.mkdir(parents=True, exist_ok=True)
+    begun, end = time.time(), time.time() + asked.seconds
+    real, rest = ([kind for kind in asked.kinds if (kind in REAL) is here] for here in (True, False))
+    ways = [WAYS[kind] for kind in asked.kinds if kind in WAYS]
+    for kinds, jobs, until in (
+        (real, max(1, asked.jobs // 3), begun + WITHIN * asked.seconds if rest or ways else end),
+        (rest, asked.jobs, end),
+        (ways, asked.jobs, end),
+    ):
+        due = [job for kind in kinds for job in missing(asked, kind, until)]
+        with Pool(min(jobs, max(1, len(due)))) as pool:
+            for count, lines in enumerate(taken(pool.imap_unordered(work, due), until + GRACE), 1):
+                for line in lines:
+                    if line.get("worst", 0.0) > 0 or line.get("lost") or line.get("failed"):
+                        print(line, flush=True)
+                print(f"{count} of {len(due)} jobs, {end - time.time():.0f} s left", flush=True)
+
+
+def gathered(lines: list[Line]) -> dict[str, dict[str, list[Line]]]:
+    """Runs by file of docs/data, and by load and kind."""
+    found: dict[str, dict[str, list[Line]]] = {}
+    ways = {(line["name"], line["kind"], line["number"]): line["way"] for line in lines if "way" in line}
+    for line in sorted(lines, key=lambda line: line["number"]):
+        name, kind, number = (line.pop(key) for key in ("name", "kind", "number"))
+        if kind in WAYS.values():
+            continue
+        length = line.pop("length", SECONDS)
+        if kind in WAYS and (way := ways.get((name, WAYS[kind], number))) is not None:
+            line["way"] = way
+        files = dict.fromkeys(WAYS, "live-obstacles") | {"faults": "live-faults", "loop": "live-loop"}
+        files |= dict.fromkeys(("overrides", "rests"), "live-speed")
+        streams = "live-liquids" if name in LIQUIDS else "live" if length == SECONDS else "live-long"
+        found.setdefault(files.get(kind, streams), {}).setdefault(f"{name}, {kind}", []).append(line)
+    return found
+
+
+def keep(path: Path, runs: dict[str, list[Line]]) -> None:
+    """Runs by load and kind, one a line: so it can be read what came anew."""
+    each = (f"{json.dumps(kind)}: [\n" + ",\n".join(map(json.dumps, kept)) + "\n]" for kind, kept in runs.items())
     write_atomic(path, "{\n" + ",\n".join(each) + "\n}\n")
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("-o", type=Path, default=Path("out/live.jsonl"), dest="path", help="lines, added to")
     parser.add_argument("-n", type=int, default=4, help="runs of each kind with each load")
+    parser.add_argument(
+        "--kinds", nargs="*", default=KINDS, choices=[k for k in (*RUNS, *WAYS) if not k.endswith("ways")]
+    )
     parser.add_argument("--engine", type=int, default=4, help="every so many of them in the engine too")
     parser.add_argument("--filter", type=int, default=4, help="and every so many as a filter does them")
     parser.add_argument("--length", type=float, default=SECONDS, help="s of a stream")
-    parser.add_argument(
-        "--kinds", nargs="*", default=KINDS, help=f"some of them only, {ARRIVALS}, {FAULTS}; or {OBSTACLES}"
-    )
-    parser.add_argument("--seconds", type=float, default=np.inf, help="begin no further run after so long")
-    parser.add_argument("--again", action="store_true", help="forget what is kept")
-    parser.add_argument("--virtual", action="store_true", help="of obstacles: planning has a core of its own")
     parser.add_argument("--liquids", nargs="*", choices=LIQUIDS, help="of open liquids: these, or all")
-    parser.add_argument("--data", type=Path, help="where runs are kept")
+    parser.add_argument("--jobs", type=int, default=2, help="processes")
+    parser.add_argument("--seconds", type=float, default=1e6, help="after which it stops")
+    parser.add_argument("--summary", action="store_true", help="print what is known, and nothing else")
+    parser.add_argument("--docs", action="store_true", help="write what is known into docs/data, and nothing else")
     asked = parser.parse_args()
-    wet = asked.liquids is not None
-    asked.data = asked.data or (LIQUIDS_DATA if wet else FAULTS_DATA if asked.kinds == [FAULTS] else DATA)
-    scenarios = (asked.liquids or LIQUIDS) if wet else SCENARIOS
-    if asked.kinds == [OBSTACLES]:
-        came = {name: throws(name, asked.n, asked.virtual) for name in scenarios}
-        path = DATA.with_name(f"live-obstacles-{'virtual' if asked.virtual else 'real'}.json")
-        write_atomic(path, json.dumps(came, indent=1, default=lambda x: x.item()) + "\n")
-        print(table(came))
-        return
-    begun = time.monotonic()
-    runs = read_json(asked.data) if asked.data.is_file() and not asked.again else {}
-    each = [(name, kind) for name in scenarios for kind in asked.kinds]
-    for k in range(asked.n):
-        for name, kind in each:
-            kept = runs.setdefault(f"{name}, {kind}", [])
-            if len(kept) == k and time.monotonic() - begun < asked.seconds:
-                # By a filter a liquid is lost beyond what the engine takes.
-                beside = k % asked.engine == 0, k % asked.filter == 0 and not wet
-                kept.append(
-                    arrival(sv.load_scenario(name), drawn(name, kind, k))
-                    if kind == ARRIVALS
-                    else failed(name, k, beside[0])
-                    if kind == FAULTS
-                    else run(name, kind, k, *beside, asked.length)
-                )
-                keep(asked.data, runs)
-                if kept[-1].get("worst", 0.0) > 0 or kept[-1].get("lost"):
-                    print(f"{name}, {kind}, run {k}: {kept[-1]['worst']:.2e}, lost: {kept[-1].get('lost')}", flush=True)
-    for name in scenarios:
-        if faults := runs.pop(f"{name}, {FAULTS}", []):
-            print(f"{name}: {faults_in_words(faults)}")
-    changes = [arrived(name, kept) for name in scenarios if (kept := runs.pop(f"{name}, {ARRIVALS}", []))]
-    rows = [row(*what.split(", "), kept) for what, kept in runs.items() if kept]
-    print("\n".join(rows), faster(runs), ";\n".join(changes), sep="\n", flush=True)
-    if not wet:
-        median, most = commands(sv.load_scenario(SCENARIOS[0]))
-        print(f"`command` takes {median:.1f} us at the median and {most:.0f} us at 99.9 %.")
+    asked.liquids = LIQUIDS if asked.liquids == [] else asked.liquids
+    if not (asked.summary or asked.docs):
+        benchmark(asked)
+    for name, runs in gathered(read(asked.path)).items():
+        if asked.docs:
+            at = DOCS / f"{name}.json"
+            keep(at, (read_json(at) if at.exists() else {}) | runs)
+        else:
+            print(told_of(name, runs), flush=True)
 
 
 if __name__ == "__main__":

@@ -14,7 +14,18 @@ from salver.live.replanning.planner import Answer, Job
 from salver.planning.fastest import AtPosture, fastest
 
 LATE = 0.15  # share of the best known time by which a goal may be reached later
-LOWEST, HIGHEST = np.array([0.40, -0.40, 0.35]), np.array([0.55, 0.15, 0.60])  # m, of goals
+LOWEST, HIGHEST = np.array([0.40, -0.40, 0.35]), np.array([0.55, 0.15, 0.60])  # m, of goals of a Panda
+REACH = np.array([0.15, 0.30, 0.12])  # m, of goals of other arms, from where the load is at first
+Region = tuple[np.ndarray, np.ndarray]
+
+
+def region(live: Live) -> Region:
+    """The corners of the box from which goals of a live motion that has just begun are drawn, m."""
+    if live.problem.scenario.name.startswith("panda"):
+        return LOWEST, HIGHEST
+    body = live.problem.items[0]
+    p, _ = live.problem.arm.object_pose(live.committed.motion.q[0], body.p_EB, body.R_EB)
+    return p - REACH, p + REACH
 
 
 def arrival(scenario: sv.Scenario, rng: np.random.Generator) -> dict[str, float | None]:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 import salver as sv
+from live_arrivals import region
 from live_runs import PERIOD, Told, executed, rows_of
 from salver.live import Live, Moving
 from salver.live.replanning.planner import Answer, Job, Planner
@@ -17,7 +18,6 @@ from salver.trajectory import JointMotion
 
 SECONDS, LONGEST = 1.2, 10.0  # of faults; and at most until the arm rests after a stop
 EVERY = 20  # periods between steps of planning
-LOWEST, HIGHEST = np.array([0.30, -0.40, 0.35]), np.array([0.60, 0.40, 0.75])  # m, of goals
 NONSENSE = (np.nan, None, "x", [1.0], [[0.0] * 3] * 2, 1e400, -1e9, {}, 1j, True)
 
 
@@ -26,6 +26,7 @@ class Faulty:
 
     def __init__(self, scenario: sv.Scenario, rng: np.random.Generator) -> None:
         self.rng, self.live = rng, Live(scenario, lead=0.1)
+        self.region = region(self.live)
         self.planner, self.clock, self.failed = Planner(self.live.problem), 0.0, []
         self.rows, self.t, self.knots, self.still = [], [], [], None
         self.off = 0.0  # rad by which the arm is elsewhere
@@ -90,11 +91,11 @@ class Faulty:
         right = rng.random() > 0.15
         v, times, n = rng.uniform(-0.8, 0.8, 3), 0.05 * np.arange(1, 6), live.problem.n
         calls = [
-            lambda: live.goto(rng.uniform(LOWEST, HIGHEST) if right else wrong, source=source),
+            lambda: live.goto(rng.uniform(*self.region) if right else wrong, source=source),
             lambda: live.twist(v if right else wrong, source=source),
             lambda: live.twist(v, rng.uniform(-1, 1, 3) if right else wrong, source=source),
             lambda: live.jog(rng.uniform(-1, 1, n) if right else wrong, source=source),
-            lambda: live.chunk(times, np.linspace(LOWEST, HIGHEST, 5) if right else wrong, source=source),
+            lambda: live.chunk(times, np.linspace(*self.region, 5) if right else wrong, source=source),
             lambda: live.override(rng.uniform(0.02, 1.1) if right else wrong, source=source),
             lambda: live.hold(source=source),
             lambda: live.release(source=source),
@@ -152,9 +153,9 @@ class Faulty:
         return replace(answered, found=changed[rng.integers(len(changed))])
 
 
-def faulty(scenario: sv.Scenario, rng: np.random.Generator) -> tuple[dict[str, Any], TransportProblem, JointMotion]:
+def faulty(name: str, rng: np.random.Generator) -> tuple[dict[str, Any], TransportProblem, JointMotion]:
     """What became of one run, and what was commanded in it."""
-    run = Faulty(scenario, rng)
+    run = Faulty(sv.load_scenario(name), rng)
     told = run.run()
     rows = rows_of(run.live.problem, told)
     found = {"worst": max(rows.values()), "failed": sorted(set(run.failed)), "refusals": run.live.state.refusals}

@@ -3,28 +3,23 @@
 A hand sends twists 100 times a second; the loop, with real-time priority where that is allowed, sleeps until each
 period begins, and commands. Beside nobody it shows what the machine does; beside a planner in a process, what the
 exchange with it adds; with what exists when it begins frozen (`gc.freeze`), what Python's collection of garbage is of
-that; beside a planner in a thread, what it costs to share an interpreter.
-
-    python benchmarks/live_loop.py [SECONDS] [--docs]
+that; beside a planner in a thread, what it costs to share an interpreter. `live.py --kinds loop` runs it.
 """
 
 from __future__ import annotations
 
-import argparse
 import gc
-import json
 import os
 import time
 from contextlib import contextmanager, nullcontext
-from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 import salver as sv
-from salver.files import write_atomic
+from live_runs import drive
 from salver.live import Live, Worker
 
-DATA = Path(__file__).parent.parent / "docs" / "data" / "live-loop.json"
 PERIOD, SETTLED = 1e-3, 1.0  # s; until the planner's leads are learnt
 KINDS = ("nobody", "a process", "a process, frozen", "a thread")
 
@@ -43,8 +38,9 @@ def prompt():
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
 
 
-def lateness(scenario: sv.Scenario, kind: str, seconds: float) -> dict[str, float]:
+def lateness(kind: str, seconds: float) -> dict[str, Any]:
     """Of a loop beside a planner of a kind: ms by which its periods are too long, and what its calls took."""
+    scenario = sv.load_scenario("panda-cube")
     live = Live(scenario)
     worker = nullcontext() if kind == "nobody" else Worker(live, process=kind != "a thread")
     with prompt(), worker:
@@ -75,25 +71,24 @@ def lateness(scenario: sv.Scenario, kind: str, seconds: float) -> dict[str, floa
         "median": float(np.median(late)),
         "p99": float(np.quantile(late, 0.99)),
         "p999": float(np.quantile(late, 0.999)),
+        "under 1.2 ms": float((late < 0.2).mean()),
         "over 1 ms": int((late > 1.0).sum()),
         "over 5 ms": int((late > 5.0).sum()),
         "command p999": float(np.quantile(took, 0.999)),
         "moved": moved,
         "load": os.getloadavg()[0],
+        "cores": os.cpu_count(),
+        "command": commands(scenario),
     }
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("seconds", type=float, nargs="?", default=15.0)
-    parser.add_argument("--docs", action="store_true", help="keep what was found in docs/data")
-    asked, found = parser.parse_args(), {}
-    for kind in KINDS:
-        found[kind] = lateness(sv.load_scenario("panda-cube"), kind, asked.seconds)
-        print(kind, {name: round(value, 3) for name, value in found[kind].items()}, flush=True)
-    if asked.docs:
-        write_atomic(DATA, json.dumps(found, indent=1) + "\n")
-
-
-if __name__ == "__main__":
-    main()
+def commands(scenario: sv.Scenario) -> tuple[float, float]:
+    """CPU time of `command`, us: median and 99.9 %."""
+    live = Live(scenario, lead=0.1)
+    drive(live, 0.4, [(0.0, lambda _: live.goto((0.45, 0.1, 0.45)))])
+    spent = []
+    for k in range(5000):
+        begun = time.thread_time_ns()
+        live.command(0.4 + 1e-4 * k)
+        spent.append(1e-3 * (time.thread_time_ns() - begun))
+    return float(np.median(spent)), float(np.quantile(spent, 0.999))

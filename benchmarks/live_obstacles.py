@@ -14,15 +14,15 @@ from __future__ import annotations
 import os
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from itertools import product
 from typing import Any
+from zlib import crc32
 
 import numpy as np
 
-import salver as sv
-from live_arrivals import HIGHEST, LOWEST
+from live_arrivals import Region, region
 from live_loop import PERIOD, prompt
 from salver.geometry import GRAVITY_S
 from salver.live import Live, Moving, Worker
@@ -43,6 +43,9 @@ FAR, AROUND = (0.25, 0.12, 0.4), 8  # m to the goals of the search without time 
 PATIENCE = 5.0  # s of it for each
 
 Camera = Callable[[float], None]  # reports at a time of the loop's clock
+Situation = tuple[
+    Committed, float, Moving
+]  # what was committed, the live time and what was seen when it was seen first
 
 
 class Real:
@@ -147,9 +150,9 @@ def later(first: Moving, dt: float, rng: np.random.Generator, when: float) -> Mo
 
 
 def one(
-    robot: Real | Virtual, home: np.ndarray, movable: Movable, kind: str, rng: np.random.Generator
-) -> tuple[dict[str, Any], tuple[Committed, float, Moving]]:
-    """What became of one; and what was committed, the live time and what was seen when it was seen first."""
+    robot: Real | Virtual, home: np.ndarray, around: Region, movable: Movable, kind: str, rng: np.random.Generator
+) -> tuple[dict[str, Any], Situation]:
+    """What became of one; and the situation in which it was seen first."""
     live = robot.live
     live.obstacles([])
     live.goto(q=home)
@@ -158,7 +161,7 @@ def one(
         robot.run(0.1)
     sight, moves = float(rng.uniform(*SIGHT)), bool(rng.random() < 0.5)
     while moves and live.committed.ends - live.now < 0.2:
-        live.goto(rng.uniform(LOWEST, HIGHEST))
+        live.goto(rng.uniform(*around))
         for _ in range(200):
             robot.run(0.01)
             if live.settled or live.now > live.committed.begins + 0.1:
@@ -189,6 +192,7 @@ def one(
     would = float(movable.distances(still, truth, truth.at(live_begun + t)[0]).min()) <= 0.0
     announced = next((at for at, _, said in reports if said), None)
     became = {
+        "what": kind,
         "sight": round(sight, 3),
         "moves": moves,
         "would": would,
@@ -197,6 +201,7 @@ def one(
         "look": round(1e3 * max(took for _, took, *_ in reports), 2),
         "lead": round(live._lead.of("tick"), 3),
         "load": round(os.getloadavg()[0], 1),
+        "cores": os.cpu_count(),
     }
     return became, (base, live_begun, first)
 
@@ -221,47 +226,67 @@ def way(problem: TransportProblem, movable: Movable, base: Committed, now: float
     return False
 
 
-def throws(name: str, count: int, virtual: bool) -> dict[str, list[dict[str, Any]]]:
-    """So many of each kind with a load."""
-    scenario = sv.load_scenario(name)
-    live, found = Live(scenario), {kind: [] for kind in KINDS}
-    home = live.committed.motion.q[0]
-    movable, seen = Movable(Live(scenario).problem.keep_out.parts), []
+def encounters(
+    name: str, numbers: list[int], virtual: bool, until: float
+) -> Iterator[tuple[int, dict[str, Any], Situation]]:
+    """Balls (even numbers) and posts (odd ones) that come at a load, one after the other in one session, and the
+    situation in which each was seen first; none begins after a time."""
+    live = Live(name)
+    home, around = live.committed.motion.q[0], region(live)
+    movable = Movable(Live(name).problem.keep_out.parts)  # a live motion's own are its threads'
     with Virtual(live) if virtual else Real(live) as robot:
-        for k in range(count):
-            for kind in KINDS:
-                rng = np.random.default_rng([17, len(name), len(kind), k])
-                became, first = one(robot, home, movable, kind, rng)
-                found[kind].append(became)
-                seen.append((became, first))
-                robot.rows.clear() if virtual else None
-                print(name, kind, k, became, flush=True)
-    for became, first in seen:
-        became["way"] = became["hit"] is None or (became["would"] and way(live.problem, movable, *first))
-    return found
+        for k in numbers:
+            if time.time() > until:
+                return
+            rng = np.random.default_rng([17, crc32(name.encode()), k])
+            yield k, *one(robot, home, around, movable, KINDS[k % len(KINDS)], rng)
+            robot.rows.clear() if virtual else None
 
 
-def summary(name: str, kind: str, runs: list[dict[str, Any]]) -> str:
-    """A row of a table."""
-    threat = [x for x in runs if x["would"]]
-    hits = [x for x in threat if x["hit"] is not None]
-    silent = sum(x["announced"] is None or x["announced"] > x["hit"] for x in hits)
-    delays = [1e3 * x["announced"] for x in threat if x["announced"] is not None]
-    delay = f"{np.median(delays):.0f} / {max(delays):.0f}" if delays else ""
-    possible = [x for x in threat if x["way"]]
-    return (
-        f"| {name} | {kind} | {len(threat)} | {len(threat) - len(hits)} | {len(hits) - silent} | {silent} | "
-        f"{len(threat) - len(hits)} of {len(possible)} | {delay} | {max(x['look'] for x in runs):.1f} | "
-        f"{sum(x['hit'] is not None for x in runs if not x['would'])} |"
-    )
+def way_out(name: str, situation: Situation) -> bool:
+    """Whether a search without time limit finds a way out of a situation."""
+    problem = Live(name).problem
+    return way(problem, Movable(Live(name).problem.keep_out.parts), *situation)
+
+
+def evaded(run: dict[str, Any]) -> bool:
+    return run["would"] and run["hit"] is None
+
+
+def silent(run: dict[str, Any]) -> bool:
+    """Whether it hit before it was announced, though it would have done so had nothing been done."""
+    announced, hit = run["announced"], run["hit"]
+    return run["would"] and hit is not None and (announced is None or announced > hit)
+
+
+def possible(run: dict[str, Any]) -> bool:
+    """Whether it would hit and there was a way out; where nobody has looked, it is said that there was."""
+    return evaded(run) or (run["would"] and run.get("way", True))
+
+
+def delays(runs: list[dict[str, Any]]) -> np.ndarray:
+    """ms from when each that would hit was seen first to its announcement."""
+    return 1e3 * np.array([x["announced"] for x in runs if x["would"] and x["announced"] is not None])
+
+
+def table(runs: dict[str, list[dict[str, Any]]]) -> str:
+    """runs: by load."""
+    rows = [HEAD]
+    for name, kind in product(runs, KINDS):
+        of = [x for x in runs[name] if x["what"] == kind]
+        threat, late = sum(x["would"] for x in of), delays(of)
+        clear, quiet = sum(map(evaded, of)), sum(map(silent, of))
+        delay = f"{np.median(late):.0f} / {np.quantile(late, 0.99):.0f} / {late.max():.0f}" if len(late) else ""
+        rows.append(
+            f"| {name} | {kind} | {threat} | {clear} | {threat - clear - quiet} | {quiet} | "
+            f"{clear} of {sum(map(possible, of))} | {delay} | {max((x['look'] for x in of), default=0.0):.1f} | "
+            f"{sum(x['hit'] is not None for x in of if not x['would'])} |"
+        )
+    return "\n".join(rows)
 
 
 HEAD = (
     "| load | what | would hit | evaded | hit, announced | hit in silence | evaded, of those with a way out | "
-    "announced after, ms: median / largest | look, ms of CPU at most | hit that would not |\n"
+    "announced after, ms: median / 99 % / largest | look, ms of CPU at most | hit that would not |\n"
     "|---|---|---|---|---|---|---|---|---|---|"
 )
-
-
-def table(runs: dict[str, dict[str, list[dict[str, Any]]]]) -> str:
-    return "\n".join([HEAD, *(summary(name, kind, x) for name, found in runs.items() for kind, x in found.items())])

@@ -27,48 +27,71 @@ COLUMNS = (
 TABLE = f"| {' | '.join(COLUMNS)} |\n{'|---' * len(COLUMNS)}|"
 
 
-def pieces() -> dict[str, str]:
-    """Tables and findings of both pages."""
+Runs = dict[str, list[dict[str, Any]]]  # by load and kind
+
+
+def told_of(file: str, runs: Runs) -> str:
+    """What runs say that are kept in one file of docs/data."""
+    others = {"live-obstacles": obstacles, "live-speed": speed, "live-loop": loop, "live-faults": faults}
+    if file in others:
+        return others[file](runs)
+    arrivals, rest = parted(runs)
+    return "\n".join(filter(None, [streams(rest), faster(rest), arrivals]))
+
+
+def of_kind(runs: Runs, kind: str) -> Runs:
+    """Runs of a kind, by load."""
+    each = ((*what.rsplit(", ", 1), found) for what, found in runs.items())
+    return {name: found for name, of, found in each if of == kind}
+
+
+def parted(runs: Runs) -> tuple[str, Runs]:
+    """How long new goals take, in words, and the other runs."""
     from live_arrivals import arrived
+
+    said = "\n".join(f"- {arrived(name, each)}." for name, each in of_kind(runs, "arrivals").items())
+    return said, {what: each for what, each in runs.items() if not what.endswith(", arrivals")}
+
+
+def streams(runs: Runs) -> str:
+    return "\n".join([TABLE, *(row(*what.rsplit(", ", 1), each) for what, each in runs.items())]) if runs else ""
+
+
+def faults(runs: Runs) -> str:
     from live_faults import faults_in_words
 
+    return "\n".join(f"- {what.rsplit(', ', 1)[0]}: {faults_in_words(each)}" for what, each in runs.items())
+
+
+def pieces() -> dict[str, str]:
+    """Tables and findings of both pages."""
     kept = {name: read_json(DATA / f"{name}.json") for name in ("live", "live-long", "live-liquids")}
-    arrivals = {what: kept["live"].pop(what) for what in list(kept["live"]) if what.endswith(", arrivals")}
-    tables = {
-        name: "\n".join([TABLE, *(row(*what.split(", "), each) for what, each in runs.items())])
-        for name, runs in kept.items()
-    }
+    arrivals, kept["live"] = parted(kept["live"])
     nearest = {name: max(x["worst"] for each in runs.values() for x in each) for name, runs in kept.items()}
-    streams = [x for each in kept["live-long"].values() for x in each]
-    lost, violated = sum(x["lost"] for x in streams), sum(x["worst"] > 0 for x in streams)
-    either = clopper_pearson(lost + violated, len(streams))
-    which = ", ".join(sorted({name for x in streams for name in x.get("broken", ())}))
+    long = [x for each in kept["live-long"].values() for x in each]
+    lost, violated = sum(x["lost"] for x in long), sum(x["worst"] > 0 for x in long)
+    either = clopper_pearson(lost + violated, len(long))
+    which = ", ".join(sorted({name for x in long for name in x.get("broken", ())}))
     change = {
         load: np.median(np.concatenate([x["ms"] for x in kept["live"][f"panda-{load}, goals that change"]]))
         for load in ("cube", "tall-bottle")
     }
-    what_comes, balls = obstacles()
+    others = {name: read_json(DATA / f"live-{name}.json") for name in ("obstacles", "faults", "loop", "speed")}
     return {
-        "findings": f"- Of {len(streams)} streams of 10 s at random corners of the ranges, {lost} lost the load in the "
+        "findings": f"- Of {len(long)} streams of 10 s at random corners of the ranges, {lost} lost the load in the "
         f"physics engine and {violated} violated a constraint ({which}; 95 % interval of either: "
         f"{100 * either.low:.2g} to {100 * either.high:.2g} %).\n"
         f"- A changed goal takes {change['cube']:.0f} ms of CPU time for a cube and {change['tall-bottle']:.0f} ms for "
-        f"a tall bottle (medians).\n- {what_comes}",
-        "streams": tables["live"],
-        "long": tables["live-long"],
+        f"a tall bottle (medians).\n- {evasions(others['obstacles'])}",
+        "streams": streams(kept["live"]),
+        "long": streams(kept["live-long"]),
         "filter": faster(kept["live"]),
-        "arrivals": "\n".join(f"- {arrived(what.split(', ')[0], each)}." for what, each in arrivals.items()),
-        "obstacles": balls,
-        "faults": "\n".join(
-            f"- {what.split(', ')[0]}: {faults_in_words(each)}"
-            for what, each in read_json(DATA / "live-faults.json").items()
-        ),
-        "loop": loop(),
-        "speed": speed(),
+        "arrivals": arrivals,
+        **{name: told_of(f"live-{name}", runs) for name, runs in others.items()},
         "nearest": f"The least distance of a constraint from its boundary (0) in any run, as a share of what it "
         f"limits: {max(nearest['live'], nearest['live-long']):.1e}.",
-        "liquids": f"{tables['live-liquids']}\n\nThe least distance of a constraint from its boundary (0), as a share "
-        f"of what it limits: {nearest['live-liquids']:.1e}.",
+        "liquids": f"{streams(kept['live-liquids'])}\n\nThe least distance of a constraint from its boundary (0), as "
+        f"a share of what it limits: {nearest['live-liquids']:.1e}.",
     }
 
 
@@ -102,67 +125,76 @@ def faster(runs: dict[str, list[dict[str, Any]]]) -> str:
     )
 
 
-def obstacles() -> tuple[str, str]:
-    """What became of balls and posts, in a sentence and in tables, from what `live.py --kinds obstacles` kept."""
-    import live_obstacles
+def machine(runs: list[dict[str, Any]]) -> str:
+    """On what runs in real time ran, in words."""
+    return f"{max(x['cores'] for x in runs)} cores with a load of {max(x['load'] for x in runs):.0f}"
 
-    runs = {kind: read_json(DATA / f"live-obstacles-{kind}.json") for kind in ("real", "virtual")}
-    flat = {
-        kind: [x for found in each.values() for many in found.values() for x in many] for kind, each in runs.items()
-    }
-    hits = {kind: [x for x in each if x["would"] and x["hit"] is not None] for kind, each in flat.items()}
-    evaded = {kind: sum(x["would"] for x in each) - len(hits[kind]) for kind, each in flat.items()}
-    silent = sum(x["announced"] is None or x["announced"] > x["hit"] for each in hits.values() for x in each)
-    delay = 1e3 * max(x["announced"] for x in flat["real"] if x["announced"] is not None)
-    possible = {kind: sum(x["would"] and x["way"] for x in each) for kind, each in flat.items()}
-    load = max(x["load"] for x in flat["real"])
-    hit = sum(map(len, hits.values()))
-    sentence = (
+
+def evasions(runs: Runs) -> str:
+    """What became of balls and posts, in a sentence."""
+    from live_obstacles import delays, evaded, possible, silent
+
+    real, virtual = (
+        [x for each in of_kind(runs, kind).values() for x in each if x["would"]] for kind in ("obstacles", "virtual")
+    )
+    clear, able = (
+        {kind: sum(map(is_so, each)) for kind, each in (("real", real), ("virtual", virtual))}
+        for is_so in (evaded, possible)
+    )
+    hit = sum(x["hit"] is not None for x in (*real, *virtual))
+    late = delays(real)
+    return (
         "Of the obstacles that came at the load and for which a search without time limit finds a way out, "
-        f"{evaded['virtual']} of {possible['virtual']} were evaded where planning takes its processor time, and "
-        f"{evaded['real']} of {possible['real']} in real time on two cores with a load of {load:.0f}. {silent} of "
-        f"{hit} hits came unannounced; in real time each announcement came at most {delay:.0f} ms after the obstacle "
-        "was first seen."
+        f"{clear['virtual']} of {able['virtual']} were evaded where planning takes its processor time, and "
+        f"{clear['real']} of {able['real']} in real time on {machine(real)}. {sum(map(silent, (*real, *virtual)))} of "
+        f"{hit} hits came unannounced; in real time 99 % of the announcements came within {np.quantile(late, 0.99):.0f}"
+        f" ms after the obstacle was first seen, and each within {late.max():.0f} ms."
     )
-    tables = [live_obstacles.table(runs[kind]) for kind in ("real", "virtual")]
-    return sentence, f"In real time:\n\n{tables[0]}\n\nIn processor time:\n\n{tables[1]}"
 
 
-def loop() -> str:
-    """How late a loop is beside a planner, in words and a table, from what `live_loop.py --docs` kept."""
-    runs = read_json(DATA / "live-loop.json")
+def obstacles(runs: Runs) -> str:
+    """What became of balls and posts, in tables."""
+    from live_obstacles import table
+
+    heads = {"obstacles": "In real time", "virtual": "In processor time"}
+    return "\n\n".join(f"{says}:\n\n{table(some)}" for kind, says in heads.items() if (some := of_kind(runs, kind)))
+
+
+def loop(runs: Runs) -> str:
+    """How late a loop is beside a planner, in words and a table."""
+    by = {kind: each[-1] for kind, each in of_kind(runs, "loop").items()}
     rows = [
-        f"| {kind} | {x['periods']} | {x['p99']:.2f} | {x['p999']:.2f} | {x['over 1 ms']} | {x['over 5 ms']} |"
-        for kind, x in runs.items()
+        f"| {kind} | {x['periods']} | {100 * x['under 1.2 ms']:.2f} % | {x['p99']:.2f} | {x['p999']:.2f} | "
+        f"{x['over 1 ms']} | {x['over 5 ms']} |"
+        for kind, x in by.items()
     ]
-    over = {kind: x["over 1 ms"] for kind, x in runs.items()}
-    heads = ["| beside | periods | late by, ms: 99 % | 99.9 % | over 1 ms | over 5 ms |", "|---" * 6 + "|"]
-    load = max(x["load"] for x in runs.values())
+    heads = ("beside", "periods", "under 1.2 ms", "late by, ms: 99 %", "99.9 %", "over 1 ms", "over 5 ms")
+    shares = ", ".join(f"{100 * x['under 1.2 ms']:.2f} % beside {kind}" for kind, x in by.items())
+    took = np.array([x["command"] for x in by.values()])
     said = (
-        f"Of {runs['nobody']['periods']} periods, on two cores with a load of {load:.0f}, {over['nobody']} were over "
-        f"1 ms late beside nobody, {over['a process']} beside a planner in a process, {over['a thread']} beside one in "
-        "a thread."
+        f"Of the periods, on {machine([*by.values()])}, so many took less than 1.2 ms: {shares}. `command` takes "
+        f"{np.median(took[:, 0]):.1f} µs of CPU time at the median and {took[:, 1].max():.0f} µs at 99.9 %."
     )
-    return "\n".join([said, "", *heads, *rows])
+    return "\n".join([said, "", f"| {' | '.join(heads)} |", "|---" * len(heads) + "|", *rows])
 
 
-def speed() -> str:
-    """What became of motions whose speed was changed and which were held, from what `live_speed.py` kept."""
-    kept = read_json(DATA / "live-speed.json")
-    sessions = [x for runs in kept["sessions"].values() for x in runs]
+def speed(runs: Runs) -> str:
+    """What became of motions whose speed was changed and which were held."""
+    sessions = [x for each in of_kind(runs, "overrides").values() for x in each]
     lost, violated = sum(x["lost"] for x in sessions), sum(x["worst"] > 0 for x in sessions)
     rests = np.array([rest for x in sessions for rest in x["rests"] if rest[1] > 0])
     heads = ("load", "instants", "stop", "finishing", "on the path: sooner than finishing", "within 1.3 times the stop")
     rows = []
-    for name, found in kept["ways"].items():
+    for name, found in of_kind(runs, "rests").items():
         stop, left, path = (np.array([x[way] for x in found]) for way in ("stop", "left", "path"))
         near = (path < left).sum(), (path <= 1.3 * stop).sum()
         rows.append(
             f"| {name} | {len(found)} | {np.median(stop):.2f} s | {np.median(left):.2f} s | {near[0]} | {near[1]} |"
         )
+    either = clopper_pearson(lost + violated, len(sessions))
     return (
         f"Of {len(sessions)} sessions {lost} lost the load in the physics engine and {violated} violated a constraint "
-        f"(95 % interval of either: 0 to {100 * clopper_pearson(lost + violated, len(sessions)).high:.2g} %). The "
+        f"(95 % interval of either: {100 * either.low:.2g} to {100 * either.high:.2g} %). The "
         f"{len(rests)} holds of a moving arm brought it to rest in {np.median(rests[:, 0]):.2f} s at the median and "
         f"{rests[:, 0].max():.2f} s at most; finishing would have taken {np.median(rests[:, 1]):.2f} and "
         f"{rests[:, 1].max():.2f} s.\n\nFrom instants at full speed, s to rest (medians), and at how "

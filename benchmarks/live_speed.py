@@ -1,11 +1,8 @@
 """Live motions whose speed is changed and which are held at random instants: whether anything is dropped, and how soon.
 
-    python benchmarks/live_speed.py [SESSIONS]
-
-So many sessions of each load, kept in docs/data/live-speed.json; those that are there are not made again. A session is
-three goals one after the other; on the way the override is set twice, to 0.2 to 1, and the arm is held and released
-twice, at random instants. What was executed is judged as one motion at every millisecond, and then run in the physics
-engine with the load at a random corner of its ranges.
+`live.py --kinds overrides rests`. A session is three goals one after the other; on the way the override is set three
+times, to 0.2 to 1, and the arm is held and released twice, at random instants. The commanded motion is judged as one
+motion at every millisecond, and then run in the physics engine with the load at a random corner of its ranges.
 
 Beside that, at random instants of motions at full speed: how soon the arm rests by the stop that a hold takes, by
 finishing, and by braking along the path, the soonest that passes the verdict.
@@ -13,38 +10,37 @@ finishing, and by braking along the path, the soonest that passes the verdict.
 
 from __future__ import annotations
 
-import argparse
-import sys
-import time
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parent.parent / "tests" / "helpers"))
-from live import lost
-from live_arrivals import HIGHEST, LOWEST
+from live_arrivals import region
 from live_runs import LEAD, PERIOD, drive, executed, in_turn, rows_of
-from salver.files import read_json, write_json
 from salver.live import Live
 from salver.live.committed.commit import verified
 from salver.live.committed.motion import Committed
 from salver.live.replanning.planner import Job
 from salver.live.replanning.wishes import Halt
+from salver.planning.fastest import TransportProblem
 from salver.trajectory import JointMotion
 
-DATA = Path(__file__).parent.parent / "docs" / "data" / "live-speed.json"
-LOADS = ("panda-cube", "panda-tall-bottle")
 LONGEST, SHORTEST, LONGER = 2.0, 0.05, 1.1  # s of braking along the path; times as long as the one before
 STEP = 0.01  # s
 HIGHER = np.array([0.0, 0.0, 0.05])  # m: nearer to the floor the arm with a bottle mostly meets it
 
 
-def session(name: str, seed: int) -> dict[str, Any]:
-    rng = np.random.default_rng([seed, LOADS.index(name)])
+def goals(live: Live, count: int, rng: np.random.Generator) -> np.ndarray:
+    """Random goals (count, 3), m."""
+    lowest, highest = region(live)
+    return rng.uniform(lowest + HIGHER, highest, (count, 3))
+
+
+def session(name: str, rng: np.random.Generator) -> tuple[dict[str, Any], TransportProblem, JointMotion]:
+    """What became of one session, and what was commanded in it."""
     live = Live(name, lead=LEAD)
+    ways = goals(live, 3, rng)
     told = [drive(live, 0.2, [(0.0, lambda live: live.override(rng.uniform(0.2, 1.0)))])]
-    for goal in rng.uniform(LOWEST + HIGHER, HIGHEST, (3, 3)):
+    for goal in ways:
         live.goto(goal, queued=True)
     rests, now = [], 0.2
     for k, at in enumerate(np.sort(rng.uniform(0.2, 2.5, 4))):
@@ -65,16 +61,15 @@ def session(name: str, seed: int) -> dict[str, Any]:
         now = live.now + PERIOD
     states = in_turn(*told)
     worst = rows_of(live.problem, states)
-    return {
-        "seed": seed,
+    found = {
         "worst": max(worst.values()),
         "broken": [row for row, value in worst.items() if value > 0],
-        "lost": lost(live.problem, executed(states), rng),
         "reached": bool(live.settled),
         "refusals": live.state.refusals,
         "rests": rests,
         "seconds": now,
     }
+    return found, live.problem, executed(states)
 
 
 def braked(live: Live, base: Committed, begins: float) -> float:
@@ -93,11 +88,10 @@ def braked(live: Live, base: Committed, begins: float) -> float:
     return np.inf
 
 
-def ways_to_rest(name: str, seed: int) -> dict[str, float]:
+def ways_to_rest(name: str, rng: np.random.Generator) -> dict[str, float]:
     """From an instant of a motion between two random places at full speed."""
-    rng = np.random.default_rng([seed, LOADS.index(name), 7])
     live = Live(name, lead=LEAD)
-    for goal in rng.uniform(LOWEST + HIGHER, HIGHEST, (2, 3)):
+    for goal in goals(live, 2, rng):
         live.goto(goal)
         drive(live, 0.15, begins=live.now)
         base = live.committed
@@ -108,23 +102,3 @@ def ways_to_rest(name: str, seed: int) -> dict[str, float]:
     left = base.ends - begins
     return {"stop": min(left, np.inf if stop is None else stop.ends - begins), "left": left,
             "path": min(braked(live, base, begins), 99.0)}  # fmt: skip
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("sessions", nargs="?", type=int, default=2)
-    asked = parser.parse_args()
-    kept = read_json(DATA) if DATA.exists() else {"sessions": {}, "ways": {}}
-    for what, one in (("sessions", session), ("ways", ways_to_rest)):
-        for seed in range(asked.sessions):
-            for name in LOADS:
-                runs = kept[what].setdefault(name, [])
-                if seed >= len(runs):
-                    begun = time.process_time()
-                    runs.append(one(name, seed))
-                    print(name, what, seed, runs[-1], f"{time.process_time() - begun:.1f} s", flush=True)
-                    write_json(DATA, kept)
-
-
-if __name__ == "__main__":
-    main()

@@ -27,7 +27,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import lru_cache
-from multiprocessing import Pool, TimeoutError
+from multiprocessing import Pool
 from pathlib import Path
 from typing import Any
 from zlib import crc32
@@ -38,6 +38,7 @@ import fastest
 import legs
 import liquids
 import survey
+from lines import Line, read, taken, write
 from salver.errors import SalverError
 from salver.geometry import Array
 from salver.planning.fastest import plan_fastest
@@ -71,7 +72,6 @@ ARMS = ("panda", "ur3", "ur5", "ur10", "xarm7")  # those that come with salver
 KINDS = {"constant": 50, "override": 50, "pause": 20}  # and the runs of each
 PARTS = 10  # of the runs of a task
 GROUPS = ("loads", "survey", "liquids", "rounds", "shaken")
-Line = dict[str, Any]
 
 
 def numbers(seed: int, arms: list[str], first: int, step: int = 1) -> Iterator[int]:
@@ -194,14 +194,6 @@ def folder(path: Path, group: str, name: str, way: str) -> Path:
     return path.parent / "plans" / group / name.replace(" ", "-").replace(",", "") / way
 
 
-def write(path: Path, group: str, name: str, kind: str, number: int | str, line: Line) -> Line:
-    """Append a line; it is one write, so that processes do not mix theirs."""
-    line = {"group": group, "task": name, "kind": kind, "number": number} | line
-    with path.open("a", encoding="utf-8") as file:
-        file.write(json.dumps(line) + "\n")
-    return line
-
-
 def plan_one(job: tuple[Path, float, str, str, str]) -> Line | None:
     """Plan a task in one way, and keep the plan if it is safe."""
     path, until, group, name, way = job
@@ -218,7 +210,8 @@ def plan_one(job: tuple[Path, float, str, str, str]) -> Line | None:
             line["says"] = plan.verdict
     except SalverError as error:
         line = {"outcome": "none", "says": str(error)}
-    return write(path, group, name, "plan", way, line | {"cpu": time.process_time() - began})
+    about = {"group": group, "task": name, "kind": "plan", "number": way}
+    return write(path, about | line | {"cpu": time.process_time() - began})
 
 
 loaded = lru_cache(maxsize=8)(load)
@@ -234,12 +227,8 @@ def run_some(job: tuple[Path, float, str, str, list[tuple[str, int]]]) -> int:
             line = run(loaded(folder(path, group, name, "full" if kind == "half" else "any")), name, kind, number)
         except SalverError as error:
             line = {"outcome": "error", "slip": 0.0, "duration": 0.0, "factor": 0.0, "says": str(error)}
-        write(path, group, name, kind, number, line)
+        write(path, {"group": group, "task": name, "kind": kind, "number": number} | line)
     return len(wanted)
-
-
-def read(path: Path) -> list[Line]:
-    return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()] if path.exists() else []
 
 
 def benchmark(path: Path, seconds: float, jobs: int, only: list[str]) -> None:
@@ -256,7 +245,7 @@ def benchmark(path: Path, seconds: float, jobs: int, only: list[str]) -> None:
     plans = [(path, end, *one, way) for one in chosen for way in ways(one[0]) if (*one, "plan", way) not in done]
     plans.sort(key=lambda job: (slow[job[2]], job[4] != "any"))
     with Pool(jobs) as pool:
-        for line in _taken(pool.imap_unordered(plan_one, plans), end - 0.6 * seconds):
+        for line in taken(pool.imap_unordered(plan_one, plans), end - 0.6 * seconds):
             if line is not None:
                 print(f"{line['task']}, {line['number']}: {line['outcome']}", flush=True)
         safe = {
@@ -279,20 +268,11 @@ def benchmark(path: Path, seconds: float, jobs: int, only: list[str]) -> None:
                     runs.append((turn, -takes, (path, end, group, name, wanted)))
         runs.sort(key=lambda one: one[:2])
         count, told = 0, time.time()
-        for some in _taken(pool.imap_unordered(run_some, [job for *_, job in runs]), end + 15.0):
+        for some in taken(pool.imap_unordered(run_some, [job for *_, job in runs]), end + 15.0):
             count += some
             if time.time() > told + 10.0:
                 told = time.time()
                 print(f"{count} of {sum(len(job[4]) for *_, job in runs)} runs, {end - told:.0f} s left", flush=True)
-
-
-def _taken(results: Any, until: float) -> Iterator[Any]:
-    """Results as they come, until they end or the time is over."""
-    while True:
-        try:
-            yield results.next(max(0.0, until - time.time()))
-        except (StopIteration, TimeoutError):
-            return
 
 
 def gathered(lines: list[Line]) -> list[Line]:
