@@ -116,6 +116,30 @@ def test_in_a_browser_it_begins_to_play_and_says_what_is_seen(browser: Browser, 
     assert [float(least), float(most)] == pytest.approx([floor.min(), floor.max()], rel=6e-3)
 
 
+@pytest.mark.parametrize(("sides", "corners"), [(6, 36), (48, 192)])
+def test_in_a_browser_a_corner_is_sent_once_for_each_of_its_normals(
+    browser: Browser, page: Path, sides: int, corners: int
+) -> None:
+    """Sharp between the sides of a hexagon, smooth around a cylinder; a processor that draws pays for each corner."""
+    _open(browser, page)
+    made = browser.script(
+        "const n = arguments[0], turn = (i) => 2 * Math.PI * i / n;"
+        "const at = (_, i) => [0.03 * Math.cos(turn(i)), 0.02 * Math.sin(turn(i))];"
+        "const { corners, indices } = prism(Array.from({ length: n }, at), -0.01, 0.2);"
+        "return [[...corners], [...indices]]",
+        sides,
+    )
+    vertices, triangles = np.reshape(made[0], (-1, 6)), np.reshape(made[1], (-1, 3))
+    assert (len(vertices), len(triangles)) == (corners, 2 * sides + 2 * (sides - 2))
+    assert len(np.unique(vertices, axis=0)) == corners
+    a, b, c = (vertices[triangles[:, k]] for k in range(3))
+    across = np.cross(b[:, :3] - a[:, :3], c[:, :3] - a[:, :3])
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    for corner in (a, b, c):
+        np.testing.assert_allclose(np.linalg.norm(corner[:, 3:], axis=1), 1.0, atol=1e-6)
+        assert np.einsum("ij,ij->i", across, corner[:, 3:]).min() > np.cos(np.deg2rad(8.0))
+
+
 def test_in_a_browser_a_chart_moves_the_time_of_all(browser: Browser, cube_run: Path, page: Path) -> None:
     _open(browser, page)
     run = read_run(cube_run)

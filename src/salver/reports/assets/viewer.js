@@ -73,7 +73,8 @@ out vec3 n, p;
 void main() {
   vec4 world = model * vec4(position, 1.0);
   p = world.xyz;
-  n = transpose(inverse(mat3(model))) * normal;
+  mat3 m = mat3(model);  // its columns are orthogonal: the inverse of its transpose is m over their squares
+  n = m * (normal / vec3(dot(m[0], m[0]), dot(m[1], m[1]), dot(m[2], m[2])));
   gl_Position = viewProjection * world;
 }`;
 
@@ -83,30 +84,23 @@ in vec3 n, p;
 uniform vec4 colour;
 uniform vec3 eye;
 uniform vec3 centre;  // of the ground that is drawn: x, y, radius
-uniform int mode;  // 0 lit, 1 flat colour, 2 ground with a 10 cm grid
+uniform int mode;  // 0 lit, 1 flat colour, 2 lines on the ground, fading away
 out vec4 fragment;
-float grid(vec2 x, float step, float width) {
-  vec2 d = abs(fract(x / step - 0.5) - 0.5) * step / fwidth(x);
-  return 1.0 - min(min(d.x, d.y) / width, 1.0);
-}
 void main() {
   if (mode == 1) { fragment = colour; return; }
-  if (mode == 2) {
-    float fade = smoothstep(1.0, 0.3, length(p.xy - centre.xy) / centre.z);
-    float line = max(0.5 * grid(p.xy, 0.1, 1.0), grid(p.xy, 0.5, 1.2));
-    fragment = vec4(mix(colour.rgb, vec3(0.70, 0.73, 0.77), line * 0.8), fade);
-    return;
-  }
-  vec3 m = normalize(n), v = normalize(eye - p), key = normalize(vec3(0.35, -0.45, 0.85));
+  if (mode == 2) { fragment = vec4(colour.rgb, colour.a * smoothstep(1.0, 0.3, length(p.xy - centre.xy) / centre.z)); return; }
+  vec3 m = normalize(n), v = normalize(eye - p), key = vec3(0.342, -0.440, 0.830);
   if (dot(m, v) < 0.0) m = -m;
   float sky = 0.5 + 0.5 * m.z;
   vec3 ambient = mix(vec3(0.46, 0.45, 0.44), vec3(0.70, 0.72, 0.76), sky);
   float diffuse = max(dot(m, key), 0.0);
-  float glint = pow(max(dot(m, normalize(key + v)), 0.0), 40.0) * 0.18;
-  fragment = vec4(colour.rgb * (ambient * 0.80 + diffuse * 0.50) + glint, colour.a);
+  float glint = max(dot(m, normalize(key + v)), 0.0);
+  for (int k = 0; k < 5; k++) glint *= glint;  // to the power of 32
+  fragment = vec4(colour.rgb * (ambient * 0.80 + diffuse * 0.50) + 0.18 * glint, colour.a);
 }`;
 
-// Per-corner normals: smooth within a crease angle, sharp across it. Returns interleaved positions and normals.
+// Normals smooth within a crease angle, sharp across it. Returns interleaved positions and normals of corners, each of
+// which once, and the triangles as indices of corners.
 function shade(points, triangles, creaseCosine = 0.78) {
   const count = triangles.length / 3, face = new Float32Array(count * 3), at = new Map();
   const corner = (i) => points.slice(3 * i, 3 * i + 3);
@@ -115,25 +109,26 @@ function shade(points, triangles, creaseCosine = 0.78) {
     face.set(Vec.cross(Vec.sub(b, a), Vec.sub(c, a)), 3 * f);  // its length is twice the area: the weight
     for (let k = 0; k < 3; k++) {
       const v = triangles[3 * f + k];
-      if (!at.has(v)) at.set(v, []);
-      at.get(v).push(f);
+      if (!at.has(v)) at.set(v, { faces: [], made: [] });
+      at.get(v).faces.push(f);
     }
   }
-  const out = new Float32Array(count * 18);
-  for (let f = 0; f < count; f++) {
+  const corners = [], indices = new Uint32Array(3 * count);
+  triangles.forEach((v, j) => {
+    const { faces, made } = at.get(v), f = Math.floor(j / 3);
     const own = face.subarray(3 * f, 3 * f + 3), size = Vec.norm(own) || 1e-30;
-    for (let k = 0; k < 3; k++) {
-      const v = triangles[3 * f + k];
-      let sum = [0, 0, 0];
-      for (const g of at.get(v)) {
-        const other = face.subarray(3 * g, 3 * g + 3);
-        if (Vec.dot(own, other) >= creaseCosine * size * Vec.norm(other)) sum = Vec.add(sum, other);
-      }
-      out.set(corner(v), f * 18 + k * 6);
-      out.set(Vec.unit(sum), f * 18 + k * 6 + 3);
+    let sum = [0, 0, 0];
+    for (const g of faces) {
+      const other = face.subarray(3 * g, 3 * g + 3);
+      if (Vec.dot(own, other) >= creaseCosine * size * Vec.norm(other)) sum = Vec.add(sum, other);
     }
-  }
-  return out;
+    const known = made.find(([n]) => n.every((x, k) => x === sum[k]));
+    indices[j] = known ? known[1] : corners.length / 6;
+    if (known) return;
+    made.push([sum, indices[j]]);
+    corners.push(...corner(v), ...Vec.unit(sum));
+  });
+  return { corners: new Float32Array(corners), indices };
 }
 
 // Surfaces of revolution about z through (radius, height) pairs.
@@ -193,6 +188,16 @@ function tube(path, radius, sides = 6) {
   return shade(points, triangles);
 }
 
+// Lines of a square grid on the ground, of half width `half`.
+function grid(step, half) {
+  const n = Math.ceil(half / step), corners = [];
+  for (let i = -n; i <= n; i++)
+    for (const j of [-n, n]) corners.push(i * step, j * step, 0, 0, 0, 1);
+  for (let i = -n; i <= n; i++)
+    for (const j of [-n, n]) corners.push(j * step, i * step, 0, 0, 0, 1);
+  return { corners: new Float32Array(corners), indices: Uint32Array.from({ length: corners.length / 6 }, (_, i) => i) };
+}
+
 function bytes(text) {
   const raw = atob(text), out = new Uint8Array(raw.length);
   for (let i = 0; i < raw.length; i++) out[i] = raw.charCodeAt(i);
@@ -246,36 +251,43 @@ function valuesAt(track, times, width, t) {
   return out;
 }
 
+// Whether the processor draws: smooth edges would take half of its time.
+function inSoftware() {
+  const gl = document.createElement("canvas").getContext("webgl2"), info = gl?.getExtension("WEBGL_debug_renderer_info");
+  return Boolean(gl) && /swiftshader|llvmpipe|software|basic render/i.test(gl.getParameter(info?.UNMASKED_RENDERER_WEBGL ?? gl.RENDERER));
+}
+
 function createViewer(canvas, scene) {
-  const gl = canvas.getContext("webgl2", { antialias: true, stencil: true, alpha: true, preserveDrawingBuffer: true });
+  const gl = canvas.getContext("webgl2", { antialias: !inSoftware(), stencil: true, alpha: true, preserveDrawingBuffer: true });
   if (!gl) return null;
   const program = compile(gl), where = {};
   for (const name of ["model", "viewProjection", "colour", "eye", "centre", "mode"]) where[name] = gl.getUniformLocation(program, name);
 
-  let bounds, middle, reach, shapes, links, obstacles, objects, variants;
+  let bounds, middle, reach, around, shapes, links, obstacles, objects, variants;
 
+  const refill = (shape, { corners, indices }) => {
+    gl.bindVertexArray(shape.array);
+    for (const [i, [kind, data]] of [[gl.ARRAY_BUFFER, corners], [gl.ELEMENT_ARRAY_BUFFER, indices]].entries()) {
+      gl.bindBuffer(kind, shape.buffers[i]);
+      gl.bufferData(kind, data, gl.DYNAMIC_DRAW);
+    }
+    shape.count = indices.length;
+  };
   const upload = (data) => {
-    const array = gl.createVertexArray(), buffer = gl.createBuffer();
-    gl.bindVertexArray(array);
-    gl.bindBuffer(gl.ARRAY_BUFFER, buffer);
-    gl.bufferData(gl.ARRAY_BUFFER, data, gl.STATIC_DRAW);
+    const shape = { array: gl.createVertexArray(), buffers: [gl.createBuffer(), gl.createBuffer()] };
+    refill(shape, data);
     for (const k of [0, 1]) {
       gl.enableVertexAttribArray(k);
       gl.vertexAttribPointer(k, 3, gl.FLOAT, false, 24, 12 * k);
     }
-    return { array, buffer, count: data.length / 6 };
-  };
-  const refill = (shape, data) => {
-    gl.bindBuffer(gl.ARRAY_BUFFER, shape.buffer);
-    gl.bufferData(gl.ARRAY_BUFFER, data, gl.DYNAMIC_DRAW);
-    shape.count = data.length / 6;
+    return shape;
   };
 
   // What is drawn, from the scene; with some of it replaced. Where links are not, those that there are stay.
   const furniture = [];
   function furnish(fresh) {
     scene = { ...scene, ...fresh };
-    for (const { array, buffer } of furniture.splice(0)) [gl.deleteVertexArray(array), gl.deleteBuffer(buffer)];
+    for (const { array, buffers } of furniture.splice(0)) [gl.deleteVertexArray(array), ...buffers.map((b) => gl.deleteBuffer(b))];
     const made = (data) => (furniture.push(upload(data)), furniture[furniture.length - 1]);
     bounds = scene.bounds;
     middle = bounds[0].map((x, i) => (x + bounds[1][i]) / 2);
@@ -284,9 +296,10 @@ function createViewer(canvas, scene) {
       const [a, b, c] = size.map((s) => s / 2);
       return prism([[x + a, y + b], [x - a, y + b], [x - a, y - b], [x + a, y - b]], z - c, z + c);
     };
+    around = 1.45 * Math.max(reach, 1);
     shapes = {
-      ground: made(prism([[-6, -6], [6, -6], [6, 6], [-6, 6]], -0.002, 0)),
-      tray: made(Float32Array.from(scene.tray.boxes.flatMap((one) => [...box(one)]))),
+      grids: [0.1, 0.5].map((step) => ({ ...made(grid(step, around)), kind: gl.LINES })),
+      tray: scene.tray.boxes.map((one) => made(box(one))),
       post: made(tube(scene.tray.post, 0.029, 28)),
       shaft: made(revolve([[0, 0], [1, 0], [1, 1], [0, 1]], 14)),
       head: made(revolve([[0, 0], [1, 0], [0, 1]], 18)),
@@ -322,7 +335,7 @@ function createViewer(canvas, scene) {
     gl.uniform4fv(where.colour, colour);
     gl.uniform1i(where.mode, mode);
     gl.bindVertexArray(shape.array);
-    gl.drawArrays(gl.TRIANGLES, 0, shape.count);
+    gl.drawElements(shape.kind ?? gl.TRIANGLES, shape.count, gl.UNSIGNED_INT, 0);
   }
 
   const marks = [];  // of the page that shows it: {shape, model, colour, flat}
@@ -340,7 +353,7 @@ function createViewer(canvas, scene) {
     const tray = Mat.pose(posesAt(variant.tray, variant.t, 1, t));
     for (const link of links) list.push([link.shape, Mat.pose(joints, 7 * link.joint), marked(variant, link)]);
     const paint = options.dark ? scene.tray.colour.map((c) => 0.42 + 0.5 * c) : scene.tray.colour;
-    list.push([shapes.tray, tray, marked(variant, { name: "tray", colour: paint })]);
+    for (const box of shapes.tray) list.push([box, tray, marked(variant, { name: "tray", colour: paint })]);
     if (scene.meshes.length) list.push([shapes.post, tray, [0.35, 0.37, 0.4]]);
     const poses = posesAt(variant.objects, variant.t, objects.length, t);
     objects.forEach((o, i) => list.push([o.shape, Mat.pose(poses, 7 * i), marked(variant, o), { ...o, inside: variant.inside[i] }]));
@@ -436,10 +449,11 @@ function createViewer(canvas, scene) {
     const matrix = Mat.multiply(Mat.perspective(FOV, aspect, 0.02 * distance, 20 * distance), Mat.lookAt(eye, target));
     gl.uniformMatrix4fv(where.viewProjection, false, matrix);
     gl.uniform3fv(where.eye, eye);
-    gl.uniform3fv(where.centre, [middle[0], middle[1], 1.45 * Math.max(reach, 1)]);
+    gl.uniform3fv(where.centre, [middle[0], middle[1], around]);
     gl.enable(gl.BLEND);
     gl.depthMask(false);
-    draw(shapes.ground, Mat.pose([0, 0, scene.floor, 1, 0, 0, 0]), options.dark ? [0.17, 0.19, 0.21, 1] : [0.955, 0.96, 0.965, 1], 2);
+    const centre = Mat.pose([0.5 * Math.round(2 * middle[0]), 0.5 * Math.round(2 * middle[1]), scene.floor, 1, 0, 0, 0]);
+    shapes.grids.forEach((lines, i) => draw(lines, centre, [0.7, 0.73, 0.77, [0.35, 0.55][i]], 2));
     gl.depthMask(true);
     const seeInside = options.forces || options.cones;
     for (const { variant, ghost } of pane) {
