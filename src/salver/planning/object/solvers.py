@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from salver.errors import Status
-from salver.geometry import GRAVITY_S, Array, exp, log
+from salver.geometry import Array
 from salver.planning import qp
 from salver.planning.object.conditions import Rows, apart, unit_of
 from salver.planning.object.problem import MISSED, Linearisation, Problem
@@ -67,13 +67,7 @@ def solve(problem: Problem, start: Array | None = None) -> Solution:
 
     An infeasible problem is reported in the status, not by an exception.
     """
-    if problem.is_affine:
-        return solve_convex(problem)
-    solution = solve_sequential(problem, start)
-    if solution.status.ok or not problem.rotates or start is not None:
-        return solution
-    tilting = solve_sequential(problem, _waiter(problem))
-    return tilting if tilting.violation < solution.violation else solution
+    return solve_convex(problem) if problem.is_affine else solve_sequential(problem, start)
 
 
 def solve_convex(problem: Problem) -> Solution:
@@ -222,26 +216,6 @@ def _met_goal(problem: Problem, z: Array, model: Linearisation) -> tuple[Array, 
         z = z - np.linalg.pinv(model.goal_jacobian) @ model.goal
         model = problem.linearise(z)
     return z, model
-
-
-def _waiter(problem: Problem) -> Array:
-    """z of the min-jerk line with the waiter's tilt: the tray's normal along a - g, as far as z allows."""
-    z, n = np.zeros(problem.size), problem.n_position
-    # The straight line is a minimum-jerk problem: least squares on the jerk that z leaves free.
-    residual, jacobian = problem.smoothness
-    z[:n] = np.linalg.lstsq(jacobian[:, :n], -residual, rcond=None)[0]
-    t = problem.fine
-    line = problem.reference(z).sample(t)
-    normal = line.a_S - GRAVITY_S
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    axis = np.cross([0.0, 0.0, 1.0], normal)
-    sine = np.linalg.norm(axis, axis=1, keepdims=True)
-    wanted = exp(np.arctan2(sine, normal[:, 2:]) * axis / np.maximum(sine, 1e-12)) @ line.R_SB
-    steps = log(np.swapaxes(wanted[:-1], 1, 2) @ wanted[1:]) / (t[1] - t[0])
-    omega = 0.5 * (np.vstack([steps[:1], steps]) + np.vstack([steps, steps[-1:]]))
-    by_spin = problem.bases[2][:, :, n:].reshape(-1, problem.size - n)
-    z[n:] = np.linalg.lstsq(by_spin, (omega - line.omega_B).ravel(), rcond=None)[0]
-    return z
 
 
 def _convex_bound(problem: Problem) -> float | None:
