@@ -1,25 +1,22 @@
-"""Counted runs of identification and of learning while carrying: how often ranges cover the truth, what is dropped.
+"""Counted runs of identification: how often ranges cover the truth, what is dropped.
 
 python benchmarks/learning.py --logs 112    # 12 cases of 112 loads, and the same with the noise doubled
 python benchmarks/learning.py --defects 50    # sensors that are wrong, within their bounds and beyond
-python benchmarks/learning.py --loads 100 --friction open --sensor wrist    # careful first, then fast
 
 Logs are made by `salver.learning.load.sensors`, whose errors are not those that the estimator assumes. Loads are drawn
-within mass +-50 %, centre of mass +-15 mm and friction 0.2 to 0.6, of which nothing else is known (open), or which is
-known to 10 %, for the tall bottle on a Panda; a count goes on where it was stopped (--runs). Each row of the tables is
-kept in docs/data/learning.json; `make pages` writes docs/howto from it.
+within mass +-50 % and centre of mass +-15 mm, for the tall bottle on a Panda. Each row of the tables is kept in
+docs/data/learning.json; `make pages` writes docs/howto from it.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import time
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 
@@ -28,15 +25,16 @@ from salver.errors import SalverError
 from salver.files import read_json, write_json
 from salver.learning.load.excite import plan_excite
 from salver.learning.load.identify import LoggedRun, identify, identify_runs
-from salver.learning.load.sensors import Defects, SensedArm, Sensors
+from salver.learning.load.sensors import SensedArm, Sensors
 from salver.learning.load.systematic import SensorBounds
-from salver.learning.trips import LEARNING, Sensor, trips, true_load
 from salver.models.physical import random_inertia
 from salver.models.uncertain.parameters import INERTIAL, inertial_vector
 from salver.planning.fastest import plan_fastest
 from salver.planning.plan import Plan
 from salver.scenario import Scenario, load
-from salver.simulation.physics import simulate
+
+sys.path.append(str(Path(__file__).parents[1] / "tests" / "helpers"))
+from wrong_sensors import Defects, WrongArm
 
 DOCS = Path(__file__).parents[1] / "docs"
 KEPT = DOCS / "data" / "learning.json"
@@ -46,9 +44,6 @@ KINDS = {
     "joint torques": (False, Sensors(rate=1000.0)),
 }
 WIDE = {"mass": "50%", "com": [0.015, 0.015, 0.015]}
-
-
-FRICTION = {"open": "0.2 to 0.6", "known": "known to 10 %"}
 
 
 def bottle(friction: str = "known", nominal: float = 0.4) -> Scenario:
@@ -125,7 +120,7 @@ def wrong_sensors(plan: Plan, name: str, count: int) -> dict[str, object]:
         refused = held = 0
         for k in range(count):
             values, defects = filled(plan.scenario, k), Defects(**sizes, seed=k)
-            arm = SensedArm(plan, k, Sensors(rate=1000.0), wrist=wrist, joints=not wrist, defects=defects)
+            arm = WrongArm(plan, k, Sensors(rate=1000.0), wrist=wrist, joints=not wrist, defects=defects)
             try:
                 ranges = identify(plan, [arm.log(values)], arm.log(None)).ranges
             except SalverError as error:
@@ -168,79 +163,12 @@ def of_coverage(row: dict[str, Any]) -> str:
     return f"| {name} | {row['sensor']} | {row['logs']} | {' | '.join(cells)} | {ends} |"
 
 
-def carried(friction: str, sensor: str, loads: int, count: int, folder: Path) -> dict[str, object]:
-    """Trips with hidden loads: durations, whether anything was lost. What is in the folder
-    already is not made again."""
-    fixed, first = bottle(friction), None
-    folder.mkdir(parents=True, exist_ok=True)
-    made = folder / f"{friction}-{sensor}-{count}.jsonl"
-    lines = [json.loads(line) for line in made.read_text().splitlines()] if made.exists() else []
-    for seed in range(len(lines) + 1, loads + 1):
-        scenario = fixed
-        if friction == "known":  # so that the true one lies between 0.2 and 0.6
-            scenario = bottle(friction, float(np.random.default_rng([13, seed]).uniform(0.2 / 0.9, 0.6 / 1.1)))
-        elif first is None:
-            first = plan_fastest(fixed, options=LEARNING.effort)
-        done = list(trips(scenario, count, seed, sensor, first))  # type: ignore[arg-type]
-        excitation = [trip.excitation.outcome for trip in done if trip.excitation is not None]
-        known, true = done[-1].known.payload, true_load(scenario, seed)
-        off = np.abs(true[:4] - [known.first.inertial.mass, *known.first.com_G])
-        lines.append(
-            {
-                "durations": [trip.plan.duration for trip in done],
-                "held": sum(trip.outcome == "holds" for trip in done),
-                "softer": [in_soft_contacts(trip.plan, true, seed) for trip in done],
-                "lost": sum(x != "holds" for x in excitation),
-                "excitation": excitation,
-                "inside": bool((off <= known.uncertain.half_range[:4] + 1e-12).all()),
-                "told": sorted({trip.told for trip in done if trip.told}),
-            }
-        )
-        with made.open("a") as file:
-            file.write(json.dumps(lines[-1]) + "\n")
-        print(f"  {sensor} load {seed}: {lines[-1]}", file=sys.stderr, flush=True)
-    lines = lines[:loads]
-    durations = [line["durations"] for line in lines]
-    sums: dict[str, object] = {key: sum(line[key] for line in lines) for key in ("held", "lost", "inside")}
-    sums["softer"] = sum(x == "holds" for line in lines for x in line["softer"])
-    sums["trips"] = sum(map(len, durations))
-    return {"friction": friction, "sensor": sensor, "count": count, "durations": durations} | sums
-
-
-def in_soft_contacts(plan: Plan, true: np.ndarray, seed: int) -> str:
-    """What becomes of a true load with the scenario's own steps of the engine, in which contacts are softer."""
-    values = true[:10].copy()
-    values[1:4] -= plan.scenario.payload.first.com_G
-    return simulate(
-        plan, parameters=dict(zip((*INERTIAL, "friction"), [*values, true[10]], strict=True)), seed=seed
-    ).outcome
-
-
-def of_carried(row: dict[str, Any]) -> str:
-    whole = np.array([d for d in row["durations"] if len(d) == row["count"]])
-    ratio, (first, second, *rest) = whole / whole[:, :1], np.median(whole, axis=0)
-    last = f"{rest[-1]:.3f} s, {np.median(ratio[:, -1]):.3f}" if rest else "-"
-    loads, held = len(row["durations"]), f"{row['held']}, {row.get('softer', '-')} of {row['trips']}"
-    return (
-        f"| {FRICTION[row['friction']]} | {row['sensor']} | {loads} | {first:.3f} s | {second:.3f} s | "
-        f"{np.median(ratio[:, 1]):.3f} | {ratio[:, 1].max():.3f} | {last} | {held} | "
-        f"{row['lost']} | {row['inside']} |"
-    )
-
-
 def main() -> None:
     asked = argparse.ArgumentParser(description=__doc__)
     asked.add_argument("--logs", type=int, default=0)
     asked.add_argument("--defects", type=int, default=0)
     asked.add_argument("--times", type=float, nargs="+", default=[1.0, 2.0], help="the noise that is told")
     asked.add_argument("--only", default="", help="cases whose motion and sensor hold this, as in the table")
-    asked.add_argument("--loads", type=int, default=0)
-    asked.add_argument("--trips", type=int, default=2)
-    asked.add_argument("--friction", choices=FRICTION, default="open")
-    asked.add_argument("--sensor", choices=get_args(Sensor), default="wrist")
-    asked.add_argument(
-        "--runs", type=Path, default=Path("runs/learning"), help="where loads that were carried are kept"
-    )
     given = asked.parse_args()
     if given.logs:
         motions = {
@@ -262,26 +190,20 @@ def main() -> None:
         wide = replace(plan, scenario=plan.scenario.with_changes(objects__0__uncertainty=WIDE | {"contents": "any"}))
         for name in [name for name in DEFECTS if given.only in name]:
             keep("wrong sensors", wrong_sensors(wide, name, given.defects), ("defect",))
-    if given.loads:
-        row = carried(given.friction, given.sensor, given.loads, given.trips, given.runs)
-        keep("learnt", row, ("friction", "sensor", "count"))
 
 
 def pieces() -> dict[str, str]:
-    """The tables of docs/howto/identify.md and learn.md, from docs/data/learning.json."""
+    """The tables of docs/howto/identify.md, from docs/data/learning.json."""
     kept = read_json(KEPT)
     identified = sorted(kept["identified"], key=lambda row: row["times"])
     heads = {
         "identified": "motion | sensor | logs | 95 %: mass; x, y, z; xx, yy, zz | inside | to plan with | inside "
         "| refused | time",
         "wrong": "error | bound | loads | held, refused, missed: as large as the bound | 3 times | 10 times",
-        "learnt": "friction | sensor | loads | trip 1, median | trip 2 | second over first, median | worst | sixth "
-        "| held, with steps of .5 ms | lost between trips | truth in the ranges",
     }
     rows = {
         "identified": map(of_coverage, identified),
         "wrong": map(of_wrong_sensors, kept["wrong sensors"]),
-        "learnt": map(of_carried, kept["learnt"]),
     }
     return {
         name: "\n".join([f"| {head} |", "|---" * (head.count("|") + 1) + "|", *rows[name]])

@@ -14,11 +14,12 @@ from salver.cli import app
 from salver.errors import FileFormatError, ScenarioError
 from salver.geometry import Array
 from salver.learning import SensorBounds, identify
-from salver.learning.load.sensors import Defects, SensedArm, Sensors
+from salver.learning.load.sensors import Sensors
 from salver.learning.load.systematic import Felt, wrist_errors
 from salver.models.physical import random_inertia
 from salver.models.uncertain.parameters import INERTIAL, inertial_vector
 from salver.planning.plan import Plan
+from wrong_sensors import Defects, WrongArm
 
 WIDE = {"mass": "50%", "com": [0.015, 0.015, 0.015], "contents": "any"}
 FAST = Sensors(rate=1000.0)
@@ -42,7 +43,7 @@ def drawn(plan: Plan, seed: int) -> Array:
 def misses(plan: Plan, defects: Defects, bounds: SensorBounds, seed: int, wrist: bool) -> list[str]:
     """Parameters whose range does not hold the truth."""
     values = drawn(plan, seed)
-    arm = SensedArm(plan, seed, FAST, wrist=wrist, joints=not wrist, defects=replace(defects, seed=seed))
+    arm = WrongArm(plan, seed, FAST, wrist=wrist, joints=not wrist, defects=replace(defects, seed=seed))
     found = identify(plan, [arm.log(values)], arm.log(None), bounds).ranges
     return [name for name, x in zip(INERTIAL, values, strict=True) if not found[name].low <= x <= found[name].high]
 
@@ -75,7 +76,7 @@ def test_within_its_bound_no_defect_moves_the_truth_out_of_the_ranges(
 def test_a_systematic_error_does_not_average_out_over_logs(plan: Plan) -> None:
     """Three logs of one sensor, which may be wrong by 5 % and 4 mm: no range is narrower than that."""
     bounds, values = SensorBounds(scale=0.05, position=0.004), drawn(plan, 2)
-    arm = SensedArm(plan, 2, FAST, joints=False, defects=Defects(scale=0.05, position=0.004))
+    arm = WrongArm(plan, 2, FAST, joints=False, defects=Defects(scale=0.05, position=0.004))
     found = identify(plan, [arm.log(values, f"log {k}") for k in range(3)], arm.log(None), bounds)
     assert found.ranges["mass"].half > 0.05 * values[0]
     assert min(found.ranges[name].half for name in ("com_x", "com_y")) > 0.004

@@ -37,7 +37,6 @@ COMMANDS = {
     "calibrate": "learning",
     "excite": "learning",
     "identify": "learning",
-    "learn": "learning",
     "track": "learning",
 }
 

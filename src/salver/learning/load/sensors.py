@@ -6,13 +6,12 @@ random-walk drift, links that are heavier than in the model, joint friction that
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from salver.geometry import Array, interpolated
-from salver.learning.load.systematic import SensorBounds
+from salver.geometry import Array
 from salver.learning.logs import Log
 from salver.models.interfaces import needed_at_tray, to_tray
 from salver.models.rigid_body import inertia_entries
@@ -27,7 +26,6 @@ if TYPE_CHECKING:
 
 RESTS = 0.2  # s of rest in a log before and after the motion
 COLOURED = 10.0  # Hz, cut-off of the second-order filter of coloured noise; its correlation time is 34 ms
-LEVER = 0.05  # m, ratio of the ranges of moments and forces of a wrist sensor
 Done = tuple[Array, Array, Array, Array]  # t (K,), q, dq, ddq (K, n)
 
 
@@ -85,47 +83,6 @@ class Sensors:
         return self.errors(count, noise, bias, drift, self.coloured, rng)
 
 
-@dataclass(frozen=True)
-class Defects:
-    """Systematic errors of a sensor: sizes, each with a random sign in every channel.
-
-    In all runs: scale: share. cross_talk: share of every other channel, through `LEVER` between forces and torques.
-    position (m), tilt (rad): of a wrist sensor from the flange, about each axis. delay: s. bandwidth: Hz of a
-    first-order filter. With the load only: force_bias, moment_bias, torque_bias: N, N m, N m. cable: N, change of the
-    pull of a hose with the posture. links: relative change of the links' masses. seed: seed of the signs.
-    """
-
-    force_bias: float = 0.0
-    moment_bias: float = 0.0
-    torque_bias: float = 0.0
-    scale: float = 0.0
-    cross_talk: float = 0.0
-    position: float = 0.0
-    tilt: float = 0.0
-    delay: float = 0.0
-    bandwidth: float = np.inf
-    cable: float = 0.0
-    links: float = 0.0
-    seed: int = 0
-
-    @classmethod
-    def usual(cls, bounds: SensorBounds, seed: int) -> Defects:
-        """Errors of half the bounds."""
-        alike = {f.name: 0.5 * getattr(bounds, f.name) for f in fields(cls) if hasattr(bounds, f.name)}
-        return cls(**alike, seed=seed)
-
-    def late(self, t: Array, values: Array) -> Array:
-        """Values (K, m) at times (K,), delayed and filtered."""
-        if self.delay:
-            values = interpolated(t, values, t - self.delay)
-        if np.isfinite(self.bandwidth):
-            from scipy.signal import lfilter
-
-            pole = np.exp(-2 * np.pi * self.bandwidth * np.median(np.diff(t)))
-            values = values[0] + lfilter([1 - pole], [1, -pole], values - values[0], axis=0)
-        return values
-
-
 class SensedArm:
     """A simulated arm with errors of its own, which carries loads. wrist, joints: whether it has these sensors."""
 
@@ -137,7 +94,6 @@ class SensedArm:
         *,
         wrist: bool = True,
         joints: bool = True,
-        defects: Defects | None = None,
     ) -> None:
         from salver.models.arm.arm import load_arm
 
@@ -146,16 +102,13 @@ class SensedArm:
         self.plan, self.joint, self.sensors = plan, plan.joint, sensors or Sensors()
         self.wrist, self.joints = wrist, joints
         self.rng = np.random.default_rng(seed)
-        self.defects = defects or Defects()
-        self.signs = np.random.default_rng([self.defects.seed, 1]).choice([-1.0, 1.0], (12, 12))
         self.arm = load_arm(plan.scenario.arm, plan.scenario.tray)
         low, high = self.sensors.friction
         self.friction = self.rng.uniform(low, high, self.arm.n)
         self.model = self.arm.pin_model.copy()
         links = range(1, self.model.njoints - 1)  # the last carries the tray, whose mass is known
         heavier(self.model, {k: 1 + self.sensors.links * self.rng.standard_normal() for k in links})
-        self.other = self.model.copy()  # model of the arm in runs with a load
-        heavier(self.other, {k: 1 + self.defects.links * self.signs[11, k] for k in links})
+        self.other = self.model  # model of the arm in runs with a load
 
     def log(self, inertial: Array | None, source: str = "log", done: Done | None = None) -> Log:
         """Log of a run with a load with values (10,) of `parameters.INERTIAL` in B, or with the empty tray (None).
@@ -176,7 +129,7 @@ class SensedArm:
             wrench += at_flange(self.arm, load_E)[:, :, 0]
         change = 1 + s.friction_change * rng.standard_normal(n)
         tau += self.friction * change * np.tanh(dq / 0.02) + 0.1 * s.friction_change * rng.standard_normal(n) * dq
-        tau, wrench = self._as_sensed(t, q, tau, wrench, inertial is not None)
+        tau, wrench = self.sensed(t, q, tau, wrench, inertial is not None)
         each = np.array([s.force] * 3 + [s.moment] * 3)
         bias = np.array([s.force_bias] * 3 + [s.moment_bias] * 3)
         tau += s.torque_errors(len(t), n, rng)
@@ -184,24 +137,9 @@ class SensedArm:
         seen = q + s.times * s.encoder * rng.standard_normal(q.shape)
         return Log(source, t, seen, tau if self.joints else None, wrench if self.wrist else None)
 
-    def _as_sensed(self, t: Array, q: Array, tau: Array, wrench: Array, loaded: bool) -> tuple[Array, Array]:
-        """Joint torques (K, n) and wrenches (K, 6) at the flange with these systematic errors."""
-        from scipy.spatial.transform import Rotation
-
-        d, signs = self.defects, self.signs
-        turn = Rotation.from_rotvec(d.tilt * signs[0, :3])
-        force, moment = wrench[:, :3], wrench[:, 3:] - np.cross(d.position * signs[1, :3], wrench[:, :3])
-        wrench = np.hstack([turn.inv().apply(force), turn.inv().apply(moment)])
-        unit = np.array([1.0] * 3 + [LEVER] * 3)
-        mixed = np.diag(1 + d.scale * signs[2, :6]) + d.cross_talk * (signs[3:9, :6] * (1 - np.eye(6)))
-        wrench = d.late(t, wrench @ (unit[:, None] * mixed / unit).T)
-        tau = d.late(t, tau * (1 + d.scale * signs[9, : self.arm.n]))
-        if loaded:
-            bent = np.linalg.norm(q - q[0], axis=1)
-            pull = d.cable * (1 - np.cos(np.pi * bent / bent.max())) / 2
-            bias = np.array([d.force_bias] * 3 + [d.moment_bias] * 3)
-            wrench = wrench + signs[10, :6] * (bias + unit * pull[:, None])
-            tau = tau + d.torque_bias * signs[10, 6:][np.arange(self.arm.n) % 6]
+    def sensed(self, t: Array, q: Array, tau: Array, wrench: Array, loaded: bool) -> tuple[Array, Array]:
+        """Joint torques (K, n) and wrenches (K, 6) at the flange as the sensors show them, without random errors; a
+        subclass may add systematic ones. t (K,), q (K, n): the motion. loaded: whether a load is on the tray."""
         return tau, wrench
 
 
