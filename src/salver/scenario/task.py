@@ -6,7 +6,7 @@ from functools import cached_property
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import ConfigDict, Field, model_validator
+from pydantic import ConfigDict, Field, field_validator, model_validator
 
 from salver.fields import Degrees, Model, Number, Point, Turns, Whole
 from salver.geometry import matrix_from_quat_wxyz, matrix_from_rpy
@@ -114,6 +114,20 @@ class Planning(Model):
 
 
 class SensitivityWeighting(Model):
-    """Weights of the rows of the state sensitivity in the cost, eq (13)."""
+    """Weights of the rows of the state sensitivity in the cost, eq (13).
 
-    weighting: Literal["scaled", "paper", "pose"] = "scaled"
+    weighting: a weighting by its name (salver.planning.object.cost.CostWeights), or four weights, of the deviations of
+    position, rotation, velocity and angular rate, or twelve, of their axes x, y, z.
+    """
+
+    weighting: Literal["scaled", "paper", "pose"] | tuple[Annotated[Number, Field(ge=0, le=1e6)], ...] = Field(
+        default="scaled",
+        description='"scaled", "paper" or "pose", or four or twelve weights, each at least 0 and at most 1000000',
+    )
+
+    @field_validator("weighting")
+    @classmethod
+    def _counts(cls, given: str | tuple[float, ...]) -> str | tuple[float, ...]:
+        if not isinstance(given, str) and (len(given) not in (4, 12) or not any(given)):
+            raise ValueError(f"it has {len(given)} weights; write four or twelve, of which one is positive")
+        return given

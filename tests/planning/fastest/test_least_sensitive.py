@@ -36,7 +36,7 @@ def cost_of(plan: Plan) -> float:
     return sensitivity_cost(plan.scenario, t, tray_loop(plan.scenario).along(plan.reference, t))
 
 
-@pytest.mark.parametrize("weighting", ["paper", "pose", "scaled"])
+@pytest.mark.parametrize("weighting", ["paper", "pose", "scaled", [*range(12)]])
 def test_the_cost_of_a_joint_motion_is_that_of_what_the_object_does_and_its_slope_is_that_of_differences(weighting):
     """A motion that tilts, of a bottle with uncertain mass, centre of mass and inertia, seen from the object alone."""
     case = BOTTLE.with_changes(objective__weighting=weighting)

@@ -103,6 +103,7 @@ def other_solver(problem, solution, elastic):
         {"objective__weighting": "scaled", "motion__duration": 2.5},
         {"objective__weighting": "paper", "motion__duration": 1.0},
         {"objective__weighting": "pose", "motion__duration": 1.0},
+        {"objective__weighting": [*range(12)], "motion__duration": 1.0},
         pytest.param(BOTH[0] | {"motion__duration": 1.1}, marks=pytest.mark.slow),
         *(changes | {"motion__duration": 1.1} for changes in BOTH[1:]),
     ],
@@ -186,12 +187,39 @@ def test_weightings_differ_as_documented():
     def weights(weighting):
         return CostWeights.of(changed(objective__weighting=weighting), np.linspace(0, 1, 11))
 
-    assert weights("paper").rows == (1, 1, 1, 1)
-    assert weights("pose").rows == (1, 1, 0, 0)
+    def rows(weighting):
+        return weights(weighting).rows.tolist()
+
+    assert rows("paper") == np.repeat([1, 1, 1, 1], 3).reshape(4, 3).tolist()
+    assert rows("pose") == np.repeat([1, 1, 0, 0], 3).reshape(4, 3).tolist()
     radius = 0.02 * np.sqrt(3)
-    assert weights("scaled").rows == pytest.approx((1, radius, 500**-0.5, radius * 300**-0.5))
+    assert weights("scaled").rows == pytest.approx(np.outer([1, radius, 500**-0.5, radius * 300**-0.5], np.ones(3)))
+    assert rows([2, 0.5, 0, 3]) == np.repeat([2, 0.5, 0, 3], 3).reshape(4, 3).tolist()
+    assert rows([*range(12)]) == np.arange(12.0).reshape(4, 3).tolist()
+    assert weights([2, 0.5, 0, 3]).columns == pytest.approx(weights("scaled").columns)
     assert weights("paper").columns == pytest.approx(np.eye(PAPER.payload.uncertain.size))
     assert weights("scaled").columns == pytest.approx(np.diag(PAPER.payload.uncertain.half_range))
+
+
+def test_own_weights_of_one_axis_lessen_the_deviation_along_it():
+    """The paper's cube in 1 s: plans whose cost counts the deviation along the way alone, or in height alone."""
+
+    def problem(axis):
+        weights = [*np.eye(3)[axis], *np.zeros(9)]
+        return Problem(changed(motion__duration=1.0, objective__weighting=weights), 21)
+
+    y, z = problem(1), problem(2)
+    along, height = solve(y).z, solve(z).z
+    assert np.sum(y.linearise(along).residual ** 2) < 0.97 * np.sum(y.linearise(height).residual ** 2)
+    assert np.sum(z.linearise(height).residual ** 2) < 0.97 * np.sum(z.linearise(along).residual ** 2)
+
+
+@pytest.mark.parametrize(
+    ("given", "said"), [([1, 1, 1], "it has 3 weights"), ([0, 0, 0, 0], "of which one is positive")]
+)
+def test_own_weights_are_four_or_twelve_not_all_zero(given, said):
+    with pytest.raises(ScenarioError, match=said):
+        changed(objective__weighting=given)
 
 
 @pytest.mark.parametrize("nodes", [2, 5, 6, 7, 21, 50])

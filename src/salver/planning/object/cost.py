@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,7 +26,8 @@ def tray_loop(scenario: Scenario) -> TrayLoop:
 class CostWeights:
     """Weights of the rows and columns of Pi in the cost, and of the instants in its integral.
 
-    rows: of the blocks (dp, dtheta, dv, domega). columns: (n_p, n_p), multiplies Pi from the right. times: (T,) s.
+    rows: (4, 3), of the blocks (dp, dtheta, dv, domega) by axis. columns: (n_p, n_p), multiplies Pi from the right.
+    times: (T,) s.
     The weightings that a scenario can choose are:
 
     paper: the plain norm of the whole state, metres beside radians. pose: the plain norm of its pose rows.
@@ -33,9 +35,11 @@ class CostWeights:
     rates by the natural frequency of their error dynamics, so that |e|^2 + |e'|^2 / kp is the energy of the
     error over its stiffness; columns by their half-range. It depends neither on units nor on which parameters
     are listed, and rates count as much as the displacements that they turn into.
+
+    A scenario's own weights are rows in SI units, with columns by their half-range.
     """
 
-    rows: tuple[float, float, float, float]
+    rows: Array
     columns: Array
     times: Array
 
@@ -43,11 +47,15 @@ class CostWeights:
     def of(cls, scenario: Scenario, t: Array) -> CostWeights:
         """The weights of a scenario, at uniform instants t (T,), s, from 0 on."""
         times, uncertain = integration_weights(len(t), float(t[-1])), scenario.payload.uncertain
-        if scenario.objective.weighting != "scaled":
+        rows: Sequence[float]
+        if scenario.objective.weighting in ("paper", "pose"):
             rates = 1.0 if scenario.objective.weighting == "paper" else 0.0
-            return cls((1.0, 1.0, rates, rates), np.eye(uncertain.size), times)
-        radius, (kp, kp_R) = base_radius(scenario.payload.first), scenario.control.kp
-        return cls((1.0, radius, kp**-0.5, radius * kp_R**-0.5), uncertain.factor, times)
+            rows, columns = (1.0, 1.0, rates, rates), np.eye(uncertain.size)
+        else:
+            radius, (kp, kp_R) = base_radius(scenario.payload.first), scenario.control.kp
+            own, columns = scenario.objective.weighting, uncertain.factor
+            rows = (1.0, radius, kp**-0.5, radius * kp_R**-0.5) if isinstance(own, str) else own
+        return cls(np.broadcast_to(np.reshape(rows, (4, -1)), (4, 3)), columns, times)
 
 
 def base_radius(body: Body) -> float:
@@ -76,10 +84,10 @@ def cost_residual(sensitivity: TraySensitivity, weights: CostWeights, size: int 
     blocks = (sensitivity.dp, sensitivity.dtheta, sensitivity.dv, sensitivity.domega)
     moving = (sensitivity.loop.pushing, sensitivity.loop.turning) * 2  # the other rows are zero
     for scale, block, which in zip(weights.rows, blocks, moving, strict=True):
-        if scale > 0 and len(which):
+        if scale.any() and len(which):
             value, tangent = _times_columns(block, which, weights.columns, size)
             residual.append((scale * instants * value).ravel())
-            jacobian.append((scale * instants[..., None] * tangent).reshape(value.size, size))
+            jacobian.append((scale[:, None] * instants[..., None] * tangent).reshape(value.size, size))
     return np.concatenate(residual), np.concatenate(jacobian)
 
 
