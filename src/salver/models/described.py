@@ -5,9 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, ClassVar, Literal
 
+import numpy as np
 from pydantic import Field, model_validator
 
 from salver.fields import File, Inertia, Metres, Model, Name, Number, Place, Point, Scale, Turns, leaving_out
+from salver.geometry import Array, matrix_from_rpy
 
 SIDES = {"-x": (-1, 0), "+x": (1, 0), "-y": (0, -1), "+y": (0, 1)}  # of the tray: the way out, along x and y of E
 
@@ -67,6 +69,11 @@ class Tray(Model):
     def p_FE(self) -> tuple[float, float, float]:
         """Origin of E in the flange's frame F, m."""
         return (*self.offset, self.height)
+
+    @property
+    def R_FE(self) -> Array:
+        """Orientation (3, 3) of E in the flange's frame F."""
+        return matrix_from_rpy(np.deg2rad(self.rpy_deg))
 
     @property
     def rim_height(self) -> float:

@@ -17,7 +17,7 @@ import numpy as np
 import pinocchio as pin
 
 from salver.errors import ScenarioError
-from salver.geometry import GRAVITY_S, Array, adjoint, invert, matrix_from_rpy
+from salver.geometry import GRAVITY_S, Array, adjoint, invert
 from salver.models.arm.arm_limits import JointLimits, VelocityByPosition, joint_limits, read_joint_limits
 from salver.models.arm.known_arms import KNOWN_ARMS, robot_file
 from salver.models.arm.tables import Arm
@@ -179,7 +179,7 @@ def load_arm(arm: Arm, tray: Tray) -> ArmModel:
         model.inertias[j] = pin.Inertia.Zero()
     weightless = tuple(massless.values())
     _move_base(model, np.array(arm.base_position), arm.R_base)
-    p_FE, R_FE = np.array(tray.p_FE), matrix_from_rpy(np.deg2rad(tray.rpy_deg))
+    p_FE, R_FE = np.array(tray.p_FE), tray.R_FE
     com_E = np.array([0.0, 0.0, -0.5 * tray.thickness])
     tray_id = _attach_tray(model, flange, tray, pin.SE3(R_FE, p_FE), com_E)
     names = tuple(model.names)[1:]

@@ -6,7 +6,7 @@ const given = JSON.parse(document.getElementById("data").textContent);
 const byId = (id) => document.getElementById(id);
 const here = location.pathname.replace(/\/?$/, "/");
 const own = crypto.randomUUID();  // this window
-const COLOURS = { start: [0.0, 0.45, 0.7, 1], goal: [0.84, 0.37, 0.0, 1], objects: [0.9, 0.62, 0.0, 1], obstacles: [0.35, 0.38, 0.42, 1] };
+const COLOURS = { start: [0.0, 0.45, 0.7, 1], goal: [0.84, 0.37, 0.0, 1], tray: [0.0, 0.62, 0.45, 1], objects: [0.9, 0.62, 0.0, 1], obstacles: [0.35, 0.38, 0.42, 1] };
 const RING = 0.04;  // m, within which a ring is taken hold of
 const state = { text: given.text, saved: null, mistakes: [], answer: null, verdict: null, plan: null, planning: null, said: "", done: [], undone: [], chosen: "goal", time: 0, speed: 1, playing: false, gesture: null, base: "", viewer: null, looks: 0, live: null, frames: 0, held: null, keys: new Set() };
 
@@ -184,7 +184,7 @@ function begin(scene) {
   canvas.addEventListener("pointermove", (event) => {
     if (dragged) return drag(event);
     const part = event.buttons ? null : handleAt(event);
-    byId("hint").textContent = part ? `${part.name}: drag${part.handle.of === "world" ? ", with shift up and down" : " on the tray"}` : "drag a ring: that thing · elsewhere: turn · wheel: zoom";
+    byId("hint").textContent = part ? `${part.name}: drag${part.name === "tray" ? " the flange that holds it" : part.handle.of === "world" ? "" : " on the tray"}${lifted(part) ? ", with shift up and down" : ""}` : "drag a ring: that thing · elsewhere: turn · wheel: zoom";
   });
   canvas.addEventListener("pointerup", () => {
     if (dragged && state.held) hand({ goto: state.held });
@@ -195,7 +195,8 @@ function begin(scene) {
 }
 
 const trayPose = () => Mat.pose(state.viewer.variants[0].tray);
-const placeOf = ({ handle }) => (handle.of === "world" ? handle.at : Mat.point(trayPose(), [...handle.at, 0]));
+const placeOf = ({ handle }) => (handle.of === "world" ? handle.at : Mat.point(trayPose(), [...handle.at, 0].slice(0, 3)));
+const lifted = ({ handle }) => handle.at.length === 3;  // not on the tray's surface
 const handles = () => (state.live ? [goal()] : state.playing ? [] : (state.answer?.parts ?? []).filter((part) => part.handle && (part.handle.of === "world" || !state.plan?.variants)));
 
 function handleAt(event) {
@@ -204,7 +205,7 @@ function handleAt(event) {
 }
 
 function drag(event) {
-  const { part, p, gesture } = dragged, world = part.handle.of === "world", upright = event.shiftKey && world;
+  const { part, p, gesture } = dragged, world = part.handle.of === "world", upright = event.shiftKey && lifted(part);
   const q = state.viewer.onPlane(event, p, upright);
   if (!q) return;
   dragged.p = upright ? [p[0], p[1], q[2]] : [q[0], q[1], p[2]];
@@ -212,7 +213,7 @@ function drag(event) {
   let value = dragged.p;
   if (!world) {
     const tray = trayPose(), d = Vec.sub(dragged.p, Mat.point(tray, [0, 0, 0]));
-    value = [0, 1].map((k) => d[0] * tray[4 * k] + d[1] * tray[4 * k + 1] + d[2] * tray[4 * k + 2]);
+    value = part.handle.at.map((_, k) => k).map((k) => d[0] * tray[4 * k] + d[1] * tray[4 * k + 1] + d[2] * tray[4 * k + 2]);
   }
   edit(gesture, { changes: [[part.handle.key, value.map((x) => Number(x.toFixed(3)))]] });
   paint();
