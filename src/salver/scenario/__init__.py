@@ -4,7 +4,7 @@ A scenario is a TOML file, or the name of a ready-made one. It is checked in ful
 computed; each mistake is one sentence with the key, the value and what would be accepted.
 """
 
-from salver.models.arm.tables import Arm, ArmLimits
+from salver.models.arm.tables import Arm, ArmLimits, MobileBase
 from salver.models.described import Obstacle, Rim, Tray
 from salver.scenario.cell import Physics, RobotBehaviour, Surroundings
 from salver.scenario.files import SCENARIO_DIR, load, names
@@ -39,6 +39,7 @@ __all__ = [
     "Leg",
     "LiquidIn",
     "Mesh",
+    "MobileBase",
     "Motion",
     "Obstacle",
     "Part",

@@ -189,6 +189,10 @@ class Scenario(Shown, Model):
                     f"{most_values:.2g} are accepted: give fewer nodes or contact.edges"
                 )
         if self.arm is not None:
+            if self.arm.base is not None and self.physics.robot.control == "torque":
+                raise ValueError(
+                    'physics.robot.control = "torque" does not move arm.base, which takes velocities; give "position"'
+                )
             self.control.check_held(self.physics.command_period)
             self.physics.robot.check_held(self.physics.command_period)
         steps = self.physics.steps(self.motion.duration)

@@ -20,7 +20,8 @@ from salver.errors import ScenarioError
 from salver.geometry import GRAVITY_S, Array, adjoint, invert
 from salver.models.arm.arm_limits import JointLimits, VelocityByPosition, joint_limits, read_joint_limits
 from salver.models.arm.known_arms import KNOWN_ARMS, robot_file
-from salver.models.arm.tables import Arm
+from salver.models.arm.mobile_base import JOINTS, on_base
+from salver.models.arm.tables import Arm, ArmLimits
 from salver.models.arm.urdf import LARGEST_LINK, SUFFIXES, read_chain, read_disabled_pairs
 from salver.models.contact.contact import ContactSet
 from salver.models.described import Tray
@@ -173,6 +174,8 @@ def load_arm(arm: Arm, tray: Tray) -> ArmModel:
     if flange is None:
         raise ScenarioError(f"arm.flange is missing; with the URDF {path} it must name the link that carries the tray.")
     chain = read_chain(path, flange, _folders(arm.package_dirs))
+    if arm.base is not None:
+        chain = on_base(chain, arm.base, path)
     model = _build(chain.urdf, path)
     massless = {j: link for j, link in moved_links(model).items() if not model.inertias[j].mass > 0}
     for j in massless:
@@ -184,14 +187,19 @@ def load_arm(arm: Arm, tray: Tray) -> ArmModel:
     tray_id = _attach_tray(model, flange, tray, pin.SE3(R_FE, p_FE), com_E)
     names = tuple(model.names)[1:]
     name = Path(arm.model).stem
+    driving = 0 if arm.base is None else len(JOINTS)
     given: list[tuple[str, Mapping[str, Any]]] = [("the URDF", _urdf_limits(model))]
     by_position = _velocity_by_position(model, chain.by_position)
     if known and arm.flange in (None, known.flange):
-        given.append((f"the maker of the {arm.model}", known.limits))
-        by_position = known.velocity_by_position or by_position
+        given.append((f"the maker of the {arm.model}", _padded(known.limits, before=driving)))
+        by_position = known.velocity_by_position.after(driving) if known.velocity_by_position else by_position
     if arm.joint_limits is not None:
         given.append((Path(arm.joint_limits).name, read_joint_limits(Path(arm.joint_limits), names, chain.all_joints)))
-    given.append(("arm.limits", _scenario_limits(arm, name, model.nv)))
+    given.append(("arm.limits", _padded(_stated(arm.limits, "arm.limits", name, model.nv - driving), before=driving)))
+    if arm.base is not None:
+        ends = dict(zip(("q_min", "q_max"), np.array([arm.base.x, arm.base.y, arm.base.yaw]).T, strict=True))
+        stated = ends | _stated(arm.base.limits, "arm.base.limits", "arm.base", driving)
+        given.append(("arm.base", _padded(stated, after=model.nv - driving)))
     if weightless:
         given.append(("", dict.fromkeys(("torque", "torque_rate"), np.full(model.nv, np.inf))))
     limits, sources = joint_limits(model.nv, given)
@@ -349,14 +357,19 @@ def _velocity_by_position(model: Any, given: Mapping[str, tuple[float, float]]) 
     return VelocityByPosition(lower, upper, 2 * deceleration, offset)
 
 
-def _scenario_limits(arm: Arm, name: str, n: int) -> dict[str, Array]:
-    """Limits from the table arm.limits, in which one number applies to all joints."""
+def _stated(limits: ArmLimits, key: str, name: str, n: int) -> dict[str, Array]:
+    """The limits of n joints that a table of the scenario states, in which one number applies to all of them."""
     found = {}
-    for key, value in arm.given_limits.items():
+    for kind, value in limits.model_dump(exclude_none=True).items():
         values = np.atleast_1d(np.array(value, dtype=float))
         if len(values) not in (1, n) or (isinstance(value, list) and len(values) != n):
             raise ScenarioError(
-                f"arm.limits.{key} has {len(values)} values; {name} has {n} joints: give one for each, or one number."
+                f"{key}.{kind} has {len(values)} values; {name} has {n} joints: give one for each, or one number."
             )
-        found[key] = np.broadcast_to(values, n)
+        found[kind] = np.broadcast_to(values, n)
     return found
+
+
+def _padded(limits: Mapping[str, Any], before: int = 0, after: int = 0) -> dict[str, Array]:
+    """Limits that say nothing about so many joints before and after those that they are of."""
+    return {key: np.pad(values, (before, after), constant_values=np.nan) for key, values in limits.items()}

@@ -88,6 +88,12 @@ class VelocityByPosition:
         by_distance = 0.5 * slope / root
         return root - offset + by_distance * np.minimum(distance - nearest, 0.0), by_distance
 
+    def after(self, others: int, away: float = 1e6) -> VelocityByPosition:
+        """The limit with so many joints in front that have none: their ends are so far, rad or m, that they never get
+        there."""
+        ends = {"lower": -away, "upper": away, "slope": 1.0, "offset": 1.0}
+        return VelocityByPosition(**{key: np.append(np.full(others, x), getattr(self, key)) for key, x in ends.items()})
+
     def scaled(self, share: float) -> VelocityByPosition:
         """A share of the velocities."""
         return replace(self, slope=share**2 * self.slope, offset=share * self.offset)

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from salver.fields import File, Model, Name, Number, Point, Share, Turns
+from salver.fields import Degrees, File, Metres, Model, Name, Number, Place, Point, Share, Turns, leaving_out
 from salver.geometry import Array, matrix_from_rpy
 from salver.models.arm.arm_limits import PLANNING_SHARES
 from salver.models.arm.urdf import MOST_JOINTS
@@ -34,12 +34,54 @@ class ArmLimits(Model):
     torque_rate: EachJoint | None = None
 
 
+class MobileBase(Model):
+    """A base that drives on the floor and carries the arm (`salver.models.arm.mobile_base`).
+
+    size: m, length, width and height of its body, from the floor; or radius and height of a round one. mass: kg.
+    x, y, yaw_deg: from where to where its frame may go, m and degrees. limits: of its joints x, y, yaw, for all or one
+    for each: m/s and rad/s, and so on. mount, mount_rpy_deg: pose of the URDF's root in the base's frame, m and
+    degrees; on the middle of its top by default.
+    """
+
+    kind: Literal["omnidirectional"]
+    size: tuple[Metres, Metres, Metres] | None = None
+    radius: Metres | None = None
+    height: Metres | None = None
+    mass: Annotated[Number, Field(ge=0.1, le=1e4)]
+    x: tuple[Place, Place]
+    y: tuple[Place, Place]
+    yaw_deg: tuple[Degrees, Degrees] = (-180.0, 180.0)
+    limits: ArmLimits = ArmLimits()
+    mount: Point | None = None
+    mount_rpy_deg: Turns = (0.0, 0.0, 0.0)
+
+    @model_validator(mode="after")
+    def _sized(self) -> MobileBase:
+        if (self.size is None) == (self.radius is None) or (self.radius is None) != (self.height is None):
+            raise ValueError("its body needs size = [length, width, height], or radius and height for a round one")
+        for key, (low, high) in (("x", self.x), ("y", self.y), ("yaw_deg", self.yaw_deg)):
+            if low >= high:
+                raise ValueError(f"{key} = [{low:g}, {high:g}] is no range; its first number must be below its second")
+        return self
+
+    @property
+    def top(self) -> float:
+        """Height of its body, m."""
+        return self.size[2] if self.size else self.height or 0.0
+
+    @property
+    def yaw(self) -> tuple[float, float]:
+        """From where to where its heading may go, rad."""
+        return float(np.deg2rad(self.yaw_deg[0])), float(np.deg2rad(self.yaw_deg[1]))
+
+
 class Arm(Model):
     """The arm: a known name (see `salver.models.arm.arm`) or a URDF file with the frame that carries the tray.
 
     package_dirs: folders of the packages whose meshes the URDF names. collisions: how links whose geometry cannot be
     read are treated: refused, replaced by capsules, or not checked. base_position, base_rpy_deg: pose of the URDF's
-    root in S; an arm that hangs from a ceiling has a roll of 180.
+    root in S; an arm that hangs from a ceiling has a roll of 180. base: one that drives, whose frame is there when its
+    joints are at 0; they come before those of the URDF, in start_posture too.
     """
 
     model: File = Field(default="panda", description="a known arm, or the path of a URDF")
@@ -51,11 +93,14 @@ class Arm(Model):
     joint_limits: File | None = None
     base_position: Point = (0.0, 0.0, 0.0)
     base_rpy_deg: Turns = (0.0, 0.0, 0.0)
+    base: MobileBase | None = None
     start_posture: Annotated[list[Angle], Field(max_length=MOST_JOINTS)] | None = None
     velocity_scale: Share = PLANNING_SHARES["velocity"]
     acceleration_scale: Share = PLANNING_SHARES["acceleration"]
     jerk_scale: Share = PLANNING_SHARES["jerk"]
     torque_scale: Share = PLANNING_SHARES["torque"]
+
+    _stated = leaving_out("base")
 
     @model_validator(mode="before")
     @classmethod
@@ -70,11 +115,6 @@ class Arm(Model):
     def R_base(self) -> Array:
         """(3, 3) orientation of the URDF's root in S."""
         return matrix_from_rpy(np.deg2rad(self.base_rpy_deg))
-
-    @property
-    def given_limits(self) -> dict[str, float | list[float]]:
-        """The limits that the table arm.limits sets."""
-        return self.limits.model_dump(exclude_none=True)
 
     @property
     def limit_shares(self) -> dict[str, float]:

@@ -1,0 +1,202 @@
+"""A base that drives: its kinematics by hand, the shortest time that friction and jerk allow, and the engine."""
+
+from __future__ import annotations
+
+import math
+
+import mujoco
+import numpy as np
+import pytest
+
+from salver import scenario
+from salver.errors import ScenarioError
+from salver.geometry import matrix_from_rpy
+from salver.models.arm.arm import load_arm
+from salver.models.arm.arm_geometry import arm_geometry
+from salver.models.arm.known_arms import KNOWN_ARMS
+from salver.planning.fastest import plan_fastest
+from salver.simulation.physics import simulate
+from salver.simulation.scene.loads import true_world
+from salver.simulation.scene.scene import build
+
+COLUMN = """<robot name="column"><link name="column"><inertial><origin xyz="0 0 0.3"/><mass value="8"/>
+  <inertia ixx="0.25" iyy="0.25" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial>
+  <collision><origin xyz="0 0 0.3"/><geometry><cylinder radius="0.05" length="0.6"/></geometry></collision></link>
+  <link name="top"/><joint name="to_top" type="fixed"><parent link="column"/><child link="top"/>
+  <origin xyz="0 0 0.6"/></joint></robot>"""
+ROUND = {"kind": "omnidirectional", "radius": 0.25, "height": 0.3, "mass": 40.0, "x": [-3.0, 3.0], "y": [-3.0, 3.0]}
+RIDGEBACK = {
+    "kind": "omnidirectional",
+    "size": [0.96, 0.793, 0.311],
+    "mass": 165.0,
+    "x": [-3.0, 2.0],
+    "y": [-2.0, 3.0],
+    "mount": [0.27, 0.01, 0.653],
+    "mount_rpy_deg": [0.0, 0.0, -90.0],
+    "limits": {"velocity": [1.1, 1.2, 2.0]},
+}
+FRICTION, JERK = 0.3, 40.0
+
+
+def task(arm, goal=(2.0, 0.0), heading=0.0, **more):
+    """A flat box on a tray, 0.92 m above the floor in the middle."""
+    start, goal = ({"position": [*at, 0.92], "rpy_deg": [0.0, 0.0, heading]} for at in ((0.0, 0.0), goal))
+    return scenario.parse(
+        {
+            "name": "waiter",
+            "motion": {"start": start, "goal": goal, "speeds": "full"},
+            "objects": [
+                {
+                    "shape": {"type": "box", "size": [0.06, 0.06, 0.02]},
+                    "mass": 0.2,
+                    "friction": FRICTION,
+                    "uncertainty": {},
+                }
+            ],
+            "contact": {"condition": "exact"},
+            "tray": {"height": 0.01},
+            "arm": arm,
+            "physics": {"robot": {"control": "position"}},
+            **more,
+        },
+        "the test",
+    )
+
+
+@pytest.fixture(scope="module")
+def column(tmp_path_factory):
+    path = tmp_path_factory.mktemp("column") / "column.urdf"
+    path.write_text(COLUMN)
+    limits = {"velocity": 5.0, "acceleration": 10.0, "jerk": JERK}
+    return {"model": str(path), "flange": "top", "base": {**ROUND, "limits": limits}, "jerk_scale": 1.0}
+
+
+def on_ridgeback(**more):
+    return {"model": "ur10", "base": {**RIDGEBACK, **more}}
+
+
+def test_the_tray_is_where_the_base_has_driven_it(column):
+    """Heading 20 + 30 deg, 0.2 m to the side of the base's middle, after 1 m along the axes of the pose at 0."""
+    base = {**column["base"], "mount": [0.0, 0.2, 0.3]}
+    arm = task(
+        {
+            **column,
+            "base": base,
+            "base_position": [0.5, 0.4, 0.1],
+            "base_rpy_deg": [0, 0, 20],
+        }
+    ).arm
+    model = load_arm(arm, task(column).tray)
+    p, R = model.tray_pose(np.array([1.0, -0.5, np.deg2rad(30)]))
+    c, s = math.cos(math.radians(20)), math.sin(math.radians(20))
+    side = 0.2 * np.array([-math.sin(math.radians(50)), math.cos(math.radians(50))])
+    at = np.array([0.5 + c * 1.0 + s * 0.5, 0.4 + s * 1.0 - c * 0.5]) + side
+    assert p == pytest.approx([*at, 0.1 + 0.3 + 0.6 + 0.01], abs=1e-12)
+    assert pytest.approx(matrix_from_rpy([0, 0, np.deg2rad(50)]), abs=1e-12) == R
+
+
+def test_joints_of_the_base_come_first_with_limits_of_their_own():
+    base = {**on_ridgeback(), "limits": {"acceleration": [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]}}
+    arm = load_arm(task(base).arm, task(base).tray)
+    assert arm.joint_names[:4] == ("base_x", "base_y", "base_yaw", "shoulder_pan_joint")
+    assert arm.linear[:4] == (True, True, False, False)
+    assert arm.limits.q_min[:3] == pytest.approx([-3.0, -2.0, -np.pi])
+    assert arm.limits.q_max[:3] == pytest.approx([2.0, 3.0, np.pi])
+    assert arm.limits.velocity == pytest.approx([1.1, 1.2, 2.0, *KNOWN_ARMS["ur10"].limits["velocity"]])
+    assert arm.limits.acceleration == pytest.approx([np.inf] * 3 + [1.0, 2.0, 3.0, 4.0, 5.0, 6.0])
+    assert np.isfinite(arm.limits.torque).tolist() == [False] * 3 + [True] * 6
+    assert arm.limit_sources["velocity"][2:4] == ("arm.base", "the maker of the ur10")
+    assert arm.limit_sources["acceleration"][2:4] == (None, "arm.limits")
+
+
+def test_an_arm_keeps_its_velocity_limits_by_position_behind_a_base():
+    alone, driven = ({"model": "fr3"} | more for more in ({}, {"base": RIDGEBACK}))
+    one, other = (load_arm(task(arm).arm, task(arm).tray).limits for arm in (alone | {"base": None}, driven))
+    q, dq = np.array([0.1, -1.2, 0.4, -2.9, 0.2, 0.7, 2.5]), np.array([1.0, -1, 1, -1, 1, -1, 1])
+    expected = one.velocity_at(q, dq)[0]
+    found = other.velocity_at(np.array([1.9, -1.9, 3.0, *q]), np.array([1.0, -1.0, 1.0, *dq]))[0]
+    assert found == pytest.approx([1.1, 1.2, 2.0, *expected])
+    assert np.any(expected < one.velocity)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"size": None}, "arm.base: its body needs size = [length, width, height], or radius and height"),
+        ({"height": 0.2}, "arm.base: its body needs size"),
+        ({"x": [1.0, -1.0]}, "arm.base: x = [1, -1] is no range; its first number must be below its second"),
+        ({"kind": "tracked"}, 'arm.base.kind = "tracked": must be "omnidirectional"'),
+        ({"limits": {"velocity": [1.0, 1.0]}}, "arm.base.limits.velocity has 2 values; arm.base has 3 joints"),
+    ],
+)
+def test_mistakes_of_the_table_are_named(change, said):
+    with pytest.raises(ScenarioError) as error:
+        load_arm(task(on_ridgeback(**change)).arm, task({"model": "ur10", "base": RIDGEBACK}).tray)
+    assert said in str(error.value)
+
+
+def test_a_base_takes_no_torques_and_no_name_twice(column, tmp_path):
+    with pytest.raises(ScenarioError, match=r'control = "torque" does not move arm.base, which takes velocities'):
+        task(column, physics={})
+    path = tmp_path / "own.urdf"
+    path.write_text(COLUMN.replace('"column"', '"mobile_base"'))
+    own = task({**column, "model": str(path)})
+    with pytest.raises(ScenarioError, match=r"has the name mobile_base, which arm.base has for itself"):
+        load_arm(own.arm, own.tray)
+
+
+def test_the_engine_moves_the_model_that_is_planned_with():
+    """The URDF of a UR begins with a link named world, which MuJoCo would fix."""
+    case = task({**on_ridgeback(), "base_position": [0.3, -0.2, 0.0], "base_rpy_deg": [0.0, 0.0, 25.0]})
+    arm = load_arm(case.arm, case.tray)
+    scene = build(case, true_world(case, {}), arm)
+    data, full = mujoco.MjData(scene.model), np.zeros((scene.model.nv, scene.model.nv))
+    q, dq = np.array([1.0, -0.5, 2.0, 0.3, -1.0, 1.2, 0.4, 1.1, -0.6]), np.linspace(-1, 1, 9)
+    data.qpos[:9], data.qvel[:9] = q, dq
+    mujoco.mj_forward(scene.model, data)
+    mujoco.mj_fullM(scene.model, data, full)
+    assert full[:9, :9] == pytest.approx(arm.mass_matrix(q), abs=1e-9)
+    assert data.qfrc_bias[:9] == pytest.approx(arm.bias(q, dq), abs=1e-9)
+    assert scene.tray_pose(data)[0] == pytest.approx(arm.tray_pose(q)[0], abs=1e-12)
+
+
+@pytest.mark.parametrize(("along", "touches"), [(1.0, False), (1.02, True)])
+def test_the_body_of_the_base_keeps_clear_of_obstacles(column, along, touches):
+    """A round body of radius 0.25 m and a wall whose side is at x = 1.26 m."""
+    wall = {"type": "box", "name": "wall", "position": [1.36, 0.0, 0.1], "size": [0.2, 4.0, 0.2]}
+    case = task(column, obstacles=[wall])
+    parts = arm_geometry(load_arm(case.arm, case.tray), case.payload.bodies, case.around)
+    found = parts.first_touch(np.array([[along, 0.5, 0.7]]))
+    assert ((found.first, found.second) == ("mobile_base", "wall")) if touches else found is None
+
+
+@pytest.mark.parametrize(("base_yaw", "heading"), [(0.0, 0.0), (35.0, 35.0), (0.0, 90.0)])
+def test_shortest_time_of_a_straight_line_is_that_of_friction_and_jerk(column, base_yaw, heading):
+    """Acceleration mu g, reached by the largest jerk: T = 2 (v / a + a / j) with d = v (v / a + a / j)."""
+    along = np.array([math.cos(math.radians(base_yaw)), math.sin(math.radians(base_yaw))])
+    case = task({**column, "base_rpy_deg": [0.0, 0.0, base_yaw]}, (2.0 * along).tolist(), heading)
+    a, d = FRICTION * 9.81, 2.0
+    ramp = a / JERK
+    v = 0.5 * a * (math.sqrt(ramp**2 + 4 * d / a) - ramp)
+    least = 2 * (v / a + ramp)
+    plan = plan_fastest(case)
+    assert plan.ok, plan.status
+    assert least <= plan.duration <= 1.02 * least
+    assert plan.joint.q[[0, -1]] == pytest.approx(
+        np.array([[0.0, 0.0, np.deg2rad(heading - base_yaw)], [2.0, 0.0, np.deg2rad(heading - base_yaw)]]), abs=1e-9
+    )
+
+
+def test_the_engine_drives_the_base_to_the_goal_with_the_load_in_place(column):
+    plan = plan_fastest(task(column, (0.8, 0.6)))
+    record = simulate(plan)
+    assert record.summary["outcome"] == "holds", record.summary
+    assert record.q[-1] == pytest.approx([0.8, 0.6, 0.0], abs=1e-3)
+
+
+def test_a_base_drives_around_a_table_that_it_was_far_from_at_first():
+    """The first path keeps far from the table, and a shorter one through it is 0.6 s faster."""
+    case = scenario.load("serving-robot")
+    around, straight = (plan_fastest(one) for one in (case, case.with_changes(obstacles=[])))
+    assert around.ok, around.status
+    assert straight.duration < 3.2 < 3.6 < around.duration < 3.8
