@@ -567,3 +567,16 @@ def test_what_is_put_in_the_way_stays_there_until_it_is_removed(cube, problem):
     assert live.obstacles([replace(crate, name="ball")]).ok
     assert "another one is 'ball'" in live.put(replace(crate, name="ball")).sentence
     assert "there is no \"['crate' 'box']\"; there are crate" in live.remove(np.array(["crate", "box"])).sentence
+
+
+def test_a_policy_changes_only_the_obstacles_that_a_policy_put(cube):
+    live = Live(cube)
+    crate, post = (Moving(name, "box", (0.2, 0.9, 0.2), size=(0.1, 0.1, 0.1)) for name in ("crate", "post"))
+    live.stop("the cell is changed")  # which is no request to move
+    assert live.put(crate).ok
+    assert live.put(post, source="policy").ok
+    assert "the operator put crate there" in live.remove("crate", source="policy").sentence
+    assert "the operator put crate there" in live.put(replace(crate, position=(2, 2, 2)), source="policy").sentence
+    assert "source is 'nobody'; it must be one of" in live.put(post, source="nobody").sentence
+    assert live.remove("post", source="policy").ok
+    assert live.remove("crate").ok

@@ -247,3 +247,26 @@ def test_a_hand_that_becomes_gentle_is_followed_soon_after(cube):
     twists = [arm.body_jacobian(q) @ dq for q, dq in ((states[0][k], states[1][k]) for k in late)]
     speeds = [arm.tray_pose(states[0][k])[1] @ v[:3] for k, v in zip(late, twists, strict=True)]
     assert np.abs(np.array(speeds) - [0.0, 0.1, 0.0]).max() < 0.01
+
+
+def test_the_state_says_what_share_of_a_twist_is_executed_and_why_no_more(cube):
+    live = Live(cube, lead=TICK)
+    assert live.state.granted == 1.0  # nothing is requested
+    asked = np.array([2.5, 1.0, 0.0])  # faster than the load allows so soon
+    states = drive(live, 0.2, said(lambda t: asked, 0.2), EVERY)
+    state, v = live.state, velocities(live, states, 1)[-1]
+    assert state.granted == pytest.approx(v @ asked / (asked @ asked), abs=1e-6)
+    assert 0.05 < state.granted < 0.9
+    assert state.withheld.startswith(f"{100 * state.granted:.0f} % of the requested velocity: ")
+    assert state.withheld in str(state)
+    live.hold()
+    drive(live, 0.6, [(t, lambda live: live.twist(asked)) for t in np.arange(0.0, 0.6, 0.01)], EVERY, begins=0.2)
+    assert live.state.granted == 0.0
+    assert live.state.withheld == "0 % of the requested velocity: Held by the operator."
+
+
+def test_the_share_of_joint_velocities_is_theirs(cube):
+    live, rates = Live(cube, lead=TICK), np.array([0.2, 0.0, 0.0, 0.0, 0.0, 0.0, -0.1])  # level
+    states = drive(live, 0.5, [(t, lambda live: live.jog(rates)) for t in np.arange(0.0, 0.5, 0.01)], EVERY)
+    assert live.state.granted == pytest.approx(min(1.0, states.dq[-1] @ rates / (rates @ rates)), abs=1e-6)
+    assert live.state.granted > 0.95

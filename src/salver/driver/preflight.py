@@ -152,7 +152,8 @@ def _arm(motion: JointMotion, arm: ArmModel, bodies: Sequence[Body], plan: Plan)
     status, swept = verdict(arm, motion, bodies, parts, BETWEEN), sweep(parts, motion)
     near, touch = swept.nearest, swept.touch
     floor = "" if plan.scenario.floor is None else ", the floor"
-    around = f"{floor} and {len(plan.scenario.obstacles) or 'no'} obstacles"
+    box = "" if plan.scenario.surroundings.keep_in is None else ", the keep-in box"
+    around = f"{floor}{box} and {len(plan.scenario.obstacles) or 'no'} obstacles"
     if near is None:
         sentence = "Nothing is known of the arm's shape, so collisions cannot be excluded."
     elif touch is not None:

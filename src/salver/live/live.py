@@ -29,25 +29,30 @@ from salver.live.options import LiveOptions
 from salver.live.reader import Reader
 from salver.live.replanning.lead import Lead
 from salver.live.replanning.lookout import Lookout
+from salver.live.replanning.objective import JointsWanted
 from salver.live.replanning.obstacles import Moving, Predicted, predicted
 from salver.live.replanning.planner import Answer, Job, Planner
 from salver.live.replanning.wishes import (
     ACCEPTED,
+    OPERATOR,
+    PRIORITY,
     Evade,
     Follow,
     Goal,
     Halt,
     Refused,
     Retime,
+    Source,
     Wish,
     id_of,
+    known,
     numbers,
     shown,
 )
 from salver.live.requested import Requested, answers
 from salver.live.running import Running
 from salver.live.standing import live_scenario, standing
-from salver.live.state import State
+from salver.live.state import LIMITING, State
 from salver.models.arm.arm import with_load
 from salver.planning.fastest import TransportProblem, transport_problem
 from salver.scenario import Scenario, load
@@ -93,7 +98,7 @@ class Live(Requested):
         self._attempts = 0
         self._anew = threading.Lock()  # of whoever reports obstacles, another load or another posture
         self._seen: list[Predicted] = []  # as it was reported last
-        self._standing: dict[str, Predicted] = {}
+        self._standing: dict[str, tuple[Predicted, Source]] = {}  # and who put it there
         # From which motion nothing more can be done, as of which news of what passes.
         self._resigned: tuple[Running | None, int] = (None, 0)
         self._believe(problem)
@@ -128,25 +133,34 @@ class Live(Requested):
         return ACCEPTED
 
     @answers("The obstacle")
-    def put(self, obstacle: Moving) -> Status:
+    def put(self, obstacle: Moving, *, source: Source = OPERATOR) -> Status:
         """Add an obstacle that stands still, or move the one of that name; it stays until `remove`, so that a cell can
-        be edited while the arm moves. `obstacles` does not change it."""
+        be edited while the arm moves. `obstacles` does not change it; a policy may not move what an operator put."""
         if not isinstance(obstacle, Moving):
             raise Refused("it must be a Moving")
         with self._anew:
-            self._standing[obstacle.name] = self._predicted(obstacle, [x.name for x in self._seen]).standing()
+            found = self._predicted(obstacle, [x.name for x in self._seen]).standing()
+            self._may_change(found.name, source)
+            self._standing[found.name] = found, source
             self._sight()
         return ACCEPTED
 
     @answers("To remove an obstacle")
-    def remove(self, name: str) -> Status:
-        """Remove the obstacle that was `put` under a name."""
+    def remove(self, name: str, *, source: Source = OPERATOR) -> Status:
+        """Remove the obstacle that was `put` under a name; a policy, only one that a policy put."""
         with self._anew:
             if not isinstance(name, str) or name not in self._standing:
                 raise Refused(f"there is no {shown(name)}; there are {', '.join(self._standing) or 'none'}")
+            self._may_change(name, source)
             del self._standing[name]
             self._sight()
         return ACCEPTED
+
+    def _may_change(self, name: str, source: Source) -> None:
+        """Raises Refused where a source must not move or remove the obstacle of a name."""
+        by = self._standing[name][1] if name in self._standing else source
+        if PRIORITY[known(source)] < PRIORITY[by]:
+            raise Refused(f"the {by} put {name} there")
 
     def _predicted(self, seen: Moving, others: Container[str]) -> Predicted:
         """others: names that it must not have."""
@@ -160,7 +174,7 @@ class Live(Requested):
 
     def _sight(self) -> None:
         """Check the commanded path against the present obstacles."""
-        sighting = self._sighting.then([*self._seen, *self._standing.values()], self._now)
+        sighting = self._sighting.then([*self._seen, *(one for one, _ in self._standing.values())], self._now)
         for running in (self._running, self._offer):
             if running is not None:
                 running.outlook = self._lookout.outlook(running.looked, sighting, self._now)
@@ -342,10 +356,24 @@ class Live(Requested):
         stopped = "" if self._stopped is None else str(self._stopped)
         slow = "" if self._factor == 1.0 else f"Goals are gone to at {100 * self._factor:.3g} % of full speed."
         speed = " ".join(filter(None, ("" if self._held is None else str(self._held), slow)))
+        granted, withheld = self._granted, ""
+        if granted < 0.995:  # a whole percent
+            near = "it still changes, or the tray is kept level" if margin >= LIMITING else f"limited by {limit}"
+            why = near if self._held is None and not passing else str(self._held or passing).rstrip(".")
+            withheld = f"{100 * granted:.0f} % of the requested velocity: {why}."
         return State(
             doing, rests_in, limit, margin, self._refused, self._clock, self.lead, passing, stopped, self._refusals,
-            speed, self._requests.each,
+            speed, self._requests.each, granted, withheld,
         )  # fmt: skip
+
+    @property
+    def _granted(self) -> float:
+        """Share of the requested velocities that the arm has now; 1 where none are requested."""
+        wish, reader = self._wish, self._reader
+        if not (isinstance(wish, Follow) and isinstance(wish.wanted, JointsWanted) and self._now <= wish.until):
+            return 1.0
+        weights = self.options.planner.weights
+        return wish.wanted.granted(self._problem.arm, reader.q.copy(), reader.dq.copy(), self._now, weights)
 
     @property
     def robust(self) -> bool:

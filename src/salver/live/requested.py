@@ -42,6 +42,7 @@ from salver.live.replanning.wishes import (
     id_of,
     is_flag,
     is_source,
+    known,
     numbers,
     pose_goal,
     posture_goal,
@@ -112,8 +113,7 @@ class Requested(Commanded):
 
     def _check(self, source: Source) -> None:
         """Raises Refused where a request from a source cannot be carried out now."""
-        if not is_source(source):
-            raise Refused(f"source is {shown(source)}; it must be one of {', '.join(PRIORITY)}")
+        known(source)
         stopped, wish = self._stopped, self._wish
         if stopped is not None:
             stopped.refused += 1
@@ -191,9 +191,7 @@ class Requested(Commanded):
         stopped = self._stopped
         if stopped is None:
             return ACCEPTED
-        if not is_source(source):
-            self._check(source)
-        if PRIORITY[source] < PRIORITY[stopped.source]:
+        if PRIORITY[known(source)] < PRIORITY[stopped.source]:
             raise Refused(f"the {stopped.source} stopped the arm")
         if self._astray or self._unknown:
             raise Refused(self._astray or self._lost)
@@ -226,11 +224,11 @@ class Requested(Commanded):
         Refused to a policy if the operator holds the arm, and while a stop is latched.
         """
         held = self._held
-        if self._stopped is not None or not is_source(source):
+        if self._stopped is not None:
             self._check(source)
         if held is None:
             return ACCEPTED
-        if PRIORITY[source] < PRIORITY[held.halt.source]:
+        if PRIORITY[known(source)] < PRIORITY[held.halt.source]:
             raise Refused(f"the {held.halt.source} holds the arm")
         if isinstance(wish := self._wish, Follow):
             self._wish = wish.later(self._now - held.at)

@@ -114,9 +114,9 @@ class Said:
         if "override" in words:
             return live.override(words["override"], source=source)
         if "put" in words:
-            return live.put(_obstacle(words["put"]))
+            return live.put(_obstacle(words["put"]), source=source)
         if "remove" in words:
-            return live.remove(words["remove"])
+            return live.remove(words["remove"], source=source)
         for say in (live.resume, live.hold, live.release):
             if say.__name__ in words:
                 return say(source=source)

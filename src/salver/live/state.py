@@ -18,7 +18,9 @@ class State(Shown):
     given to `command`; both are empty without one. lead: s from now to the next hand-over. passing: the expected
     passage of moving obstacles, when no motion that keeps clear of them was found. stopped: who stopped the arm, and
     why; empty without a latched stop. refusals: number of refused requests since the beginning. speed: a reduced speed
-    or a hold, in words; empty at full speed. requests: the outcomes of the latest requests, the oldest first.
+    or a hold, in words; empty at full speed. requests: the outcomes of the latest requests, the oldest first. granted:
+    share, 0 to 1, of the requested twist or joint velocities that the arm is commanded to have now; 1 where none are
+    requested. withheld: why it is less, in words; empty where it is not.
     """
 
     doing: str
@@ -33,10 +35,12 @@ class State(Shown):
     refusals: int = 0
     speed: str = ""
     requests: tuple[Request, ...] = ()
+    granted: float = 1.0
+    withheld: str = ""
 
     def facts(self) -> dict[str, str]:
         told = {"live": self.doing, "at rest in": f"{self.rests_in:.2f} s", "nearest limit": self.nearest}
-        said = ("stopped", "speed", "refused", "passing", "clock")
+        said = ("stopped", "speed", "refused", "passing", "withheld", "clock")
         return {**told, **{name: text for name in said if (text := getattr(self, name))}}
 
     @property
@@ -48,4 +52,5 @@ class State(Shown):
 
     def __str__(self) -> str:
         sentence = "The arm rests." if self.doing == "resting" else f"It is {self.doing}, {self.nearest}."
-        return " ".join([sentence, *filter(None, (self.stopped, self.speed, self.passing, self.refused, self.clock))])
+        said = (self.stopped, self.speed, self.passing, self.withheld, self.refused, self.clock)
+        return " ".join([sentence, *filter(None, said)])

@@ -1,4 +1,4 @@
-"""Tables of a scenario for the tray, obstacles and the floor. Units and frames: docs/scenario-file.md."""
+"""Tables of a scenario for the tray, obstacles, keep-in box and floor. Units and frames: docs/scenario-file.md."""
 
 from __future__ import annotations
 
@@ -127,9 +127,40 @@ class Obstacle(Model):
 
 
 @dataclass(frozen=True)
-class Floor:
-    """The half-space below a height in S, m, as an obstacle. clear: m, clearance that plans keep from it."""
+class Wall:
+    """The half-space behind a plane, as an obstacle. point: of the plane, m in S; inwards: its normal away from the
+    obstacle, in S."""
 
-    height: float
+    point: Point
+    inwards: Point
+    name: ClassVar[str] = "keep-in box"
+
+
+@dataclass(frozen=True)
+class Floor(Wall):
+    """The half-space below a plane. clear: m, clearance that plans keep from it."""
+
     clear: ClassVar[float] = 0.01
     name: ClassVar[str] = "floor"
+
+
+class KeepIn(Model):
+    """A box in the world S that the moving links, the tray and the load must not leave.
+
+    position: m, of its centre; rpy_deg: its roll, pitch, yaw; size: m, along its axes.
+    """
+
+    position: Point
+    rpy_deg: Turns = (0.0, 0.0, 0.0)
+    size: tuple[Metres, Metres, Metres]
+
+    @property
+    def walls(self) -> tuple[Wall, ...]:
+        """Its six faces, as obstacles."""
+        R, centre = matrix_from_rpy(np.deg2rad(self.rpy_deg)), np.array(self.position)
+        outwards = [side * R[:, k] for k in range(3) for side in (-1.0, 1.0)]
+        halves = np.repeat(0.5 * np.array(self.size), 2)
+        return tuple(
+            Wall(tuple((centre + half * out).tolist()), tuple((-out).tolist()))
+            for half, out in zip(halves, outwards, strict=True)
+        )

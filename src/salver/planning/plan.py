@@ -162,7 +162,7 @@ class Plan(Shown, Tabular, Plotted):
         if self.arm_status is not None:
             return (*load, *self.arm_status.details.get("unchecked", ()), *shake)
         out = [] if self.scenario.arm is None else ["whether the arm can follow (planned without it)"]
-        if self.scenario.obstacles:
+        if self.scenario.around:
             out.append("whether anything hits an obstacle (planned without an arm)")
         return (*load, *out, *shake)
 

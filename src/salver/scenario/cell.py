@@ -10,19 +10,22 @@ from pydantic import Field, SerializerFunctionWrapHandler, model_serializer
 from salver.fields import Model, Number, Place, Whole
 from salver.models.arm.tables import EachJoint
 from salver.models.arm.urdf import MOST_JOINTS
+from salver.models.described import KeepIn
 from salver.scenario.task import unstable_when_held
 
 
 class Surroundings(Model):
-    """The surroundings of the arm other than the obstacles: the floor.
+    """The surroundings of the arm other than the obstacles: the floor, and a box that it must not leave.
 
     floor: height in S, m, of a plane below which no link, tray or load may go, except the links on which the arm
         stands; "base": the height of the arm's base; "none": no floor, as for an arm on a ceiling or a wall.
+    keep_in: the box.
     """
 
     floor: Place | Literal["base", "none"] = Field(
         default="base", description='a finite number at least -10 and at most 10, "base" or "none"'
     )
+    keep_in: KeepIn | None = None
 
 
 Settling = Annotated[Number, Field(ge=0, le=60)]  # s

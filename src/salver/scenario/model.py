@@ -22,7 +22,7 @@ from salver.geometry import lean
 from salver.models.arm.tables import Arm
 from salver.models.bodies import Body, bodies
 from salver.models.contact_rows import MOST_GENERATORS
-from salver.models.described import Floor, Obstacle, Tray
+from salver.models.described import Floor, Obstacle, Tray, Wall
 from salver.models.payload import Payload
 from salver.models.uncertain.parameters import UncertainSet
 from salver.scenario.cell import Physics, Surroundings
@@ -269,9 +269,11 @@ class Scenario(Shown, Model):
         return self.arm.base_position[2] if given == "base" else given
 
     @property
-    def around(self) -> tuple[Obstacle | Floor, ...]:
-        """Everything that arm, tray and load must not touch: the obstacles and the floor."""
-        return (*self.obstacles, *(() if self.floor is None else (Floor(self.floor),)))
+    def around(self) -> tuple[Obstacle | Wall, ...]:
+        """Everything that arm, tray and load must not touch: the obstacles, the faces of the keep-in box, the floor."""
+        floor, box = self.floor, self.surroundings.keep_in
+        floors = () if floor is None else (Floor((0.0, 0.0, floor), (0.0, 0.0, 1.0)),)
+        return (*self.obstacles, *(() if box is None else box.walls), *floors)
 
     @cached_property
     def uncertain(self) -> UncertainSet:

@@ -9,6 +9,7 @@ from typing import Protocol
 import numpy as np
 
 from salver.geometry import Array, Indices, exp, hat, interpolated, log
+from salver.models.arm.arm import ArmModel
 from salver.planning.trajopt.evaluation import MotionEvaluation
 
 
@@ -71,10 +72,25 @@ class JointsWanted:
         """The requested velocities (N, m) at live times."""
         return np.asarray(self.rates + np.clip(t - self.t0, 0.0, self.ahead)[:, None] * self.slope)
 
+    def granted(self, arm: ArmModel, q: Array, dq: Array, t: float, weights: Weights) -> float:
+        """Share, 0 to 1, of the velocities requested at live time t, s, that the arm has at q, dq (n,): their
+        projection on the requested ones, weighted as residuals are."""
+        wanted, weight = self.at(np.array([t]))[0], self._weight(weights)
+        asked = float(weight @ wanted**2)
+        return 1.0 if asked == 0.0 else float(np.clip((weight * wanted) @ self._of(arm, q, dq) / asked, 0.0, 1.0))
+
+    def _weight(self, weights: Weights) -> Array:
+        """(m,) weights of the requested velocities."""
+        return np.full(len(self.rates), weights.joint_velocity)
+
+    def _of(self, arm: ArmModel, q: Array, dq: Array) -> Array:
+        """(m,) the velocities of an arm that are requested."""
+        return dq
+
     def residuals(self, motion: MotionEvaluation, t: Array, dt: Array, weights: Weights) -> Residuals:
         within = np.flatnonzero(t <= t[0] + self.window)
         value = motion.at_nodes[1, within] - self.at(t[within])
-        weight = np.repeat(weights.joint_velocity * dt[within], motion.n)
+        weight = np.outer(dt[within], self._weight(weights)).ravel()
         return _joints(value, 1, motion.nodes[within], weight)
 
 
@@ -83,8 +99,14 @@ class TwistWanted(JointsWanted):
 
     def residuals(self, motion: MotionEvaluation, t: Array, dt: Array, weights: Weights) -> Residuals:
         within = np.flatnonzero(t <= t[0] + self.window)
-        each = np.repeat([weights.velocity, weights.angular_velocity], 3)
-        return _velocity(motion, within, self.at(t[within]), np.outer(dt[within], each).ravel())
+        weight = np.outer(dt[within], self._weight(weights)).ravel()
+        return _velocity(motion, within, self.at(t[within]), weight)
+
+    def _weight(self, weights: Weights) -> Array:
+        return np.repeat([weights.velocity, weights.angular_velocity], 3)
+
+    def _of(self, arm: ArmModel, q: Array, dq: Array) -> Array:
+        return arm.tray_velocity(q, dq)
 
 
 @dataclass(frozen=True, eq=False)

@@ -144,6 +144,13 @@ def is_source(value: object) -> bool:
     return isinstance(value, str) and value in PRIORITY
 
 
+def known(source: Source) -> Source:
+    """A source of requests. Raises Refused for anything else."""
+    if not is_source(source):
+        raise Refused(f"source is {shown(source)}; it must be one of {', '.join(PRIORITY)}")
+    return source
+
+
 def is_flag(value: object) -> bool:
     """Whether a value is True or False itself, and not only truthy."""
     return isinstance(value, bool | np.bool_)

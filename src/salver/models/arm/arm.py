@@ -103,6 +103,12 @@ class ArmModel:
         pin.framesForwardKinematics(self.pin_model, data, q)
         return np.array(data.oMf[self.tray_id].rotation)
 
+    def tray_velocity(self, q: Array, dq: Array) -> Array:
+        """(6,) velocity of E, m/s, and angular velocity, rad/s, in S; with a work space of its own, from any thread."""
+        data = self.pin_model.createData()
+        pin.forwardKinematics(self.pin_model, data, q, dq)
+        return np.array(pin.getFrameVelocity(self.pin_model, data, self.tray_id, pin.LOCAL_WORLD_ALIGNED).vector)
+
     def object_pose(self, q: Array, p_EB: Array, R_EB: Array) -> tuple[Array, Array]:
         """(p_SB, R_SB) of a frame B that is fixed to the tray at (p_EB, R_EB)."""
         p, rotation = self.tray_pose(q)

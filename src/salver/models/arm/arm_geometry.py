@@ -22,7 +22,7 @@ from salver.models.arm.arm import ArmModel
 from salver.models.arm.link_pairs import Links, Pair, add, bulky, comparable, placed, postures_of
 from salver.models.arm.link_shapes import LinkShapes, link_shapes
 from salver.models.bodies import Body
-from salver.models.described import Floor, Obstacle
+from salver.models.described import Floor, Obstacle, Wall
 from salver.models.shapes.obstacle_shapes import obstacle_shapes
 from salver.wording import listed
 
@@ -185,8 +185,13 @@ class ArmGeometry:
     @cached_property
     def of_floor(self) -> Mask:
         """Mask (pairs,) of pairs with the floor."""
+        return self._of(Floor.name)
+
+    def _of(self, name: str) -> Mask:
+        """Mask (pairs,) of pairs with half-spaces of a name."""
         shapes = [part.geometry for part in self.model.geometryObjects]
-        return np.array([isinstance(shapes[j], coal.Halfspace) for _, j in self.pairs], dtype=bool)
+        walls = [isinstance(shape, coal.Halfspace) and self.names[k] == name for k, shape in enumerate(shapes)]
+        return np.array([walls[j] for _, j in self.pairs], dtype=bool)
 
     @cached_property
     def _carried(self) -> Array:
@@ -230,7 +235,7 @@ class ArmGeometry:
         return None
 
 
-def arm_geometry(arm: ArmModel, bodies: Sequence[Body] = (), obstacles: Sequence[Obstacle | Floor] = ()) -> ArmGeometry:
+def arm_geometry(arm: ArmModel, bodies: Sequence[Body] = (), obstacles: Sequence[Obstacle | Wall] = ()) -> ArmGeometry:
     """Shapes of an arm's links, its tray, the boxes around its load, and obstacles.
 
     All pairs that move relative to each other are compared by their hulls, or by a few convex pieces of strongly
@@ -289,8 +294,9 @@ def arm_geometry(arm: ArmModel, bodies: Sequence[Body] = (), obstacles: Sequence
             f"{names[load]} lies inside {names[link]} in every posture; move the tray away from it by tray.height, "
             "tray.offset or tray.rpy_deg, or the load on it by `at`."
         )
-    links_floor = _with_pairs(compared, tuple(pair for pair in pairs if pair[0] < tray))
-    left_out["floor"], left_out["sunk"] = _on_floor(links_floor)
+    links_walls = _with_pairs(compared, tuple(pair for pair in pairs if pair[0] < tray))
+    left_out["floor"], left_out["sunk"] = _on_floor(links_walls)
+    _reach_inside(links_walls)
     gone = {pair for key in ("always", "floor", "sunk") for pair in left_out[key]}
     pairs = [pair for pair in pairs if pair not in gone]
     named = {
@@ -334,6 +340,18 @@ def _on_floor(parts: ArmGeometry, same: float = 1e-6) -> tuple[list[Pair], list[
     still, sunk = np.ptp(distance, axis=0) <= same, distance.max(axis=0, initial=-np.inf) < Floor.clear
     found = [[pair for pair, yes in zip(parts.pairs, which, strict=True) if yes] for which in (still, sunk & ~still)]
     return found[0], found[1]
+
+
+def _reach_inside(parts: ArmGeometry) -> None:
+    """Raise ScenarioError when a link is outside the keep-in box in every posture."""
+    parts = parts.only(np.flatnonzero(parts._of(Wall.name)))
+    outside = parts.clearance(postures_of(parts.arm)).max(axis=0, initial=-np.inf) <= 0.0
+    for (link, _), is_outside in zip(parts.pairs, outside, strict=True):
+        if is_outside:
+            raise ScenarioError(
+                f"{parts.names[link]} is outside the keep-in box in every posture; surroundings.keep_in must hold all "
+                "links that move."
+            )
 
 
 def _refusal(arm: ArmModel, missing: dict[str, str]) -> str:

@@ -11,18 +11,18 @@ import pinocchio as pin
 
 from salver.errors import ScenarioError
 from salver.geometry import Array, matrix_from_rpy
-from salver.models.described import Floor, Obstacle
+from salver.models.described import Obstacle, Wall
 from salver.models.shapes.convex_shapes import convex
 from salver.models.shapes.mesh_files import read_mesh_file
 
 
-def obstacle_shapes(obstacle: Obstacle | Floor) -> list[tuple[Any, Any]]:
+def obstacle_shapes(obstacle: Obstacle | Wall) -> list[tuple[Any, Any]]:
     """Coal's shapes of an obstacle with their placements in S (pin.SE3); several for a mesh of several pieces.
 
     Raises ScenarioError when its mesh cannot be used.
     """
-    if isinstance(obstacle, Floor):
-        return [(coal.Halfspace(np.array([0.0, 0.0, 1.0]), 0.0), pin.SE3(np.eye(3), np.array([0, 0, obstacle.height])))]
+    if isinstance(obstacle, Wall):
+        return [(coal.Halfspace(np.array(obstacle.inwards), 0.0), pin.SE3(np.eye(3), np.array(obstacle.point)))]
     placement = pin.SE3(matrix_from_rpy(np.deg2rad(obstacle.rpy_deg)), np.array(obstacle.position))
     if obstacle.type == "mesh":
         return [(convex(points), placement) for points in mesh_pieces(obstacle)]

@@ -14,7 +14,7 @@ from salver.models.arm.arm import ArmModel, with_load
 from salver.models.arm.arm_geometry import ArmGeometry, arm_geometry
 from salver.models.arm.arm_limits import LIMITS, STANDING, LimitKind
 from salver.models.bodies import Body
-from salver.models.described import Floor
+from salver.models.described import Floor, Wall
 from salver.planning.follow.clearance import sweep
 from salver.sensitivity.arm.terms import motion_terms
 from salver.trajectory import JointMotion
@@ -81,6 +81,8 @@ def blocked_end(parts: ArmGeometry, ends: Mapping[str, tuple[Array, Array]], wha
         found = parts.in_the_way(p_SE, R_SE)
         if found is not None:
             place = f"inside the obstacle {found[1]}{whatever}; move one of them"
+            if found[1] == Wall.name:
+                place = f"outside the keep-in box{whatever}; move one of them"
             if found[1] == Floor.name:
                 place = f"in the floor{whatever}; move the {name} up, or say where the floor is: surroundings.floor = "
                 place += 'a height in m, or "none" for an arm that hangs'
@@ -99,8 +101,9 @@ def unchecked(arm: ArmModel, parts: ArmGeometry) -> list[str]:
         joints = [name for name, source in zip(arm.joint_names, arm.limit_sources[kind.key], strict=True) if not source]
         if joints:
             nobody.setdefault("all joints" if len(joints) == arm.n else listed(joints), []).append(kind.name)
-    stand = parts.names[len(parts.names) - parts.obstacles :]
-    nothing = [] if set(stand) - {Floor.name} else [f"anything around the arm{' but the floor' if stand else ''}"]
+    stand = dict.fromkeys(parts.names[len(parts.names) - parts.obstacles :])
+    but = f" but {listed(f'the {name}' for name in stand)}" if stand else ""
+    nothing = [] if set(stand) - {Floor.name, Wall.name} else [f"anything around the arm{but}"]
     limits = [f"{listed(kinds)} of {joints} (nobody gave a limit)" for joints, kinds in nobody.items()]
     masses = []
     if arm.weightless:

@@ -16,7 +16,7 @@ from salver.geometry import Array
 from salver.models.arm.arm import ArmModel, load_arm, with_load
 from salver.models.arm.arm_geometry import ArmGeometry, arm_geometry
 from salver.models.bodies import Body
-from salver.models.described import Floor, Obstacle
+from salver.models.described import Obstacle, Wall
 from salver.planning.follow.limits import COLLISION, blocked_end, verdict
 from salver.planning.follow.redundancy import Choice, TrayPath, first_choice, improved, solve_path, tray_path
 from salver.planning.postures import PoseTarget, candidate_postures, postures_along, start_posture
@@ -31,7 +31,7 @@ def follow(
     R_EB: Array,
     *,
     bodies: Sequence[Body] = (),
-    obstacles: Sequence[Obstacle | Floor] = (),
+    obstacles: Sequence[Obstacle | Wall] = (),
     q_start: Sequence[float] | Array | None = None,
     seed: int = 0,
 ) -> tuple[JointMotion | None, Status]:

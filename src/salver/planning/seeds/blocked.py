@@ -11,7 +11,7 @@ import numpy as np
 from salver.errors import Status
 from salver.geometry import GRAVITY_S, Array, exp
 from salver.models.arm.arm_geometry import ArmGeometry
-from salver.models.described import Floor
+from salver.models.described import Floor, Wall
 from salver.models.tray_motion import N_MOTION
 from salver.models.uncertain.worst_case import WorstCase
 from salver.planning.follow.limits import COLLISION, blocked_end
@@ -39,6 +39,8 @@ def why_blocked(problem: TransportProblem) -> Status | None:
     touch = problem.keep_out.parts.first_touch(problem.start_posture[None])
     if touch is None:
         return None
+    if touch.second == Wall.name:
+        return Status("collision", f"In the start posture {touch.first} is not inside the {Wall.name}.", False)
     where = " (surroundings.floor says where it is)" if touch.second == Floor.name else ""
     return Status("collision", f"In the start posture {touch.first} and {touch.second} touch{where}.", False)
 
