@@ -143,7 +143,7 @@ def cube_run(cube_plans: Path) -> Path:
     shutil.copytree(cube_plans, folder)
     for stem in ("plan", "baseline"):
         simulate(load_plan(folder, stem)).save(folder, stem)
-    run_campaign(folder, n=6, engine="closed-loop", jobs=1)
+    run_campaign(folder, n=6, jobs=1)
     return folder
 
 

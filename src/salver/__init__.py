@@ -327,7 +327,6 @@ def campaign(
     seed: int = 0,
     method: str = "uniform",
     stems: Sequence[str] | None = None,
-    engine: str = "physics",
     jobs: int | None = None,
     stops: bool = False,
 ) -> Campaign:
@@ -342,7 +341,6 @@ def campaign(
         seed: seed of the samples.
         method: how the uncertain set is sampled: "uniform" or "corners" (extremes first).
         stems: names of the plans to run; default: the first two of "plan", "baseline" and "nominal" that exist.
-        engine: "physics" or "closed-loop".
         jobs: processes; default: one for each core.
         stops: stop each run at a random instant by the plan's own stops (`salver plan --stops`).
 
@@ -356,7 +354,7 @@ def campaign(
         raise _no_plan("campaign", directory)
     from salver.campaigns import run_campaign
 
-    return run_campaign(directory, n, seed, method, stems, engine, jobs, stops=stops)
+    return run_campaign(directory, n, seed, method, stems, jobs, stops=stops)
 
 
 def margins(motion: Plan | MotionSamples, scenario: Scenario | str | Path | None = None) -> Margins:

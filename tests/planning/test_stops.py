@@ -14,7 +14,7 @@ from salver.cli import app
 from salver.control.arm import ArmState
 from salver.driver.preflight import _stops
 from salver.driver.stops import ControlledStop
-from salver.errors import FileFormatError, SalverError, ScenarioError, Status
+from salver.errors import FileFormatError, ScenarioError, Status
 from salver.models.arm.arm import load_arm, with_load
 from salver.planning.fastest import AtPosture, transport_problem
 from salver.planning.stop_library import StopLibrary
@@ -156,8 +156,6 @@ def test_a_campaign_of_stops_goes_on_and_each_run_comes_again_alone(bottle, tmp_
     alone = CliRunner().invoke(app, ["simulate", str(tmp_path), "--run", "4", "--folder", "stops", "--json"])
     assert json.loads(alone.stdout)["plan"]["stop_at"] == table["stop_at"][4]
     assert json.loads(alone.stdout)["plan"]["objects"][0]["peak_slip"] == table["peak_slip"][4]
-    with pytest.raises(SalverError, match="use --engine physics"):
-        run_campaign(tmp_path, 3, stops=True, engine="closed-loop")
 
 
 def test_lost_and_beyond_a_limit_are_counted_from_what_became_of_the_load(tmp_path):

@@ -38,7 +38,7 @@ def made(tmp_path_factory):
     plan.save(directory)
     plan_baseline(CASE).save(directory, "baseline")
     simulate(plan).save(directory)
-    run_campaign(directory, n=2, engine="closed-loop", jobs=1)
+    run_campaign(directory, n=2, jobs=1)
     return directory
 
 
@@ -76,7 +76,7 @@ def test_a_hostile_summary_and_path_pass_through_every_command(tmp_path, argumen
     for command in (
         ["plan", toml, "-o", out],
         ["simulate", out],
-        ["campaign", out, "-n", 2, "--engine", "closed-loop", "-j", 1],
+        ["campaign", out, "-n", 2, "-j", 1],
         ["report", out],
         ["export", out, "--format", "csv"],
     ):

@@ -39,7 +39,7 @@ def made(plans, tmp_path_factory):
     for stem, plan in plans.items():
         plan.save(directory, stem)
         simulate(plan).save(directory, stem)
-    run_campaign(directory, n=4, engine="closed-loop", jobs=1)
+    run_campaign(directory, n=4, jobs=1)
     write_report(directory)
     return directory
 
@@ -290,7 +290,7 @@ def test_what_a_damaged_line_said_is_made_again(run, made, caplog):
     with Journal(run / "campaign") as opened:
         assert len(opened.records) == 7
     caplog.clear()
-    run_campaign(run, n=4, engine="closed-loop", jobs=1)
+    run_campaign(run, n=4, jobs=1)
     assert not caplog.messages  # once is enough
     assert sorted(journal.read_bytes().splitlines()) != sorted(lines)
     assert [r["outcome"] for r in sorted_records(journal.read_bytes())] == [r["outcome"] for r in sorted_records(whole)]
@@ -308,13 +308,13 @@ def sorted_records(content):
 def test_a_foreign_campaign_is_one_sentence(run, content):
     (run / "campaign" / "campaign.json").write_text(content)
     with pytest.raises(FileFormatError, match=r"campaign\.json"):
-        run_campaign(run, n=4, engine="closed-loop", jobs=1)
+        run_campaign(run, n=4, jobs=1)
 
 
 @pytest.mark.parametrize("folder", ["", ".", "..", "../elsewhere", "/tmp/elsewhere"])
 def test_a_campaign_stays_in_its_directory(run, folder):
     with pytest.raises(SalverError, match="must be one name"):
-        run_campaign(run, n=4, engine="closed-loop", jobs=1, folder=folder)
+        run_campaign(run, n=4, jobs=1, folder=folder)
 
 
 def test_belongings_are_all_that_commands_write(run):

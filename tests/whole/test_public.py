@@ -163,7 +163,7 @@ def test_a_notebook_shows_the_page_of_a_plan_that_was_never_saved(plan, run, tmp
 
 @pytest.mark.slow
 def test_a_campaign_as_a_table(directory):
-    runs = sv.campaign(directory, 3, engine="closed-loop", jobs=1)
+    runs = sv.campaign(directory, 3, jobs=1)
     frame = runs.to_pandas()
     assert list(frame["run"]) == [0, 1, 2]
     assert set(frame["stem"]) == {"plan"}

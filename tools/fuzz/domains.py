@@ -118,7 +118,7 @@ def finished_run() -> dict[str, bytes]:
         plan.save(folder)
         plan.save(folder, "baseline")
         simulate(plan).save(folder)
-        run_campaign(folder, n=4, engine="closed-loop", jobs=1)
+        run_campaign(folder, n=4, jobs=1)
         return {str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
 
 
@@ -311,9 +311,9 @@ def command(rng: Rng, folder: Path) -> None:
         ["simulate", run, "--set", f"friction={strange()}"],
         ["simulate", run, "--set", strange()],
         ["simulate", run, "--run", strange(), "--folder", strange()],
-        ["campaign", run, "-n", strange(), "--engine", "closed-loop", "-j", "1", "--folder", "other"],
-        ["campaign", run, "-n", "2", "--engine", "closed-loop", "-j", "1", "--folder", strange()],
-        ["campaign", run, "-n", "2", "--engine", "closed-loop", "-j", "1", "--seed", strange(), "--folder", "other"],
+        ["campaign", run, "-n", strange(), "-j", "1", "--folder", "other"],
+        ["campaign", run, "-n", "2", "-j", "1", "--folder", strange()],
+        ["campaign", run, "-n", "2", "-j", "1", "--seed", strange(), "--folder", "other"],
         ["plan", "slippery-cube", "--no-arm", "--duration", strange(), "-o", folder / "made"],
         ["retime", run, "-s", strange()],
         ["render", run, "--rate", strange(), "-o", folder / "x.gif"],

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any
 
 import numpy as np
 
@@ -15,8 +15,6 @@ from salver.files import read_json
 from salver.geometry import Array
 from salver.run_directory import plan_digest, scenario_of
 
-Engine = Literal["physics", "closed-loop"]
-ENGINES: tuple[str, ...] = get_args(Engine)
 SUMMARY = "campaign.json"
 DEFAULT_FOLDER = "campaign"
 STOPS_FOLDER = "stops"  # default folder of a campaign with stops
@@ -27,7 +25,6 @@ class Definition:
     """A campaign: n runs of each plan, with the samples that method and seed give.
 
     plans: name of the plan -> its digest. scenario: digest of the resolved scenario.
-    engine: "physics" (arm, tray and objects with contact) or "closed-loop" (eqs 18 and 19 alone, no contact).
     stops: whether each run is stopped at a random instant.
     """
 
@@ -36,7 +33,6 @@ class Definition:
     n: int
     seed: int
     method: str
-    engine: str
     stops: bool = False
 
     def extends(self, other: Definition) -> bool:
@@ -50,7 +46,7 @@ class Definition:
     def in_words(self) -> str:
         return (
             f"{self.n} runs of {' and '.join(self.plans)} (scenario {self.scenario}), method {self.method}, "
-            f"seed {self.seed}, engine {self.engine}{', with stops' if self.stops else ''}"
+            f"seed {self.seed}{', with stops' if self.stops else ''}"
         )
 
 
@@ -60,7 +56,6 @@ def define(
     n: int,
     seed: int,
     method: str,
-    engine: str,
     folder: str,
     stops: bool,
     most: int = 200_000,
@@ -80,26 +75,16 @@ def define(
         raise SalverError(f"The seed is {seed}; it must be 0 or more.")
     if method not in sampling.METHODS:
         raise SalverError(f'There is no sampling method "{method}"; known are {", ".join(sampling.METHODS)}.')
-    if engine not in ENGINES:
-        raise SalverError(f'There is no engine "{engine}"; known are {", ".join(ENGINES)}.')
     if Path(folder).name != folder or folder in ("", ".."):
         raise SalverError(f'The folder is "{folder}"; it must be one name, for a folder in {directory}.')
     case = load_scenario(directory)
-    if case.legs and (engine == "closed-loop" or list(stems) != ["plan"]):
+    if case.legs and list(stems) != ["plan"]:
         raise SalverError(
-            f"{case.name} is a task of {len(case.legs)} legs; a run of its campaign runs all of them in the physics "
-            "engine: leave out --stem and --engine."
+            f"{case.name} is a task of {len(case.legs)} legs; a run of its campaign runs all of them: leave out --stem."
         )
-    inner = [body.inside for body in case.bodies if body.inner is not None]
-    if engine == "closed-loop" and inner:
-        raise SalverError(f"The engine closed-loop does not model {inner[0]}; use physics.")
-    if stops and engine != "physics":
-        raise SalverError(f"Stops are motions of the arm, which the engine {engine} lacks; use --engine physics.")
     if not case.uncertain.size and not stops:
         raise SalverError(f"{case.name} has no uncertain parameters, so that all runs are equal; use salver simulate.")
-    return Definition(
-        case.digest, {stem: plan_digest(directory, stem) for stem in stems}, n, seed, method, engine, stops
-    )
+    return Definition(case.digest, {stem: plan_digest(directory, stem) for stem in stems}, n, seed, method, stops)
 
 
 def load_scenario(directory: Path) -> scenario.Scenario:
@@ -141,9 +126,11 @@ def read_definition(directory: str | Path, folder: str = DEFAULT_FOLDER) -> Defi
 def definition_in(summary: Any, path: Path) -> Definition:
     """The definition in the content of a campaign.json. Raises FileFormatError when there is none."""
     found = summary.get("definition") if isinstance(summary, dict) else None
-    kinds = {"scenario": str, "plans": dict, "n": int, "seed": int, "method": str, "engine": str, "stops": bool}
-    if isinstance(found, dict):
-        found = {"stops": False, **found}  # campaigns of older versions
+    kinds = {"scenario": str, "plans": dict, "n": int, "seed": int, "method": str, "stops": bool}
+    if isinstance(found, dict):  # campaigns of older versions
+        found = {"stops": False, **found}
+        if found.pop("engine", "physics") != "physics":
+            raise FileFormatError(f"{path} is of runs without contact, which salver makes no more; move it away.")
     if not isinstance(found, dict) or {key: type(value) for key, value in found.items()} != kinds:
         raise FileFormatError(f"{path} has no definition of a campaign; move it away, or use another --folder.")
     return Definition(**found)

@@ -21,7 +21,7 @@ from salver.campaigns.definition import (
     load_scenario,
 )
 from salver.campaigns.journal import Item, Journal
-from salver.campaigns.runners import BLOCK, Context
+from salver.campaigns.runners import Context
 from salver.campaigns.summary import read_table, summarise, table, write_table
 from salver.display import Shown
 from salver.errors import FileFormatError, SalverError
@@ -68,7 +68,6 @@ def run_campaign(
     seed: int = 0,
     method: str = "uniform",
     stems: Sequence[str] | None = None,
-    engine: str = "physics",
     jobs: int | None = None,
     folder: str | None = None,
     progress: Progress | None = None,
@@ -79,7 +78,7 @@ def run_campaign(
 
     Args:
         stems: names of the plans to run; default: the first two of "plan", "baseline" and "nominal" that exist.
-        jobs: processes; default: one for each core, or this process for at most 4 batches.
+        jobs: processes; default: one for each core, or this process for at most 4 runs.
         folder: in the run directory; default: "campaign", or "stops" with stops.
         progress: called as progress(done, total, counts by (stem, outcome)) after each run.
         stops: stop each run at a random instant by the plan's own stops; only for plans with stops.
@@ -92,7 +91,7 @@ def run_campaign(
     stems = _chosen(directory, stems or (), stops)
     if jobs is not None and jobs < 1:
         raise SalverError(f"The number of jobs is {jobs}; it must be at least 1.")
-    definition = define(directory, stems, n, seed, method, engine, folder, stops)
+    definition = define(directory, stems, n, seed, method, folder, stops)
     for stem in stems:
         load(directory, stem)  # raises when it was edited, even if no run is missing
     place = directory / folder
@@ -106,19 +105,18 @@ def run_campaign(
         if progress:
             progress(len(journal.records), len(wanted), counts)
         context = Context(directory, definition)
-        batches = _batches(wanted - journal.records.keys(), stems, engine)
-        if batches and journal.records and previous is not None:
+        missing = sorted(wanted - journal.records.keys(), key=lambda item: (item[1], stems.index(item[0])))
+        if missing and journal.records and previous is not None:
             _same_versions(place, previous.get("provenance"), _provenance(directory))
-        if batches:
+        if missing:
             head = {"complete": False, "definition": asdict(definition), "provenance": _provenance(directory)}
             write_json(place / SUMMARY, head)
-        with closing(_results(context, batches, jobs)) as results:
-            for records in results:
-                for record in records:
-                    journal.append(record)
-                    counts[record["stem"], record["outcome"]] += 1
-                    if progress:
-                        progress(len(journal.records), len(wanted), counts)
+        with closing(_results(context, missing, jobs)) as results:
+            for record in results:
+                journal.append(record)
+                counts[record["stem"], record["outcome"]] += 1
+                if progress:
+                    progress(len(journal.records), len(wanted), counts)
         rows = table(journal.records, stems)
     summary = {
         "complete": True,
@@ -187,22 +185,13 @@ def _cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def _batches(items: set[Item], stems: Sequence[str], engine: str) -> list[workers.Batch]:
-    """Batches in the order of the runs, run k of all plans together, so that an interrupted campaign has pairs."""
-    size = BLOCK if engine == "closed-loop" else 1
-    blocks: dict[tuple[int, int], list[int]] = {}
-    for stem, run in items:
-        blocks.setdefault((run // size, stems.index(stem)), []).append(run)
-    return [(stems[rank], tuple(sorted(runs))) for (_, rank), runs in sorted(blocks.items())]
-
-
 def _results(
-    context: Context, batches: list[workers.Batch], jobs: int | None, few: int = 4
-) -> Generator[workers.Records, None, None]:
-    """Records of batches, as they finish. few: batches up to which this process runs them unless `jobs` are given,
-    because loading the engine in others takes as long."""
-    jobs = min(jobs or (_cores() if len(batches) > few else 1), len(batches))
+    context: Context, items: list[Item], jobs: int | None, few: int = 4
+) -> Generator[dict[str, Any], None, None]:
+    """Records of runs, in the order of the items or as they finish. few: runs up to which this process makes them
+    unless `jobs` are given, because loading the engine in others takes as long."""
+    jobs = min(jobs or (_cores() if len(items) > few else 1), len(items))
     if jobs <= 1:
-        yield from (context.execute(*batch) for batch in batches)
+        yield from (context.execute(*item) for item in items)
     else:
-        yield from workers.processes(context, batches, jobs)
+        yield from workers.processes(context, items, jobs)

@@ -1,9 +1,9 @@
-"""Single runs of a campaign, from plan, true parameters and engine to a flat record of scalars."""
+"""Single runs of a campaign, from plan and true parameters to a flat record of scalars."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -20,10 +20,6 @@ if TYPE_CHECKING:
     from salver.planning.round import MultiLegPlan
     from salver.simulation.physics import Experiment
     from salver.simulation.round import RoundExperiment, RoundRecord
-
-# Runs that the closed-loop engine integrates together. The block of a run is always complete and in the same order,
-# because linear algebra on fewer rows may round differently, and a resumed campaign must give an equal table.
-BLOCK = 16
 
 Scalars = dict[str, float | str | bool | None]
 
@@ -62,30 +58,19 @@ class Context:
         names, values = self._samples
         return dict(zip(names, map(float, values[run]), strict=True))
 
-    def execute(self, stem: str, runs: Sequence[int]) -> list[dict[str, Any]]:
-        """Records of some runs of one plan; a run that fails has the outcome "error" and a sentence."""
-        begin = time.perf_counter()
-        drawn = [self.parameters(run) for run in runs]
-        if self.definition.engine == "physics":
-            experiment, duration = self._experiments[stem], self._plans[stem].duration
-            results = [
-                _physics(experiment, p, seed_of_run(self.definition.seed, k), self.definition.stop_at(k, duration))
-                for k, p in zip(runs, drawn, strict=True)
-            ]
-        else:
-            results = _closed_loop(self._plans[stem], runs, drawn)  # type: ignore[arg-type]
-        seconds = (time.perf_counter() - begin) / len(runs)
-        return [
-            {
-                "stem": stem,
-                "run": run,
-                "seconds": round(seconds, 4),
-                "parameters": p,
-                "outcome": result.pop("outcome"),
-                "scalars": result,
-            }
-            for run, p, result in zip(runs, drawn, results, strict=True)
-        ]
+    def execute(self, stem: str, run: int) -> dict[str, Any]:
+        """Record of a run of a plan; one that fails has the outcome "error" and a sentence."""
+        begin, parameters = time.perf_counter(), self.parameters(run)
+        seed, stop_at = self.definition.seed, self.definition.stop_at(run, self._plans[stem].duration)
+        result = _physics(self._experiments[stem], parameters, seed_of_run(seed, run), stop_at)
+        return {
+            "stem": stem,
+            "run": run,
+            "seconds": round(time.perf_counter() - begin, 4),
+            "parameters": parameters,
+            "outcome": result.pop("outcome"),
+            "scalars": result,
+        }
 
 
 def _physics(
@@ -104,41 +89,6 @@ def _physics(
         return {"outcome": "error", "sentence": str(error)}
     scalars = run_scalars(record.summary)
     return scalars | (tube_scalars(experiment.plan, record.t, record.cone_coefficients) if stop_at is None else {})
-
-
-def _closed_loop(plan: Plan, runs: Sequence[int], drawn: Sequence[Mapping[str, float]]) -> list[Scalars]:
-    """Scalars of runs of the object under its controller alone (eqs 18, 19), without contact and arm, as for tubes."""
-    from salver.control.object import Gains
-    from salver.simulation.closed_loop import rollout, tube_scalars
-
-    payload = plan.scenario.payload
-    body = payload.first
-    grasp_map = body.contacts.grasp_map
-    values = np.tile(payload.uncertain.nominal, (BLOCK, 1))
-    for run, parameters in zip(runs, drawn, strict=True):
-        values[run % BLOCK] = [parameters[name] for name in payload.uncertain.names]
-    gains = Gains(plan.scenario.control.kp, plan.scenario.control.kd)
-    result = rollout(
-        plan.reference, body.inertial, grasp_map, gains, payload.phi(body, values), plan.t[:: _stride(plan.t)]
-    )
-    results: list[Scalars] = []
-    for run in runs:
-        coefficients, deviation = result.cone_coefficients[run % BLOCK], result.deviation[run % BLOCK]
-        scalars: Scalars = {**tube_scalars(plan, result.t, coefficients)}
-        least = scalars["cone_least"]
-        assert isinstance(least, float)
-        scalars["outcome"] = "holds" if least >= 0 else "leaves cone"
-        scalars["e_p_peak"] = float(np.linalg.norm(deviation[:, :3], axis=1).max())
-        scalars["e_o_peak"] = float(np.linalg.norm(deviation[:, 3:6], axis=1).max())
-        results.append(scalars)
-    return results
-
-
-def _stride(t: Array, spacing: float = 0.01) -> int:
-    """Number of instants from one check of a rollout to the next, about `spacing`, s; a divisor of len(t) - 1."""
-    count = len(t) - 1
-    wanted = max(1, int(spacing / (t[-1] - t[0]) * count))
-    return next(k for k in range(wanted, 0, -1) if count % k == 0)
 
 
 def run_scalars(summary: Mapping[str, Any]) -> Scalars:

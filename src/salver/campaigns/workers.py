@@ -12,11 +12,9 @@ from contextlib import contextmanager
 from multiprocessing import connection
 from typing import Any
 
+from salver.campaigns.journal import Item
 from salver.campaigns.runners import Context
 from salver.errors import SalverError
-
-Batch = tuple[str, tuple[int, ...]]  # (stem, runs)
-Records = list[dict[str, Any]]
 
 # One thread of linear algebra for each worker, because all cores are in use.
 _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
@@ -24,12 +22,13 @@ _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 _context: Context | None = None  # set in the worker processes of a pool
 
 
-def processes(context: Context, batches: Sequence[Batch], jobs: int) -> Iterator[Records]:
-    """Run batches in `jobs` processes. Raises SalverError when one of them dies (killed, out of memory)."""
+def processes(context: Context, items: Sequence[Item], jobs: int) -> Iterator[dict[str, Any]]:
+    """Records of runs, made in `jobs` processes, as they finish. Raises SalverError when a process dies (killed, out of
+    memory)."""
     with _single_threaded():
         pool = ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn"), _initialise, (context,))
         try:
-            for future in as_completed([pool.submit(_execute, batch) for batch in batches]):
+            for future in as_completed([pool.submit(_execute, item) for item in items]):
                 yield future.result()
         except BrokenProcessPool:
             raise SalverError(
@@ -69,6 +68,6 @@ def _end_with(sentinel: int) -> None:
     os._exit(1)
 
 
-def _execute(batch: Batch) -> Records:
+def _execute(item: Item) -> dict[str, Any]:
     assert _context is not None
-    return _context.execute(*batch)
+    return _context.execute(*item)

@@ -23,9 +23,6 @@ def campaign(
     stem: Annotated[
         list[str] | None, typer.Option(help="Plan to run; repeat for several. Default: plan and baseline.")
     ] = None,
-    engine: Annotated[
-        str, typer.Option(help="physics (arm, tray and objects with contact) or closed-loop (eqs 18, 19 alone).")
-    ] = "physics",
     jobs: Annotated[
         int | None, typer.Option("-j", "--jobs", help="Processes. Default: one for each core, or one for few runs.")
     ] = None,
@@ -52,7 +49,7 @@ def campaign(
     from salver.campaigns import run_campaign
 
     try:
-        result = run_campaign(directory, n, seed, method, stem, engine, jobs, folder, show_progress, stops=stops)
+        result = run_campaign(directory, n, seed, method, stem, jobs, folder, show_progress, stops=stops)
     except KeyboardInterrupt:
         say("salver: stopped; finished runs are kept: repeat the command to continue.")
         raise typer.Exit(ExitCode.INTERRUPTED) from None

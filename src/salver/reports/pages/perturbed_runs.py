@@ -28,9 +28,8 @@ def section(run: ReportedRun, campaign: dict[str, Any]) -> tuple[str, list[Spec]
     plans = campaign["plans"]
     total = max(int(own["runs"]) for own in plans.values())
     definition = campaign.get("definition", {})
-    engine = {"physics": "in the physics engine", "closed-loop": "of the closed loop without contact"}
     intro = (
-        f"{total} runs {engine.get(definition.get('engine'), '')} with true parameters drawn from the uncertain set "
+        f"{total} runs in the physics engine with true parameters drawn from the uncertain set "
         f"({definition.get('method', 'uniform')}, seed {definition.get('seed', 0)}), the same draws for each motion."
     )
     if not campaign.get("complete", True):
