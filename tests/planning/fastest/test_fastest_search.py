@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import time
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from salver import scenario
+from salver.errors import Status
 from salver.planning.fastest import FastestOptions, fastest, search, transport_problem
 from salver.planning.fastest.optimum import few_pieces
 from salver.planning.fastest.planned import _planned, _sterner, plan_fastest
@@ -121,6 +123,45 @@ def test_every_step_of_every_part_of_a_search_is_counted(monkeypatch):
     assert sum(part.wall_time for part in counted) <= found.wall_time <= took
     again = replace(found, wall_time=2.0, iterations=5).after(replace(found, wall_time=1.5, iterations=3))
     assert (again.wall_time, again.iterations) == (3.5, 8)
+
+
+@pytest.mark.parametrize("kept", [True, False])
+def test_a_rough_optimum_that_promises_too_much_does_not_end_the_search(kept):
+    """The first start is given up for the second, whose motion takes longer than it promises or is not safe; the last
+    promises less than the first one's motion takes."""
+    promise = {"given up": 0.78, "promising": 0.70, "slow": 0.80}
+    takes = {"given up": 0.75, "promising": 0.90 if kept else 0.72, "slow": 0.77}
+    refined = []
+
+    class Search(_Search):
+        def _first(self):
+            return [(None, SimpleNamespace(name=name, sampled=np.full((2, 1), x))) for name, x in promise.items()]
+
+        def _further(self):
+            return iter(())
+
+        def _rough(self, problem, start, beat=np.inf):
+            beaten = start.name == "given up" and (np.isfinite(beat) or not refined)
+            if beaten:
+                self.given_up.append((0.99 * promise["promising"], (problem, start)))
+            iterate = SimpleNamespace(name=start.name, duration=promise[start.name], violation=0.04 if beaten else 0.0)
+            return problem, SimpleNamespace(iterate=iterate)
+
+        def _refined(self, problem, found):
+            refined.append(found.name)
+            safe = kept or found.name != "promising"
+            return Motion(takes[found.name], Status("optimal" if safe else "infeasible", "", safe))
+
+    found = Search(None, FastestOptions(), Watch(), [], np.random.default_rng(0)).best()
+    assert found.duration == 0.75
+    assert refined == ["promising", "given up"]
+
+
+@dataclass(frozen=True)
+class Motion:
+    duration: float
+    status: Status
+    iterations: int = 0
 
 
 def test_a_way_around_nothing_is_not_tried_after_the_straight_path():

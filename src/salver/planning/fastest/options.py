@@ -19,7 +19,7 @@ class FastestOptions:
         nodes_per_span: instants per piece at which the constraints are imposed; between them they are checked.
         pairs: pairs of start and goal postures from which the search begins when the start posture is free.
         ways: initial paths around obstacles: the shortest of three times as many random ones.
-        starts: rough optima that are refined; the best result is taken.
+        starts: rough optima that are refined, and more where one is shorter than the best motion; which is taken.
         patience: the search of rough optima ends after `patience * starts` in a row without improvement.
         rough_gain: relative improvement below which the optimisation of a rough optimum stops, or another is no better.
         mendable: largest constraint violation of a rough optimum that is still refined.

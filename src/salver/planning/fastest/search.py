@@ -86,36 +86,39 @@ class _Search:
     pairs: list[Ends]
     rng: np.random.Generator
     tried: list[Array] = field(default_factory=list)
+    given_up: list[tuple[float, Begin]] = field(default_factory=list)  # starts, each for a duration in s
     iterations: int = 0
 
     def best(self) -> FastestMotion:
-        """The best motion: up to `starts` rough optima are refined, in order of merit; further starts are tried while
-        no rough optimum is feasible."""
+        """The best motion: `starts` rough optima are refined, in order of merit, and more as long as one is shorter
+        than the best motion; further starts are tried while no rough optimum is feasible."""
         first, further = list(self._new(self._first())), self._new(self._further())
         steps = len(first) + self.options.starts
         roughs: list[Rough] = []
         self._tried(first, roughs, steps)
         best: FastestMotion | None = None
-        begun = 0
+        begun, hoped = 0, True
         while True:
+            enough, safe = begun >= self.options.starts, best is not None and best.status.ok
+            if enough:
+                self._again(roughs, best)
             roughs.sort(key=self._merit)
-            hopeful = bool(roughs) and roughs[0][1].iterate.violation < self.options.mendable
-            safe = best is not None and best.status.ok
+            hopeful = bool(roughs) and self._hopeful(roughs[0], best)
+            if best is not None and ((enough and not (hopeful if safe else hoped)) or self.watch.over()):
+                break
             more = None if hopeful or safe or self.watch.over() else next(further, None)
             if more is not None:
                 roughs.append(self._rough(*more))
                 continue
             if not roughs:
                 break
+            hoped = hopeful
             problem, rough = roughs.pop(0)
             found, begun = self._refined(problem, rough.iterate), begun + 1
             if best is None or (found.status.ok, -found.duration) > (best.status.ok, -best.duration):
                 best = found
                 self.watch.best = best.duration if best.status.ok else None
-            self.watch.reached((len(first) + begun) / steps)
-            enough = begun >= self.options.starts
-            if (best.status.ok and enough) or (not hopeful and enough) or self.watch.over():
-                break
+            self.watch.reached(min((len(first) + begun) / steps, 1.0))
         assert best is not None
         if not best.status.ok:
             best = self._line() or best
@@ -159,11 +162,26 @@ class _Search:
             if self.watch.over() or (vain >= self.options.patience * self.options.starts and np.isfinite(beat)):
                 break
 
+    def _again(self, roughs: list[Rough], best: FastestMotion | None) -> None:
+        """Add the rough optima of starts that were given up for another one, whose motion takes longer than it did."""
+        beat = min(self._better(best), self._beat(roughs))
+        for given_up in [each for each in self.given_up if each[0] < beat]:
+            if not self.watch.over():
+                self.given_up.remove(given_up)
+                roughs.append(self._rough(*given_up[1]))
+
+    def _better(self, best: FastestMotion | None) -> float:
+        """The duration, s, of an improvement over the best motion; infinite if it is not safe."""
+        return (1 - self.options.rough_gain) * best.duration if best is not None and best.status.ok else np.inf
+
+    def _hopeful(self, rough: Rough, best: FastestMotion | None = None) -> bool:
+        """Whether a rough optimum is almost feasible, and shorter than the best motion."""
+        found = rough[1].iterate
+        return found.violation < self.options.mendable and found.duration < self._better(best)
+
     def _beat(self, roughs: list[Rough]) -> float:
         """The duration, s, below which another rough optimum would be an improvement."""
-        hopeful = sorted(
-            found.iterate.duration for _, found in roughs if found.iterate.violation < self.options.mendable
-        )
+        hopeful = sorted(rough[1].iterate.duration for rough in roughs if self._hopeful(rough))
         enough = self.options.starts
         return (1 - self.options.rough_gain) * hopeful[enough - 1] if len(hopeful) >= enough else np.inf
 
@@ -210,6 +228,8 @@ class _Search:
         begin, o = start.motion(problem, few_pieces(self.options)), self.options
         found = rough(problem, FreeCurve, begin, o.nodes_per_span, self.watch, o.rough_gain, o.most_roughly, beat)
         self.iterations += found.iterations
+        if found.status.code == "beaten":
+            self.given_up.append((beat, (problem, start)))
         return problem, found
 
     def _refined(self, problem: TransportProblem, found: Iterate) -> FastestMotion:

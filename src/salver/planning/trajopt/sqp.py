@@ -226,4 +226,5 @@ def _status(code: str, path: Iterate, options: SqpOptions, sought: str) -> Statu
     if value <= options.violation:
         return Status(code, f"At the nodes the {sought} motion takes {path.duration:.4f} s.", True)
     sentence = f"No safe motion was found: the best attempt violates {violated(path.blocks)}."
-    return Status("infeasible", sentence, False, {"worst": name, "violation": value})
+    code = "beaten" if code == "beaten" else "infeasible"
+    return Status(code, sentence, False, {"worst": name, "violation": value})
