@@ -13,7 +13,7 @@ from salver.live import Live, Moving
 from salver.live.committed.commit import verified
 from salver.live.committed.motion import resting
 from salver.live.replanning.lookout import Lookout, Sighting
-from salver.live.replanning.obstacles import Movable, MovingClearance, nearest, predicted
+from salver.live.replanning.obstacles import Movable, MovingClearance, predicted
 from salver.live.replanning.planner import Job
 from salver.live.replanning.steer import TICK
 from salver.live.replanning.wishes import Evade
@@ -38,6 +38,12 @@ def thrown(at, seconds, come_from):
     begin = np.add(at, come_from)
     velocity = np.subtract(at, begin) / seconds - 0.5 * seconds * np.array(G)
     return Moving("ball", "sphere", begin, velocity, G, radius=0.05)
+
+
+def clearance(movable, seen, q, t):
+    """Least distance, m, of postures (N, n) at live times (N,) from a predicted obstacle, beyond its uncertainty."""
+    free = movable.distances(q, seen, seen.at(t)[0]).min(axis=1) - seen.around(t)
+    return free[t <= seen.until].min()
 
 
 def test_distances_are_those_of_an_obstacle_that_stands_there(cube, problem):
@@ -95,7 +101,7 @@ def test_at_rest_what_passes_fast_is_looked_at_often_enough_to_be_known_to_miss(
     still, movable = resting(problem.start.q), Movable(problem.keep_out.parts.apart())
     at, v = problem.arm.tray_pose(still.q[0])[0] + np.array([0.0, 0.0, above]), np.array([0.0, 3.0, 0.0])
     ball = predicted(Moving("ball", "sphere", at - 0.3 * v, v, radius=0.03, uncertainty=0.0, growth=0.0), 0.0)
-    assert (nearest(movable, [ball], still.q[:1], np.arange(0.0, 0.6, 1e-3))[0] > 0.0) == kept
+    assert (clearance(movable, ball, still.q[:1], np.arange(0.0, 0.6, 1e-3)) > 0.0) == kept
     found = verified(replace(problem, extra=(MovingClearance(movable, (ball,), 0.0),)), still, 0.0, None)
     assert (found.committed is not None) == kept
     assert kept or re.match(r"clearance of ball at rest would be \d+ mm too small", found.sentence)
@@ -172,10 +178,10 @@ def test_a_ball_that_would_hit_is_evaded_and_one_that_misses_is_not(cube):
     assert live.obstacles([ball]).ok
     here = predicted(ball, live.now)
     t = live.now + 1e-3 * np.arange(1500)
-    assert nearest(parts, [here], np.repeat(q[None], 300, axis=0), t[::5])[0] < -0.05  # it would hit
+    assert clearance(parts, here, q[None], t[::5]) < -0.05  # it would hit
     states = drive(live, 1.5)
     assert live.state.passing == ""
-    assert nearest(parts, [here], states[0][::5], t[::5])[0] > 0.0
+    assert clearance(parts, here, states[0][::5], t[::5]) > 0.0
     assert max(rows_of(live.problem, states).values()) <= 0.0
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from salver.errors import SalverError
 from salver.files import provenance
-from salver.live.committed.motion import SAME, between
+from salver.live.committed.motion import SAME, between, joined
 from salver.motion_files import MotionSeries, write
 from salver.planning.fastest import TransportProblem
 from salver.trajectory import JointMotion
@@ -57,10 +57,7 @@ class CommandHistory:
         at, part = parts[0]
         if at < since - SAME:
             parts[0] = since, between(part, since - at, part.duration)
-        t = np.concatenate([parts[0][0] + parts[0][1].t, *(at + part.t[1:] for at, part in parts[1:])])
-        first, *later = (part for _, part in parts)
-        states = (np.vstack([getattr(first, x), *(getattr(y, x)[1:] for y in later)]) for x in ("q", "dq", "ddq"))
-        return JointMotion(t - t[0], *states)
+        return joined(*(part for _, part in parts))
 
     def save(self, path: str | Path, problem: TransportProblem, since: float, until: float, rate: float) -> list[Path]:
         """Write the motion from one live time, s, to another as files, with `rate` samples a second; see

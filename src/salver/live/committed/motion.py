@@ -146,13 +146,14 @@ def between(motion: JointMotion, first: float, last: float) -> JointMotion:
     return JointMotion(t - first, *motion.sample(t))
 
 
-def joined(first: JointMotion, second: JointMotion) -> JointMotion:
-    """A motion and then another that begins, at its own time 0, where the first one ends."""
-    if first.duration <= SAME:
-        return second
-    t = np.concatenate([first.t, first.duration + second.t[1:]])
-    states = zip((first.q, first.dq, first.ddq), (second.q, second.dq, second.ddq), strict=True)
-    return JointMotion(t, *(np.vstack([a, b[1:]]) for a, b in states))
+def joined(*motions: JointMotion) -> JointMotion:
+    """Motions one after the other, each of which begins, at its own time 0, where the one before ends."""
+    *before, last = motions
+    first, *later = [*(motion for motion in before if motion.duration > SAME), last]
+    begins = np.cumsum([motion.duration for motion in (first, *later)])
+    t = np.concatenate([first.t, *(at + motion.t[1:] for at, motion in zip(begins, later, strict=False))])
+    states = (np.vstack([getattr(first, x), *(getattr(motion, x)[1:] for motion in later)]) for x in ("q", "dq", "ddq"))
+    return JointMotion(t, *states)
 
 
 def resting(q: Array) -> JointMotion:

@@ -181,11 +181,6 @@ class Predicted:
         slope[(t < times[0]) | (t > times[-1])] = 0.0
         return where, slope
 
-    def moved(self, by: Array) -> Predicted:
-        """The prediction displaced by (3,), m."""
-        samples = None if self.samples is None else (self.samples[0], self.samples[1] + by)
-        return replace(self, powers=self.powers + np.outer([1.0, 0.0, 0.0], by), samples=samples)
-
     def place(self, t: float) -> Array:
         """Predicted position (3,), m in S, at one live time, s."""
         if self.samples is not None:
@@ -397,20 +392,3 @@ class MovingClearance(Constraint):
             (PER_METRE * self.at_nodes, 0.0), scales=False, by_duration=by_duration,
             reach=PER_METRE * 0.5 * movable.far, most=2, kinked=True, inherits=False,
         )  # fmt: skip
-
-
-def nearest(movable: Movable, obstacles: Sequence[Predicted], q: Array, t: Array) -> tuple[float, float, str]:
-    """Least distance of a motion through postures (N, n) at live times (N,) from the predicted obstacles, beyond
-    their uncertainty: m, time, obstacle. q may be one posture for all."""
-    found = (np.inf, 0.0, "")
-    middles = movable.middles(q)
-    for obstacle in obstacles:
-        believed = t <= obstacle.until
-        if not believed.any():
-            continue
-        some = believed if len(q) > 1 else slice(None)
-        free = movable.distances(q[some], obstacle, obstacle.at(t[believed])[0], middles[some]).min(axis=1)
-        free = free - obstacle.around(t[believed])
-        k = int(np.argmin(free))
-        found = min(found, (float(free[k]), float(t[believed][k]), obstacle.name))
-    return found

@@ -18,11 +18,12 @@ from salver.live.committed.motion import Committed, resting
 from salver.live.committed.profile import SpeedOptions
 from salver.live.replanning.lookout import Near
 from salver.live.replanning.objective import TwistWanted, Weights
-from salver.live.replanning.obstacles import Movable, MovingClearance, Predicted, nearest
+from salver.live.replanning.obstacles import Movable, MovingClearance, Predicted
 from salver.live.replanning.replan import Replanner, ReplanOptions, Sought
 from salver.live.replanning.steer import Steering, SteeringOptions, StepControl
-from salver.live.replanning.wishes import Evade, Follow, Goal, Halt, Retime, Wish, why_not
+from salver.live.replanning.wishes import Evade, Follow, Goal, Halt, Retime, Wish
 from salver.planning.fastest import Anywhere, AtPosture, TransportProblem
+from salver.planning.seeds.blocked import blocked_at
 from salver.planning.verdict.judged import STANDARD as EXACT
 
 THERE = 1e-5  # rad or m by which joints may miss a goal that they are at: rounding
@@ -132,9 +133,9 @@ class Planner:
             return Answer(None if late else found, status, late)
         if begins >= base.ends and self._there(wish, base):
             return Answer(None, Status("optimal", "", True), True)
-        blocked = why_not(self.problem, wish) or self._unsafe(wish)
-        if blocked:
-            return Answer(None, Status("unreachable", blocked, False))
+        blocked = self._blocked(wish)
+        if blocked is not None:
+            return Answer(None, replace(blocked, code="unreachable"))
         return Answer(*replace(replanner, factor=job.factor).to(wish.end, base, begins, job.budget))
 
     def _retimed(
@@ -163,12 +164,16 @@ class Planner:
         posture = goal.end.nearest(self.problem.arm, self.problem.limits, q)
         return posture is not None and float(np.abs(posture - q).max()) < THERE
 
-    def _unsafe(self, goal: Goal) -> str:
-        """Why the load would not stay in a posture that is asked for, or nothing."""
-        if not isinstance(goal.end, AtPosture):
-            return ""
-        finding = verified(self.problem, resting(goal.end.q), 0.0, None)
-        return f"the load would not be safe at rest there: {finding.sentence}" if finding.committed is None else ""
+    def _blocked(self, goal: Goal) -> Status | None:
+        """Why the arm cannot be at a goal, or the load would not stay in a requested posture; None if neither is so."""
+        out = self.problem.keep_out
+        blocked = None if out is None else blocked_at(out.parts, "goal", goal.end)
+        if blocked is None and isinstance(goal.end, AtPosture):
+            finding = verified(self.problem, resting(goal.end.q), 0.0, None)
+            if finding.committed is None:
+                sentence = f"the load would not be safe at rest there: {finding.sentence}"
+                blocked = Status("unreachable", sentence, False)
+        return blocked
 
     def _among(self, job: Job) -> TransportProblem:
         """The problem with the predicted obstacles, in the time of a motion from the hand-over on."""
@@ -208,8 +213,10 @@ class Planner:
         along = along / np.linalg.norm(along) if along.any() else np.array([1.0, 0.0, 0.0])
         up = np.array([0.0, 0.0, 1.0])
         ways = [np.cross(along, up), np.cross(up, along), up, -up]
+        middles, around = self._movable.middles(q), obstacle.around(t)
         for far in self.evasion.asides:
-            free = [nearest(self._movable, [obstacle.moved(-far * way)], q, t)[0] for way in ways]
+            there = [obstacle.at(t)[0] - far * way for way in ways]
+            free = [(self._movable.distances(q, obstacle, p, middles).min(axis=1) - around).min() for p in there]
             if max(free) > 0.0:
                 break
         return ways[int(np.argmax(free))]

@@ -61,11 +61,6 @@ class Follow:
     source: Source = OPERATOR
     id: int = 0
 
-    @property
-    def streamed(self) -> bool:
-        """Whether it is one of a stream of velocities, each of which replaces the one before."""
-        return isinstance(self.wanted, JointsWanted)
-
     def later(self, by: float) -> Follow:
         """The request with its chunk delayed by a time, s; a twist counts from when it was made."""
         if not isinstance(self.wanted, ChunkWanted):
@@ -307,24 +302,3 @@ def chunk_wish(
     except Refused as reason:
         ends = str(reason)
     return Follow(wanted, float(t[-1]), wanted, ends)
-
-
-def why_not(problem: TransportProblem, goal: Goal) -> str:
-    """Why the arm cannot come to rest there, in words; empty if it can."""
-    if problem.keep_out is None:
-        return ""
-    parts = problem.keep_out.parts
-    if isinstance(goal.end, AtPose):
-        headings = goal.end.target.headings(16)
-        met = None
-        for target in headings:
-            met = parts.in_the_way(*target.tray_pose)
-            if met is None:
-                break
-        if met is not None:
-            return f"there the {met[0]} would be inside {met[1]}{', whichever way it faces' * (len(headings) > 1)}"
-    if isinstance(goal.end, AtPosture):
-        touch = parts.first_touch(goal.end.q[None])
-        if touch is not None:
-            return f"there {touch.first} and {touch.second} would touch"
-    return ""

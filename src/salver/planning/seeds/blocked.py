@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from salver.errors import Status
-from salver.geometry import GRAVITY_S, Array, exp
+from salver.geometry import GRAVITY_S, Array
 from salver.models.arm.arm_geometry import ArmGeometry
 from salver.models.described import Floor, Wall
 from salver.models.tray_motion import N_MOTION
@@ -17,10 +17,10 @@ from salver.models.uncertain.worst_case import WorstCase
 from salver.planning.follow.limits import COLLISION, blocked_end
 from salver.planning.postures import REACHED, PoseTarget, posture_at
 from salver.planning.seeds.starts import Ends, guess, room
-from salver.planning.trajopt.ends import AtPose, AtPosture
+from salver.planning.trajopt.ends import AtPose, AtPosture, End
 from salver.planning.trajopt.problem import TransportProblem
 
-HEADINGS = np.linspace(0, 2 * np.pi, 36, endpoint=False)  # rad; tried at an end with free heading
+HEADINGS = 36  # tried at an end with free heading
 
 
 def why_blocked(problem: TransportProblem) -> Status | None:
@@ -29,20 +29,28 @@ def why_blocked(problem: TransportProblem) -> Status | None:
     falling = _falling(problem)
     if falling is not None or problem.keep_out is None:
         return falling
-    for name, end in (("start", problem.start), ("goal", problem.goal)):
-        if isinstance(end, AtPose):
-            stuck = _stuck(problem.keep_out.parts, name, end.target)
-            if stuck is not None:
-                return stuck
-    if problem.start_posture is None:
-        return None
-    touch = problem.keep_out.parts.first_touch(problem.start_posture[None])
-    if touch is None:
-        return None
-    if touch.second == Wall.name:
-        return Status("collision", f"In the start posture {touch.first} is not inside the {Wall.name}.", False)
-    where = " (surroundings.floor says where it is)" if touch.second == Floor.name else ""
-    return Status("collision", f"In the start posture {touch.first} and {touch.second} touch{where}.", False)
+    parts = problem.keep_out.parts
+    return blocked_at(parts, "start", problem.start) or blocked_at(parts, "goal", problem.goal)
+
+
+def blocked_at(parts: ArmGeometry, name: str, end: End) -> Status | None:
+    """Why the arm cannot be at an end of the motion: the tray whatever its posture, or the arm in the given posture;
+    None if it can."""
+    found = None
+    if isinstance(end, AtPose):
+        headings = end.target.headings(HEADINGS)
+        whatever = f" whichever way it points (at {len(headings)} headings)" if end.target.yaw_free else ""
+        for turned in headings:
+            found = blocked_end(parts, {name: turned.tray_pose}, whatever)
+            if found is None:
+                break
+    if isinstance(end, AtPosture) and (touch := parts.first_touch(end.q[None])):
+        where = " (surroundings.floor says where it is)" if touch.second == Floor.name else ""
+        says = f"{touch.first} and {touch.second} touch{where}"
+        if touch.second == Wall.name:
+            says = f"{touch.first} is not inside the {Wall.name}"
+        found = Status(COLLISION, f"In the {name} posture {says}.", False)
+    return found
 
 
 def _falling(problem: TransportProblem) -> Status | None:
@@ -140,16 +148,3 @@ def _higher(problem: TransportProblem, where: str) -> str:
             if missed < REACHED and room(problem, q) > 0.0:
                 return f"; {rise:.2g} m higher one was found"
     return ""
-
-
-def _stuck(parts: ArmGeometry, name: str, target: PoseTarget) -> Status | None:
-    """Why the tray cannot be at an end, whatever the arm's posture; None if it can."""
-    headings = HEADINGS if target.yaw_free else HEADINGS[:1]
-    whatever = f" whichever way it points (at {len(headings)} headings)" if target.yaw_free else ""
-    stuck = None
-    for heading in headings:
-        turned = replace(target, R_SB=target.R_SB @ exp([0.0, 0.0, heading]))
-        stuck = blocked_end(parts, {name: turned.tray_pose}, whatever)
-        if stuck is None:
-            return None
-    return stuck
