@@ -81,7 +81,8 @@ def _live() -> None:
     ):
         browser.call("POST", "url", {"url": studio.url})
         browser.wait_for("window.salver && salver.state.frames > 3")
-        ((world, _),) = studio.lives.values()
+        (live,) = studio.lives.values()
+        world = live.world
         world.say({"goto": [0.45, 0.15, 0.5]})
         while world.frame()["speed"] < 0.5:
             time.sleep(0.01)

@@ -274,7 +274,7 @@ def test_in_a_browser_the_goal_is_dragged_and_nothing_is_asked_of_others(tmp_pat
               const off = 1 - to.reduce((s, v, i) => s + v * way[i], 0) / Math.hypot(...to);
               if (best === null || off < best[0]) best = [off, x, y];
             }
-            const at = (x, y) => ({ clientX: box.left + x * box.width, clientY: box.top + y * box.height });
+            const at = (x, y) => ({ clientX: box.left + 0.5 * x * box.width, clientY: box.top + y * box.height });
             canvas.setPointerCapture = () => {};
             const send = (kind, x, y) => canvas.dispatchEvent(new PointerEvent(kind, at(x, y)));
             send("pointerdown", best[1], best[2]);
@@ -296,7 +296,8 @@ def test_in_a_browser_the_goal_is_dragged_and_nothing_is_asked_of_others(tmp_pat
             "(({ goal, objects, doing, planning }) => goal && doing === 'resting' && !planning &&"
             "Math.hypot(...goal.map((x, i) => x - objects[0][i])) < 1e-3)(salver.state.live)"
         )
-        ((world, _),) = studio.lives.values()
+        (live,) = studio.lives.values()
+        world = live.world
         assert became(world) == [""]
         goal, p = world.frame()["goal"], world.frame()["objects"][0][:3]
         assert np.linalg.norm(np.subtract(goal, p)) < 1e-3

@@ -22,6 +22,7 @@ from salver.errors import ScenarioError
 from salver.models.arm.arm import load_arm
 from salver.scenario import SCENARIO_DIR, names, parse
 from salver.simulation.scene.loads import true_world
+from salver.studio.live_mode import LiveMode
 from salver.studio.look import change, look
 from salver.studio.parts import LOADS, OBSTACLES, parts
 from salver.studio.server import Studio
@@ -412,6 +413,39 @@ def test_the_live_mode_of_a_window_is_its_own_and_ends_when_nobody_watches_it(tm
 
 
 @pytest.mark.slow
+def test_the_same_hand_keeps_the_load_of_one_arm_and_loses_that_of_the_other(tmp_path):
+    live = LiveMode(sv.load_scenario("panda-tall-bottle"), {"com_z": 0.003}, tmp_path)
+    try:
+        frame = live.frame()
+        assert [(title, line) for title, line, _ in frame["names"]] == [("salver", ""), ("without protection", "")]
+        for k in range(80):
+            assert live.say({"twist": [0.0, 0.4 * (-1) ** (k // 10), 0.0, 0.0]}).ok  # to and fro
+            for _ in range(round(0.02 / live.world.period)):
+                live.world.advance()
+            time.sleep(0.01)  # for the planner
+            frame = live.frame()
+            if frame["beside"][0]["gone"]:
+                break
+        (kept, lost), (beside,) = frame["names"], frame["beside"]
+        since = live.world.t - live._moved
+        assert kept[1] == f"In place for {since:.1f} s."
+        assert beside["load"][0]["became"] == "fallen"
+        assert lost[1] == f"The bottle has fallen over, lost {since:.1f} s after the hand's first move."
+        assert "a what-if" in lost[2]
+        assert "lost 1 ×" in lost[2]
+        assert beside["t"] + live._later == pytest.approx(live.world.t, abs=2 * live.world.period)
+        assert live.say({"again": True}).ok
+        again = live.frame()
+        assert [line for _, line, _ in again["names"]] == ["", ""]
+        assert "lost 1 ×" in again["names"][1][2]  # the score goes on
+        np.testing.assert_allclose(again["beside"][0]["tray"], again["tray"], atol=1e-3)
+        assert live.say({"beside": False}).ok
+        assert live.frame()["beside"] == []
+    finally:
+        live.close()
+
+
+@pytest.mark.slow
 def test_the_plan_of_a_window_is_the_commands_and_another_window_has_its_own(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     text = change(CUBE, SCENARIO_DIR, [(["motion", "duration"], None), (["objects", 0, "friction"], 0.45)])
@@ -617,3 +651,69 @@ def test_in_a_browser_a_scenario_is_made_from_nothing_to_a_plan_by_mouse(tmp_pat
         assert {urlsplit(url).netloc for url in browser.requests()} <= {urlsplit(studio.url).netloc, ""}
     result = CliRunner().invoke(app, ["plan", "mine.toml", "--json"])
     assert json.loads(result.stdout)["plan"]["duration"] == duration
+
+
+def opened(browser, url, more="true"):
+    """The page in the present window of a browser."""
+    browser.call("POST", "url", {"url": url})
+    browser.wait_for(f"window.salver && salver.state.answer && salver.state.idle() && {more}", 120)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(missing() is not None, reason=str(missing()))
+def test_in_a_browser_two_windows_do_not_disturb_each_other(tmp_path):
+    file = tmp_path / "bottle.toml"
+    text = (SCENARIO_DIR / "panda-tall-bottle.toml").read_text()
+    with Studio(text, file, SCENARIO_DIR) as studio, chromium(1400, 900) as browser:
+        opened(browser, studio.url, "salver.state.plan")
+        one = browser.call("GET", "window")
+        first = browser.script("return [salver.state.text, salver.state.plan.duration]")
+        other = browser.call("POST", "window/new", {"type": "tab"})["handle"]
+        browser.call("POST", "window", {"handle": other})
+        opened(browser, studio.url)
+        drag(browser, "goal", -40, 0)
+        browser.wait_for("salver.state.plan", 120)
+        second = browser.script("return [salver.state.text, salver.state.plan.duration]")
+        assert second[0] != first[0]
+        assert second[1] != first[1]
+        browser.click("#save")
+        browser.wait_for("salver.state.saved === salver.state.text")
+        browser.call("POST", "window", {"handle": one})
+        assert browser.script("return [salver.state.text, salver.state.plan.duration]") == first
+        browser.click("#save")  # it has not seen what the other one has written
+        browser.wait_for("salver.state.said.includes('has changed since')")
+        assert file.read_text() == second[0]
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(missing() is not None, reason=str(missing()))
+def test_in_a_browser_two_thumbs_steer_both_arms_and_the_fall_is_shown_again_slowly(tmp_path):
+    text = (SCENARIO_DIR / "panda-tall-bottle.toml").read_text()
+    with Studio(text, tmp_path / "it.toml", SCENARIO_DIR, live=True) as studio, chromium(820, 1180) as browser:
+        browser.devtools("Emulation.setTouchEmulationEnabled", enabled=True, maxTouchPoints=2)
+        opened(browser, studio.url, "salver.state.frames > 3")
+        places = browser.script(
+            "return [...document.querySelectorAll('.thumb')].map((pad) => { const r = pad.getBoundingClientRect();"
+            "return [r.left + r.width / 2, r.top + r.height / 2, r.width]; })"
+        )
+        assert min(width for *_, width in places) > 100  # shown where fingers are
+        (x, y, r), (u, v, _) = places
+        fingers = [{"x": x, "y": y, "id": 1}, {"x": u, "y": v, "id": 2}]
+        browser.devtools("Input.dispatchTouchEvent", type="touchStart", touchPoints=fingers)
+        fingers[0]["x"], fingers[1]["y"] = x + 0.4 * r, v - 0.4 * r
+        browser.devtools("Input.dispatchTouchEvent", type="touchMove", touchPoints=fingers)
+        browser.wait_for("salver.state.live.beside[0].gone")
+        browser.devtools("Input.dispatchTouchEvent", type="touchEnd", touchPoints=[])
+        shown = "document.getElementById('names').textContent.includes('a quarter of its speed')"
+        browser.wait_for(shown)
+        times = browser.script(
+            "return new Promise((done) => { const seen = [], begun = performance.now(), look = () => {"
+            "seen.push([performance.now(), salver.state.time]);"
+            "performance.now() - begun < 1500 ? setTimeout(look, 50) : done(seen); }; look(); })"
+        )
+        clock, t = np.diff(np.transpose(times))
+        assert 1e3 * t[t >= 0].sum() / clock[t >= 0].sum() == pytest.approx(0.25, rel=0.3)  # drawn 30 times a second
+        assert browser.script("return salver.state.live.gone") is False
+        browser.click("#again")
+        browser.wait_for(f"!({shown})")
+        assert [entry for entry in browser.log("browser") if entry["level"] == "SEVERE"] == []

@@ -18,20 +18,19 @@ from typing import Any, Self
 
 from salver.errors import SalverError, ScenarioError
 from salver.files import versions, write_atomic
-from salver.live import Worker
 from salver.models.arm.arm import load_arm
-from salver.playground import World
 from salver.reports.pages.cells import speed_bar
 from salver.reports.pages.page import asset, fill, framed, write_report
 from salver.reports.pages.replay import replay_scene
 from salver.reports.run import read_run
 from salver.scenario import Scenario
+from salver.studio.live_mode import LiveMode
 from salver.studio.local_page import HTML, LocalPage, Shown
 from salver.studio.look import change, look
 from salver.studio.parts import LOADS, OBSTACLES
 from salver.studio.planner import PlanningProcess
 from salver.studio.text import LONGEST, checked
-from salver.studio.words import PLANNING, steered
+from salver.studio.words import PLANNING
 
 
 class Studio:
@@ -59,7 +58,7 @@ class Studio:
         self._saved, self._true, self._keep_in = saved, true, keep_in
         self._looking, self._numbers = threading.Lock(), count()
         self._planners, self._plans = dict[str, PlanningProcess](), dict[str, tuple[str, Path]]()  # of windows
-        self.lives = dict[str, tuple[World, Worker]]()
+        self.lives = dict[str, LiveMode]()
         self._room = tempfile.TemporaryDirectory(prefix="salver-studio-")
         self._served = LocalPage(self._show, self._say, port, 2 * LONGEST)
 
@@ -81,8 +80,7 @@ class Studio:
 
     def _close(self, window: str, live: bool = True) -> None:
         """End what runs for a window. live: its live mode too."""
-        _, worker = self.lives.pop(window, (None, None)) if live else (None, None)
-        for running in (self._planners.pop(window, None), worker):
+        for running in (self._planners.pop(window, None), self.lives.pop(window, None) if live else None):
             if running is not None:
                 running.close()
 
@@ -107,13 +105,12 @@ class Studio:
 
     def _frames(self, window: str) -> Generator[bytes]:
         """The world of a window's live mode runs while somebody watches it."""
-        mine = world, worker = self.lives[window]
+        mine = self.lives[window]
         try:
-            for pace in world.paced():
+            for frame in mine.frames():
                 if self.lives.get(window) is not mine:
                     return
-                frame = world.frame()
-                yield json.dumps(frame | steered(frame, pace, worker.alive), separators=(",", ":")).encode()
+                yield json.dumps(frame, separators=(",", ":")).encode()
         finally:
             if self.lives.get(window) is mine:
                 self._close(window)
@@ -165,7 +162,7 @@ class Studio:
                 case "live":
                     return self._live(text, window)
                 case "hand" if window in self.lives:
-                    status = self.lives[window][0].say(message.get("say"))
+                    status = self.lives[window].say(message.get("say"))
                     return {"ok": status.ok, "sentence": status.sentence}
                 case "end" | "close":
                     self._close(window, live=do == "close")
@@ -239,10 +236,8 @@ class Studio:
         scenario = self._checked(text)
         self._close(window)
         with self._looking:
-            world = World(scenario, self._true, keep_in=self._keep_in)
-        self.lives[window] = world, Worker(world.live).start()
-        frame = world.frame()
-        return {"frame": frame | steered(frame, 1.0, True)}
+            self.lives[window] = LiveMode(scenario, self._true, self._keep_in)
+        return {"frame": self.lives[window].frame()}
 
     def _save(self, text: str, over: Any) -> dict[str, Any]:
         """Written at once or not at all. over: what the window takes to stand in the file, None for nothing: what

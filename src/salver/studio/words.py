@@ -13,12 +13,8 @@ if TYPE_CHECKING:
 PLANNING = ("", "Planning", "The fastest safe motion is sought in another process; change what you like meanwhile.")
 BECAME = {"lost": "is off the tray", "fallen": "has fallen over", "slid": "has slid", "spilt": "has spilt"}
 TRY = (
-    "Drag the ring, or hold W A S D: the arm follows and its load stays. Try to make it slide, fall or spill; then "
-    "uncheck “protected” and try again."
-)
-UNPROTECTED = (
-    "The same hand moves the arm, and nothing keeps the load on its tray. Check “protected” again when it rests, or "
-    "begin again."
+    "Drag the ring, hold W A S D, or take a gamepad: try to make the load slide, fall or spill. The same hand moves "
+    "both arms; nothing keeps the load of the one without protection."
 )
 
 Said = tuple[str, str, str]  # level ("" for good, "warning", "bad"), headline, detail
@@ -59,8 +55,7 @@ def steered(frame: dict[str, Any], pace: float, planner: bool) -> dict[str, Any]
 
     pace: speed of the world's clock, as a share of real time. planner: whether its process is alive.
     """
-    gone = [f"{item['name']} {BECAME[item['became']]}" for item in frame["load"] if item["became"]]
-    doing, held = frame["doing"], frame["protected"]
+    gone, doing = _gone(frame), frame["doing"]
     rests = f"at rest in {frame['restsIn']:.2f} s, {frame['nearest']}."
     head = {
         "following": f"Following: {rests}",
@@ -68,20 +63,40 @@ def steered(frame: dict[str, Any], pace: float, planner: bool) -> dict[str, Any]
         "unprotected": "Without protection.",
         "resting": "Planning a safe way to the ring." if frame["planning"] else "The arm rests.",
     }[doing]
-    hint = "" if frame["planning"] or gone else {"resting": TRY, "unprotected": UNPROTECTED}.get(doing, "")
-    if gone:
-        head = f"The {', the '.join(gone)}."
+    hint = TRY if doing == "resting" and not frame["planning"] and not gone else ""
     slow = f" This machine runs it at {100 * pace:.0f} % of real time." if pace < 0.97 else ""
     dead = "" if planner else " The planner is dead."
-    margin = f"{100 * frame['margin']:.1f} % at {frame['limit']}" if held else "nothing is committed"
     friction = zip(frame["load"], frame["friction"], strict=True)
     return {
-        "verdict": ("bad" if gone else "" if held else "warning", head, frame["said"] or hint),
-        "values": [100 * frame["margin"] if held else None, max(frame["friction"]), frame["speed"]],
+        "verdict": ("bad" if gone else "", gone or head, frame["said"] or hint),
+        "values": [100 * frame["margin"], max(frame["friction"]), frame["speed"]],
         "legends": [
-            margin,
+            f"{100 * frame['margin']:.1f} % at {frame['limit']}",
             " · ".join(f"{item['name']} {used:.2f}" for item, used in friction),
             f"{frame['speed']:.2f} m/s",
         ],
         "pace": f"Planning takes up to {1000 * frame['lead']:.0f} ms.{slow}{dead}",
     }
+
+
+def compared(
+    frame: dict[str, Any], since: float | None, lost: float | None, failed: str, spilt: Sequence[float]
+) -> list[str]:
+    """The words over one of the two arms of the live mode: what it is, what became of its load and when, the score.
+
+    since: s since the hand moved first, None before. lost: s after which the load was not in place any more, or None.
+    failed: why the arm stands still, or "". spilt: s after which the unprotected arm has lost its load, in each round.
+    """
+    line = _gone(frame) or ("" if since is None else f"In place for {since:.1f} s.")
+    if lost is not None:
+        line = f"{line[:-1]}, lost {lost:.1f} s after the hand's first move."
+    if frame["protected"]:
+        return ["salver", line, "planned for the ranges"]
+    score = f", lost {len(spilt)} ×, soonest after {min(spilt):.1f} s" if spilt else ""
+    return ["without protection", failed or line, f"a what-if: nothing keeps its load{score}"]
+
+
+def _gone(frame: dict[str, Any]) -> str:
+    """What became of the loads that are not in place, as a sentence, or ""."""
+    gone = [f"{item['name']} {BECAME[item['became']]}" for item in frame["load"] if item["became"]]
+    return f"The {', the '.join(gone)}." if gone else ""

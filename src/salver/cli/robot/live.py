@@ -25,10 +25,10 @@ def live(
 ) -> None:
     """Steer an arm with its load by hand, in the physics engine, on a page in your browser.
 
-    Drag the goal, steer with keys, press stop: every committed motion is verified and ends at rest with the load in
-    place. Switch the protection off and see the load fall. The simulation runs in real time, with planning in a process
-    of its own; if the machine is too slow the page says so. Only this machine can open the page, which needs no
-    network. Ctrl-C ends it. --json prints the page's address.
+    Drag the goal, steer with keys, a gamepad or two thumbs, press stop: every committed motion is verified and ends at
+    rest with the load in place. Beside it the same hand moves an arm without protection. The simulation
+    runs in real time, with planning in a process of its own; if the machine is too slow the page says so. Only this
+    machine can open the page, which needs no network. Ctrl-C ends it. --json prints the page's address.
 
     Example: `salver live panda-tall-bottle`
     """

@@ -339,7 +339,7 @@ function createViewer(canvas, scene) {
   }
 
   const marks = [];  // of the page that shows it: {shape, model, colour, flat}
-  let seen = null;  // the camera of the last picture
+  let seen = null, cells = [1, 1], cell = [0, 0];  // the camera of the last picture, how many it has, which is pointed at
   const identity = Mat.pose([0, 0, 0, 1, 0, 0, 0]);
   const light = Vec.unit([0.35, -0.45, 0.85]);
   const [sx, sy] = [light[0] / light[2], light[1] / light[2]], ground = scene.floor + 0.001;
@@ -523,6 +523,7 @@ function createViewer(canvas, scene) {
     // Side by side, or one above the other where that would make towers of them.
     const list = panes(), n = list.length, stacked = n > 1 && width / n < 0.8 * height;
     const [w, h] = stacked ? [width, Math.floor(height / n)] : [Math.floor(width / n), height];
+    cells = stacked ? [1, n] : [n, 1];
     list.forEach((pane, i) => (stacked ? renderPane(pane, t, 0, height - (i + 1) * h, w, h) : renderPane(pane, t, i * w, 0, w, h)));
     return { stacked, shown: list.map((pane) => pane.map(({ variant }) => variant.key)) };
   }
@@ -534,10 +535,12 @@ function createViewer(canvas, scene) {
     return [seen.eye, Vec.unit(Vec.add(forward, Vec.add(Vec.scale(right, a), Vec.scale(up, b))))];
   }
 
-  // The ray through the place of a pointer.
+  // The ray through the place of a pointer; of one that drags, in the picture where it began.
   function pointed(event) {
     const box = canvas.getBoundingClientRect();
-    return ray((event.clientX - box.left) / box.width, (event.clientY - box.top) / box.height);
+    const at = [(cells[0] * (event.clientX - box.left)) / box.width, (cells[1] * (event.clientY - box.top)) / box.height];
+    if (event.type !== "pointermove" || !event.buttons) cell = at.map((x, k) => Math.min(Math.max(Math.floor(x), 0), cells[k] - 1));
+    return ray(at[0] - cell[0], at[1] - cell[1]);
   }
 
   // The point of that ray on a plane through p, level or upright and facing the camera; null where there is none.
@@ -551,7 +554,7 @@ function createViewer(canvas, scene) {
   // By how much that ray misses p: m, and pixels.
   function missed(event, p) {
     const [eye, way] = pointed(event), to = Vec.sub(p, eye), along = Vec.dot(to, way), off = Vec.norm(Vec.sub(to, Vec.scale(way, along)));
-    return [off, off / ((2 * along * Math.tan(FOV / 2)) / canvas.getBoundingClientRect().height)];
+    return [off, off / ((2 * along * Math.tan(FOV / 2)) / (canvas.getBoundingClientRect().height / cells[1]))];
   }
 
   const reset = () => Object.assign(orbit, home, { pan: [0, 0, 0] });

@@ -222,7 +222,7 @@ function drag(event) {
 function paint() {
   const viewer = state.viewer;
   if (!viewer) return;
-  viewer.options.layout = state.plan?.variants && !byId("beside").checked ? "single" : "overlay";
+  viewer.options.layout = state.live ? (state.live.beside.length ? "side" : "single") : state.plan?.variants && !byId("beside").checked ? "single" : "overlay";
   viewer.marks.length = 0;
   for (const part of handles()) {
     const p = dragged?.part.name === part.name ? dragged.p : placeOf(part), colour = COLOURS[part.name] ?? COLOURS[part.key[0]];
@@ -230,7 +230,7 @@ function paint() {
     if (state.live || part.name === state.chosen) viewer.marks.push({ shape: rings.drop, model: Mat.pose([...p, 1, 0, 0, 0], 0, [1, 1, Math.max(p[2] - state.answer.scene.floor || 0.3, 1e-3)]), colour: [...colour.slice(0, 3), 0.5], flat: true });
   }
   for (const ball of state.live?.balls ?? []) viewer.marks.push({ shape: rings.ball, model: Mat.pose([...ball.p, 1, 0, 0, 0], 0, Array(3).fill(ball.r)), colour: [0.8, 0.15, 0.25, 1] });
-  viewer.render(state.time);
+  state.stacked = viewer.render(state.time).stacked;
 }
 
 // --- playing
