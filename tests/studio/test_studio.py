@@ -2,10 +2,12 @@
 command plans it; the page in a real browser."""
 
 import http.client
+import io
 import json
 import threading
 import time
 import tomllib
+import zipfile
 from itertools import pairwise
 from pathlib import Path
 from urllib.parse import urlsplit
@@ -25,6 +27,7 @@ from salver.simulation.scene.loads import true_world
 from salver.studio.live_mode import LiveMode
 from salver.studio.look import change, look
 from salver.studio.parts import LOADS, OBSTACLES, parts
+from salver.studio.planner import MORE
 from salver.studio.server import Studio
 from salver.studio.text import changed, checked
 
@@ -471,6 +474,31 @@ def test_the_plan_of_a_window_is_the_commands_and_another_window_has_its_own(tmp
 
 
 @pytest.mark.slow
+def test_stops_campaign_and_exports_are_those_of_the_plan_of_a_window(tmp_path):
+    text = (SCENARIO_DIR / "panda-tall-bottle.toml").read_text()
+    with Studio(text, tmp_path / "it.toml", SCENARIO_DIR) as studio:
+        assert "plan first" in say(studio, "stops", window="one")["problem"]
+        found = say(studio, "plan", text=text, window="one")
+        assert found["ok"], found
+        seen = say(studio, "stops", window="one")
+        assert "It can be stopped at any time within" in seen["sentence"]
+        assert [variant["key"] for variant in seen["variants"]] == ["plan", "baseline"]
+        assert "the plan: holds" in say(studio, "run", window="one")["sentence"]
+        _, directory = studio._plans["one"]
+        assert MORE["campaign"](directory, n=2)["sentence"].startswith(
+            "2 runs in the engine, drawn from the ranges: the pl"
+        )
+        path = urlsplit(studio.url).path
+        page = asked(studio, "GET", f"{path}report/one")[1].decode()
+        assert "2 of 2" in page
+        assert "by one of" in page
+        assert b"arms of Universal Robots" in asked(studio, "GET", f"{path}urscript/one")[1]
+        bag = zipfile.ZipFile(io.BytesIO(asked(studio, "GET", f"{path}ros2/one")[1]))
+        assert "motion_bag/metadata.yaml" in bag.namelist()
+        assert asked(studio, "GET", f"{path}docx/one")[0] == 404
+
+
+@pytest.mark.slow
 def test_a_plan_that_is_no_motion_of_the_arm_is_told_and_not_played(tmp_path):
     text = changed(CUBE, [(["motion", "duration"], 0.4)])
     with Studio(text, tmp_path / "cube.toml", tmp_path) as studio:
@@ -628,7 +656,7 @@ def test_in_a_browser_a_scenario_is_made_from_nothing_to_a_plan_by_mouse(tmp_pat
 
         browser.click("#plan")
         browser.wait_for("salver.state.plan", 120)
-        offered = "return ['report', 'csv'].map((id) => !document.getElementById(id).hidden)"
+        offered = "return ['report', 'export'].map((id) => !document.getElementById(id).hidden)"
         assert browser.script(offered) == [True, True]
         browser.script(
             "const area = document.getElementById('text'); area.value += 'x = ';area.dispatchEvent(new Event('input'))"

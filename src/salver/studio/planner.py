@@ -21,6 +21,8 @@ from salver.studio.words import planned
 if TYPE_CHECKING:
     from salver.models.uncertain.parameters import UncertainSet
 
+NAMES = {"plan": "the plan", "baseline": "the straight line"}
+
 
 class PlanningProcess:
     """A planning process, which is kept for the next task, and started anew after a task that was interrupted."""
@@ -35,9 +37,9 @@ class PlanningProcess:
         ended this one."""
         return self._ask("plan", scenario, directory)
 
-    def run(self, directory: Path) -> dict[str, Any] | None:
-        """Run the plan of a run directory in the physics engine, with values at the ends of their ranges."""
-        return self._ask("run", directory)
+    def more(self, what: str, directory: Path) -> dict[str, Any] | None:
+        """Do more with the plan of a run directory, into that directory: one of `MORE`."""
+        return self._ask(what, directory)
 
     def _ask(self, *task: Any) -> dict[str, Any] | None:
         with self._lock:
@@ -87,7 +89,7 @@ def serve(descriptor: int) -> None:
         while True:
             do, *about = pipe.recv()
             try:
-                pipe.send(_planned(*about) if do == "plan" else _run(*about))
+                pipe.send(_planned(*about) if do == "plan" else MORE[do](*about))
             except SalverError as error:
                 pipe.send(_failed(str(error)))
             except Exception as error:  # one task that fails is no reason to end
@@ -113,7 +115,7 @@ def _run(directory: Path) -> dict[str, Any]:
     from salver.simulation.physics import simulate
 
     said = []
-    for stem, name in (("plan", "the plan"), ("baseline", "the straight line")):
+    for stem, name in NAMES.items():
         plan = load_plan(directory, stem)
         if plan.joint is None and plan.scenario.arm is not None:
             said.append(f"{name} is nothing that the arm can follow")
@@ -124,6 +126,29 @@ def _run(directory: Path) -> dict[str, Any]:
     return {
         "sentence": f"In the engine, with the least friction, nominal inertia, all else greatest: {'; '.join(said)}."
     }
+
+
+def _stops(directory: Path) -> dict[str, Any]:
+    from salver.planning.plan import load_plan
+    from salver.planning.stops import with_stops
+
+    plans = {stem: load_plan(directory, stem) for stem in NAMES}
+    plan = plans["plan"] = with_stops(plans["plan"])
+    for stem, made in plans.items():
+        made.save(directory, stem)
+    return {"sentence": plan.stops.sentence if plan.stops else ""}
+
+
+def _campaign(directory: Path, n: int = 100) -> dict[str, Any]:
+    """In this process alone, so that nothing goes on when it is ended."""
+    from salver.campaigns import run_campaign
+
+    outcomes = run_campaign(directory, n, jobs=1).facts()
+    said = [f"{name}: {outcomes[stem]}" for stem, name in NAMES.items() if stem in outcomes]
+    return {"sentence": f"{n} runs in the engine, drawn from the ranges: {'; '.join(said)}."}
+
+
+MORE = {"run": _run, "stops": _stops, "campaign": _campaign}
 
 
 def _edge(uncertain: UncertainSet) -> dict[str, float]:

@@ -17,6 +17,7 @@ from types import TracebackType
 from typing import Any, Self
 
 from salver.errors import SalverError, ScenarioError
+from salver.export import FORMATS, write_export
 from salver.files import versions, write_atomic
 from salver.models.arm.arm import load_arm
 from salver.reports.pages.cells import speed_bar
@@ -92,14 +93,14 @@ class Studio:
         kind, _, window = what.partition("/")
         if kind == "frames" and window in self.lives:
             return self._frames(window)
-        if window not in self._plans or kind not in ("report", "csv"):
+        if window not in self._plans or kind not in ("report", *FORMATS):
             return None
         _, directory = self._plans[window]
         try:
             with self._looking:
                 if kind == "report":
                     return write_report(directory).read_bytes(), HTML
-                return self._export(directory), "text/csv; charset=utf-8"
+                return self._export(directory, kind)
         except SalverError as error:
             return str(error).encode(), "text/plain; charset=utf-8"
 
@@ -115,11 +116,14 @@ class Studio:
             if self.lives.get(window) is mine:
                 self._close(window)
 
-    def _export(self, directory: Path) -> bytes:
-        from salver.export import write_export
-
-        (path, *_) = write_export(directory, "csv", directory / "motion.csv", "plan", None)
-        return path.read_bytes()
+    def _export(self, directory: Path, kind: str) -> tuple[bytes, str]:
+        """The motion in a format; a folder as a ZIP file."""
+        with tempfile.TemporaryDirectory() as room:
+            target = Path(room) / f"motion{FORMATS[kind]}"
+            write_export(directory, kind, target, "plan", None)
+            if target.is_file():
+                return target.read_bytes(), "application/octet-stream"
+            return Path(shutil.make_archive(str(target), "zip", room, target.name)).read_bytes(), "application/zip"
 
     def _page(self) -> bytes:
         data = {
@@ -130,6 +134,7 @@ class Studio:
             "command": f"salver plan {quote(str(self.place))}",
             "loads": LOADS,
             "obstacles": OBSTACLES,
+            "formats": FORMATS,
             "planning": PLANNING,
         }
         own = "salver.studio"
@@ -141,9 +146,9 @@ class Studio:
     # --- what is said
 
     def _say(self, message: Any) -> dict[str, Any]:
-        """{"do": "look" | "plan" | "run" | "save" | "live" | "hand" | "end" | "close", "text": ..., "window": ...}; to
-        look, "changes", "near" and "arm"; to save, "over"; of a hand, "say". Each answer has a "problem" when it could
-        not be done."""
+        """{"do": "look" | "plan" | "run" | "stops" | "campaign" | "save" | "live" | "hand" | "end" | "close",
+        "text": ..., "window": ...}; to look, "changes", "near" and "arm"; to save, "over"; of a hand, "say". Each
+        answer has a "problem" when it could not be done."""
         try:
             if not isinstance(message, dict):
                 raise ScenarioError("A message is a table.")
@@ -155,8 +160,8 @@ class Studio:
                     return self._look(message, text, window)
                 case "plan":
                     return self._plan(text, window)
-                case "run":
-                    return self._run(window)
+                case "run" | "stops" | "campaign":
+                    return self._more(do, window)
                 case "save":
                     return self._save(text, message.get("over"))
                 case "live":
@@ -213,11 +218,11 @@ class Studio:
             raise ScenarioError(f"Line {scenario[0].line}: {scenario[0].sentence}")
         return scenario
 
-    def _run(self, window: str) -> dict[str, Any]:
+    def _more(self, what: str, window: str) -> dict[str, Any]:
         if window not in self._plans:
             raise ScenarioError("Nothing is planned yet; plan first.")
         _, directory = self._plans[window]
-        found = self._planners.setdefault(window, PlanningProcess()).run(directory)
+        found = self._planners.setdefault(window, PlanningProcess()).more(what, directory)
         return {"ended": True} if found is None else {**found, **self._replayed(directory)}
 
     def _replayed(self, directory: Path) -> dict[str, Any]:

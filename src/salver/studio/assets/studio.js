@@ -103,13 +103,13 @@ function show3d(motions) {
   play(true);
 }
 
-// Plan and straight line in the physics engine.
-async function run() {
+// More of the plan: run with the straight line in the physics engine, once or a hundred times; its stops.
+async function more(event) {
   const text = state.text;
   halt();
-  state.said = "Running in the physics engine.";
+  state.said = `${event.target.textContent}: it is computed in another process.`;
   tell();
-  const found = await post("run");
+  const found = await post(event.target.id);
   if (text !== state.text || !state.plan || found.ended) return;
   state.said = found.problem ?? found.sentence;
   if (found.variants) {
@@ -131,13 +131,12 @@ function tell() {
   byId("place").textContent = given.place + (state.text === state.saved ? "" : " (not saved)");
   byId("undo").disabled = !state.done.length;
   byId("redo").disabled = !state.undone.length;
-  byId("play").disabled = byId("run").disabled = byId("scrub").disabled = !found?.variants;
+  for (const control of [byId("play"), byId("scrub"), ...document.querySelectorAll(".more")]) control.disabled = !found?.variants;
   byId("plan").disabled = wrong;
   for (const id of ["add", "chosen"]) byId(id).disabled = !state.answer;
-  for (const [id, kind] of [["report", "report"], ["csv", "csv"]]) {
-    byId(id).hidden = !found?.variants || (kind === "csv" && !found.ok);
-    byId(id).href = `${here}${kind}/${own}`;
-  }
+  byId("report").hidden = !found?.variants;
+  byId("report").href = `${here}report/${own}`;
+  byId("export").hidden = !found?.variants || !found.ok;
 }
 setInterval(() => state.planning !== null && (byId("clock").textContent = `${((performance.now() - state.planning) / 1000).toFixed(0)} s`), 1000);
 
@@ -377,7 +376,16 @@ byId("text").addEventListener("scroll", scrolled);
 byId("plan").addEventListener("click", plan);
 byId("follow").addEventListener("change", (event) => event.target.checked && !state.plan && plan());
 byId("beside").addEventListener("change", paint);
-byId("run").addEventListener("click", run);
+for (const button of document.querySelectorAll(".more")) button.addEventListener("click", more);
+byId("export").append(...Object.keys(given.formats).map((name) => new Option(name, name)));
+byId("export").addEventListener("change", async (event) => {
+  const kind = event.target.value, file = await (await fetch(`${here}${kind}/${own}`)).blob();
+  event.target.value = "";
+  state.said = file.type.startsWith("text/plain") ? await file.text() : "";
+  tell();
+  const ending = given.formats[kind] + (file.type === "application/zip" ? ".zip" : "");
+  if (!state.said) Object.assign(document.createElement("a"), { href: URL.createObjectURL(file), download: `motion${ending}` }).click();
+});
 byId("play").addEventListener("click", () => play(!state.playing));
 byId("scrub").addEventListener("input", (event) => {
   halt();
