@@ -14,7 +14,11 @@ from salver.geometry import matrix_from_rpy
 from salver.models.arm.arm import load_arm
 from salver.models.arm.arm_geometry import arm_geometry
 from salver.models.arm.known_arms import KNOWN_ARMS
-from salver.planning.fastest import plan_fastest
+from salver.planning.fastest import plan_fastest, transport_problem
+from salver.planning.fastest.retiming import plan_retimed
+from salver.planning.follow.limits import verdict
+from salver.planning.trajopt.constraints.constraints import Rolling
+from salver.planning.verdict.verify import verify
 from salver.simulation.physics import simulate
 from salver.simulation.scene.loads import true_world
 from salver.simulation.scene.scene import build
@@ -125,7 +129,7 @@ def test_an_arm_keeps_its_velocity_limits_by_position_behind_a_base():
         ({"size": None}, "arm.base: its body needs size = [length, width, height], or radius and height"),
         ({"height": 0.2}, "arm.base: its body needs size"),
         ({"x": [1.0, -1.0]}, "arm.base: x = [1, -1] is no range; its first number must be below its second"),
-        ({"kind": "tracked"}, 'arm.base.kind = "tracked": must be "omnidirectional"'),
+        ({"kind": "tracked"}, 'arm.base.kind = "tracked": must be "omnidirectional" or "differential"'),
         ({"limits": {"velocity": [1.0, 1.0]}}, "arm.base.limits.velocity has 2 values; arm.base has 3 joints"),
     ],
 )
@@ -196,7 +200,49 @@ def test_the_engine_drives_the_base_to_the_goal_with_the_load_in_place(column):
 
 def test_a_base_drives_around_a_table_that_it_was_far_from_at_first():
     """The first path keeps far from the table, and a shorter one through it is 0.6 s faster."""
-    case = scenario.load("serving-robot")
+    case = scenario.load("serving-robot").with_changes(arm__base__kind="omnidirectional")
     around, straight = (plan_fastest(one) for one in (case, case.with_changes(obstacles=[])))
     assert around.ok, around.status
     assert straight.duration < 3.2 < 3.6 < around.duration < 3.8
+
+
+def test_a_differential_base_parks_sideways_without_moving_across_its_heading(column):
+    """It ends 1.5 m to its left with the heading that it began with, by turns and arcs."""
+    base = {**column["base"], "kind": "differential"}
+    plan = plan_fastest(task({**column, "base": base}, (0.0, 1.5)))
+    assert plan.ok, plan.status
+    q, dq, _ = plan.joint.sample(np.linspace(0.0, plan.duration, 1000))
+    across = -np.sin(q[:, 2]) * dq[:, 0] + np.cos(q[:, 2]) * dq[:, 1]
+    assert np.abs(across).max() <= 0.005
+    assert np.abs(dq[:, :2]).max() > 0.5
+    assert q[-1] == pytest.approx([0.0, 1.5, 0.0], abs=1e-9)
+
+
+def test_no_verdict_lets_a_differential_base_slide_sideways(column):
+    """The motion of an omnidirectional base, which goes straight to its left."""
+    sideways = plan_fastest(task(column, (0.0, 1.5)))
+    case = task({**column, "base": {**column["base"], "kind": "differential"}}, (0.0, 1.5))
+    found = verify(transport_problem(case), sideways.joint)
+    assert found.sentence.startswith("rolling would be exceeded"), found.sentence
+    said = verdict(load_arm(case.arm, case.tray), sideways.joint).sentence
+    assert "the base moves across its heading at " in said
+    assert not plan_retimed(case, sideways.joint.q[::20]).ok
+
+
+def test_derivatives_of_rolling_are_those_of_differences():
+    rng = np.random.default_rng(4)
+    case = task(on_ridgeback(kind="differential"))
+    problem = transport_problem(case)
+    z = rng.uniform(-1, 1, (4, 6, 9))
+
+    def rows(z):
+        motion = problem.at(np.linspace(0.0, 1.0, 6), z, 1.0)
+        return next(iter(Rolling(problem.arm).blocks(motion)))
+
+    node, row = (x.ravel() for x in np.indices((6, 2)))
+    gradient, step = rows(z).gradient(node, row).reshape(-1, 4, 9), 1e-6
+    for k in range(2):
+        for j in range(9):
+            moved = z.copy()
+            moved[k, :, j] += step
+            assert ((rows(moved).values - rows(z).values) / step).ravel() == pytest.approx(gradient[:, k, j], abs=1e-5)

@@ -52,7 +52,8 @@ class ArmModel:
     geometry: "meshes" (refuse), "capsules" (fit some), "unchecked" (leave them out). disabled_pairs: (first, second),
     sorted: links that the SRDF excludes from comparison. weightless: moving links to which, with everything fixed to
     them, the URDF gives no mass. If there are any, torques are unknown: the arm has no torque limits, and counts as
-    position-controlled. base_position, R_base: (3,) m and (3, 3), pose of the URDF's root in S. p_FE, R_FE: (3,) m and
+    position-controlled. base_position, R_base: (3,) m and (3, 3), pose of the URDF's root in S. sideways: largest
+    velocity of the base across its heading, m/s; infinite unless it is a differential one. p_FE, R_FE: (3,) m and
     (3, 3), pose in F of the middle of the tray's top surface. tray_com_E: (3,) the tray's centre of mass in E.
     tray_size: (3,) edges of the box around it, with its rim, along the axes of E, m.
     """
@@ -77,6 +78,7 @@ class ArmModel:
     weightless: tuple[str, ...]
     base_position: Array
     R_base: Array
+    sideways: float
     p_FE: Array
     R_FE: Array
     tray_com_E: Array
@@ -90,6 +92,12 @@ class ArmModel:
     def unit(self, joint: int) -> str:
         """Unit of a joint's position: rad, or m if it is prismatic."""
         return "m" if self.linear[joint] else "rad"
+
+    def base_velocity(self, q: Array, dq: Array) -> tuple[Array, Array]:
+        """Velocities (...), m/s, of a base that drives, along its heading and across it, from positions and velocities
+        of all joints (..., n)."""
+        cosine, sine = np.cos(q[..., 2]), np.sin(q[..., 2])
+        return cosine * dq[..., 0] + sine * dq[..., 1], cosine * dq[..., 1] - sine * dq[..., 0]
 
     def tray_pose(self, q: Array) -> tuple[Array, Array]:
         """(p_SE, R_SE) at joint positions q (n,)."""
@@ -238,6 +246,7 @@ def load_arm(arm: Arm, tray: Tray) -> ArmModel:
         weightless=weightless,
         base_position=np.array(arm.base_position),
         R_base=arm.R_base,
+        sideways=arm.base.sideways if arm.base is not None and arm.base.kind == "differential" else np.inf,
         p_FE=p_FE,
         R_FE=R_FE,
         tray_com_E=com_E,

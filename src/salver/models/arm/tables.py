@@ -39,11 +39,12 @@ class MobileBase(Model):
 
     size: m, length, width and height of its body, from the floor; or radius and height of a round one. mass: kg.
     x, y, yaw_deg: from where to where its frame may go, m and degrees. limits: of its joints x, y, yaw, for all or one
-    for each: m/s and rad/s, and so on. mount, mount_rpy_deg: pose of the URDF's root in the base's frame, m and
+    for each: m/s and rad/s, and so on. sideways: velocity across its heading, m/s, at which a differential base still
+    counts as rolling: a numerical tolerance. mount, mount_rpy_deg: pose of the URDF's root in the base's frame, m and
     degrees; on the middle of its top by default.
     """
 
-    kind: Literal["omnidirectional"]
+    kind: Literal["omnidirectional", "differential"]
     size: tuple[Metres, Metres, Metres] | None = None
     radius: Metres | None = None
     height: Metres | None = None
@@ -52,6 +53,7 @@ class MobileBase(Model):
     y: tuple[Place, Place]
     yaw_deg: tuple[Degrees, Degrees] = (-180.0, 180.0)
     limits: ArmLimits = ArmLimits()
+    sideways: Annotated[Number, Field(gt=0, le=1)] = 0.005
     mount: Point | None = None
     mount_rpy_deg: Turns = (0.0, 0.0, 0.0)
 

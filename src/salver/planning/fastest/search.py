@@ -130,7 +130,7 @@ class _Search:
         spline, at_once = RestSpline(DEGREE, self.options.spans), replace(self.options, iterations=0.0)
         for pair in self.pairs[: self.options.first(self.problem)]:
             problem = between(self.problem, pair)
-            line = straight(pair)
+            line = straight(pair, self.problem.arm)
             begin = line.motion(problem, spline)
             for slower in 2.0 ** np.arange(5):  # sixteen times the comfortable time at most
                 self.watch.trying = f"{line.name}, slowly"
@@ -197,7 +197,7 @@ class _Search:
         """First starts: straight paths between the most promising ends. Where these are blocked: the shortest paths
         around obstacles, then straight paths between these and other ends."""
         count = self.options.first(self.problem)
-        lines = [(between(self.problem, pair), straight(pair)) for pair in self.pairs]
+        lines = [(between(self.problem, pair), straight(pair, self.problem.arm)) for pair in self.pairs]
         free = [open_to(problem, line) for problem, line in lines[:count]]
         if all(free):
             return lines[:count]
@@ -220,7 +220,7 @@ class _Search:
         self.pairs = ends(self.problem, self.rng, more=True)
         yield from self._ways()
         for pair in self.pairs[: 2 * max(2, self.options.pairs)]:
-            yield between(self.problem, pair), straight(pair)
+            yield between(self.problem, pair), straight(pair, self.problem.arm)
 
     def _rough(self, problem: TransportProblem, start: Start, beat: float = np.inf) -> Rough:
         """The rough optimum, with few spline pieces, of a start, from a long duration."""

@@ -149,6 +149,8 @@ def verdict(
         f"the {peak.kind} of {peak.joint} reaches {peak.value:.4g} {peak.unit} at t = {peak.time:.2f} s, {_over(peak)}"
         for peak in broken
     ]
+    sideways = _sideways(arm, motion)
+    sentences += [sideways] if sideways else []
     swept = sweep(parts, motion)
     for key, near in (("clearance", swept.nearest), ("obstacle_clearance", swept.obstacle), (COLLISION, swept.touch)):
         if near is not None:
@@ -157,7 +159,7 @@ def verdict(
         touch = swept.touch
         sentences.append(f"{touch.first} and {touch.second} touch at t = {touch.time:.2f} s")
     if sentences:
-        code = LIMIT_EXCEEDED if broken else COLLISION
+        code = LIMIT_EXCEEDED if broken or sideways else COLLISION
         return Status(code, f"{arm.name} cannot follow: {'; '.join(sentences)}.", False, details)
     first = f"Not checked: {'; '.join(blind)}. " if blind else ""
     worst = max(found, key=lambda peak: peak.share)
@@ -166,6 +168,18 @@ def verdict(
         near = swept.obstacle
         nearest += f"; {near.first} passes {near.second} at {1e3 * near.distance:.0f} mm at t = {near.time:.2f} s"
     return Status(WITHIN_LIMITS, f"{first}{arm.name} follows within its limits; {nearest}.", True, details)
+
+
+def _sideways(arm: ArmModel, motion: JointMotion) -> str:
+    """Where a differential base would have to move across its heading, in words; "" where it rolls."""
+    if np.isinf(arm.sideways):
+        return ""
+    t = np.linspace(motion.t[0], motion.t[-1], 2 * max(200, len(motion.t)))
+    across = np.abs(arm.base_velocity(*motion.sample(t)[:2])[1])
+    k = int(np.argmax(across))
+    if across[k] <= arm.sideways:
+        return ""
+    return f"the base moves across its heading at {across[k]:.3g} m/s at t = {t[k]:.2f} s, and its wheels only roll"
 
 
 def _over(peak: Peak) -> str:

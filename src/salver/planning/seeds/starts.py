@@ -10,6 +10,7 @@ from itertools import chain
 import numpy as np
 
 from salver.geometry import GRAVITY_S, Array, interpolated
+from salver.models.arm.arm import ArmModel
 from salver.models.arm.arm_limits import POSITION
 from salver.planning.postures import INSIDE
 from salver.planning.seeds.around import way_around
@@ -359,9 +360,15 @@ def _stray_at_rest(problem: TransportProblem, q: Array) -> float:
     return float(strayed(*still.tray_radius()).max())
 
 
-def straight(pair: Ends) -> Start:
-    """The straight path in joint space."""
-    return Start("straight path of the joints", np.stack([pair.start, pair.goal]))
+def straight(pair: Ends, arm: ArmModel | None = None) -> Start:
+    """The straight path in joint space; on a differential base (of `arm`) it turns on the spot, drives, and turns."""
+    postures = np.stack([pair.start, pair.goal])
+    if arm is not None and np.isfinite(arm.sideways):
+        x, y, _ = (pair.goal - pair.start)[:3]
+        postures = postures.repeat(2, axis=0)
+        heading = np.arctan2(y, x)  # forwards, or backwards if that is nearer
+        postures[1:3, 2] = heading + np.pi * np.round((0.5 * (pair.start[2] + pair.goal[2]) - heading) / np.pi)
+    return Start("straight path of the joints", postures)
 
 
 def around(problem: TransportProblem, pairs: list[Ends], rng: np.random.Generator) -> Start | None:

@@ -42,6 +42,7 @@ from salver.planning.trajopt.constraints.constraints import (
     ContactConstraint,
     JointLimit,
     LevelConstraint,
+    Rolling,
     TiltConstraint,
     TorqueLimit,
     TorqueRateLimit,
@@ -149,6 +150,8 @@ class TransportProblem:
         found += [PassPose(self.arm, end.target, f"pose {k} to pass") for k, end in enumerate(self.through, 1)]
         if self.keep_out is not None:
             found.append(Clearance(self.keep_out))
+        if np.isfinite(self.arm.sideways):
+            found.append(Rolling(self.arm))
         return (*found, *self.extra)
 
     def at(

@@ -7,6 +7,7 @@
     LevelConstraint         |e_x . R_SE^T e_z|, |e_y . R_SE^T e_z| - tolerance
     TiltConstraint          (cos(largest) - e_z . R_SE e_z) / (1 - cos(largest))
     Clearance               (required + deviation - distance) / 0.1 m
+    Rolling                 (|velocity of the base across its heading| - largest) / (1 m/s)
 
 The optimiser gets a list of `Constraint` objects; users can add subclasses (docs/extending.md). Rows are scaled such
 that 0 is the limit and 1 the size of the quantity: the limit itself, or the weight of an object.
@@ -25,6 +26,7 @@ import numpy as np
 from salver.dynamics.load_rows import LoadRows
 from salver.dynamics.motion_gradients import Unknowns
 from salver.geometry import Array, Indices, hat
+from salver.models.arm.arm import ArmModel
 from salver.models.arm.arm_limits import LIMITS, JointLimits, LimitKind
 from salver.models.contact_rows import ContactRows
 from salver.models.tray_motion import FULL_SPEED, Speed
@@ -446,4 +448,37 @@ class Clearance(Constraint):
             reach=PER_METRE * CLEARANCE.reach,
             kinked=True,
             in_words=lambda excess: f"{1e3 * excess / PER_METRE:.3g} mm",
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Rolling(Constraint):
+    """A differential base does not move across its heading: |cos(yaw) dy - sin(yaw) dx| <= largest, of the motion."""
+
+    arm: ArmModel
+
+    def blocks(self, motion: MotionEvaluation) -> Iterator[Block]:
+        q, dq = motion.z[:2]
+        along, across = self.arm.base_velocity(q, dq)
+
+        def gradient(i: Indices, f: Indices) -> Array:
+            rows = np.zeros((len(i), 4 * motion.n))
+            rows[:, 2] = -along[i]
+            rows[:, motion.n], rows[:, motion.n + 1] = -np.sin(q[i, 2]), np.cos(q[i, 2])
+            return np.where(f == 0, 1.0, -1.0)[:, None] * rows
+
+        def in_words(excess: float) -> str:
+            return f"{1e3 * excess:.3g} mm/s"
+
+        values = both_sides(across[:, None], -self.arm.sideways)
+        margins = (0.2 * self.arm.sideways, FINEST)
+        yield Block(
+            "rolling",
+            values,
+            gradient,
+            np.arange(len(q)),
+            margins,
+            slows=1 / self.arm.sideways,
+            always=True,
+            in_words=in_words,
         )
