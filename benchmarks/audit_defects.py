@@ -1,7 +1,7 @@
 """Defects of recordings: what loggers, sensors and software make of a motion before an audit reads it.
 
 Each defect takes a recorder (the true motion, its sensor and its rate) and returns time stamps and channels as they
-stand in the file. `LISTED` were looked at while the audit was made; `HELD_OUT` and `LATER` were not.
+stand in the file. `LISTED` were looked at while the audit was made; `HELD_OUT`, `LATER` and `FOURTH` were not.
 """
 
 from __future__ import annotations
@@ -360,6 +360,86 @@ def extrapolated(r: Recorder) -> Samples:
     return r.t, _unit_of(r, y)
 
 
+# A fourth set, made after the audit recognised all of those -----------------------------------------------------
+
+
+def nearest_frame(r: Recorder) -> Samples:
+    """A camera's frames at another rate: each sample is the latest frame, which stays for one or two samples."""
+    period = 1 / (r.rate * r.rng.uniform(0.3, 0.9))
+    return r.t, r.at(np.floor(r.t / period) * period)
+
+
+def zeros(r: Recorder) -> Samples:
+    """Where tracking is lost the file has zeros, and a unit quaternion."""
+    y = r.at(r.t)
+    for k in r.rng.integers(5, len(y) - 5, r.rng.integers(1, 6)):
+        lost = slice(k, k + int(r.rng.integers(1, 6)))
+        y[lost] = 0.0
+        if r.motion.arm is None:
+            y[lost, 3] = 1.0
+    return r.t, y
+
+
+def clipped(r: Recorder) -> Samples:
+    """A channel ends at a bound of the sensor's range."""
+    y = r.at(r.t)
+    column = int(np.argmax(np.ptp(y[:, : 3 if r.motion.arm is None else 7], axis=0)))
+    bound = np.quantile(y[:, column], r.rng.uniform(0.6, 0.95))
+    y[:, column] = np.minimum(y[:, column], bound)
+    return r.t, y
+
+
+def backlash(r: Recorder) -> Samples:
+    """An encoder behind gears with play: it follows once the play is used up."""
+    y, play = r.at(r.t), r.uniform(1e-5, 1e-3)
+    for column in y[:, : 3 if r.motion.arm is None else 7].T:
+        last = column[0]
+        for k in range(len(column)):
+            last = column[k] = np.clip(last, column[k] - play / 2, column[k] + play / 2)
+    return r.t, y
+
+
+def half_precision(r: Recorder) -> Samples:
+    """Values in 16 bits: steps of 0.5 mm at 0.5 m to 1 m, of 0.25 mm below."""
+    return r.t, _unit_of(r, np.float16(r.at(r.t)).astype(float))
+
+
+def simplified(r: Recorder) -> Samples:
+    """Samples that a straight line between others meets to some hundredths of a millimetre are left out, as databases
+    of measurements do."""
+    y, within, keep, k = r.at(r.t), r.uniform(1e-5, 2e-4), [0], 1
+    while k < len(y):
+        first = keep[-1]
+        share = ((r.t[first : k + 1] - r.t[first]) / (r.t[k] - r.t[first]))[:, None]
+        off = np.abs(y[first : k + 1] - y[first] - share * (y[k] - y[first])).max()
+        if off > within and k - first > 1:
+            keep.append(k - 1)
+        else:
+            k += 1
+    kept = np.union1d(keep, len(y) - 1)
+    return r.t[kept], y[kept]
+
+
+def tracked(r: Recorder) -> Samples:
+    """An alpha-beta filter, which expects a constant speed and overshoots where it changes."""
+    y, out = r.noisier(1e-5).at(r.t), []
+    alpha = r.rng.uniform(0.1, 0.5)
+    beta, at, rate = alpha**2 / (2 - alpha), y[0], 0 * y[0]
+    for new in y:
+        at = at + rate / r.rate
+        off = new - at
+        at, rate = at + alpha * off, rate + beta * off * r.rate
+        out.append(at)
+    return r.t, _unit_of(r, np.array(out))
+
+
+def rate_doubled(r: Recorder) -> Samples:
+    """Half of the samples are the mean of those beside them."""
+    y = r.at(r.t)
+    y[1:-1:2] = 0.5 * (y[0:-2:2] + y[2::2])
+    return r.t, _unit_of(r, y)
+
+
 def _lines(t: np.ndarray, slow: np.ndarray, y: np.ndarray) -> np.ndarray:
     return np.column_stack([np.interp(t, slow, c) for c in y.T])
 
@@ -402,12 +482,15 @@ LATER: tuple[Callable[[Recorder], Samples], ...] = (
     restamped, two_clocks, one_unit_wrong, signs_flipped, w_last, transposed, y_up, wrapped, joints_in_another_order,
     filled_gaps, begun, resampled_by_lines, two_publishers, extrapolated,
 )  # fmt: skip
+FOURTH: tuple[Callable[[Recorder], Samples], ...] = (
+    nearest_frame, zeros, clipped, backlash, half_precision, simplified, tracked, rate_doubled,
+)  # fmt: skip
 POSES_ONLY = {
     "kilometres", "millimetres", "centimetres", "offset", "wrong_marker",
     "signs_flipped", "w_last", "transposed", "y_up",
 }  # fmt: skip
 JOINTS_ONLY = {"joints_in_another_order"}
-DEFECTS = {defect.__name__: defect for defect in (*LISTED, *HELD_OUT, *LATER)}
+DEFECTS = {defect.__name__: defect for defect in (*LISTED, *HELD_OUT, *LATER, *FOURTH)}
 
 
 def record(rng: Any, motion: Motion, defect: str, folder: Path) -> tuple[Path, float, float]:

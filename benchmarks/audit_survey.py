@@ -35,7 +35,7 @@ from typing import Any
 
 import numpy as np
 
-from audit_defects import DEFECTS, HELD_OUT, JOINTS_ONLY, LATER, LISTED, POSES_ONLY, record
+from audit_defects import DEFECTS, FOURTH, HELD_OUT, JOINTS_ONLY, LATER, LISTED, POSES_ONLY, record
 from audit_recordings import JOINTS, POSES, draw, write
 from audit_rivals import loses, outcome_of
 from salver.auditing import audit
@@ -154,7 +154,7 @@ def table_of_defects(cases: list[Damaged]) -> str:
         wrong = sum(c.wrong for c in some)
         return f"| {title} | {len(some)} | {count['holds']} | {count['does_not_hold']} | {open_} | {wrong} |"
 
-    for title, kinds in (("looked at", LISTED), ("others", HELD_OUT), ("third set", LATER)):
+    for title, kinds in (("looked at", LISTED), ("others", HELD_OUT), ("third set", LATER), ("fourth set", FOURTH)):
         names = [kind.__name__ for kind in kinds]
         lines += [
             row(name.replace("_", " "), some) for name in names if (some := [c for c in cases if c.defect == name])
@@ -233,7 +233,7 @@ def main() -> None:
     parser.add_argument("--engine", choices=["lost", "doubt"], default="lost")
     parser.add_argument("--json", type=Path, help="add the cases to this file, a line each")
     parser.add_argument("--defects", action="store_true", help="recordings with defects; -n of each")
-    parser.add_argument("--only", choices=[*DEFECTS, "listed", "held_out", "later"], help="only such defects")
+    parser.add_argument("--only", choices=[*DEFECTS, "listed", "held_out", "later", "fourth"], help="only such defects")
     parser.add_argument(
         "--docs", type=Path, nargs="+", help="write such files (of a seed, of a held-out one, of defects) to the page"
     )
@@ -247,8 +247,9 @@ def main() -> None:
         return
     began = time.perf_counter()
     if options.defects:
-        groups = {"listed": LISTED, "held_out": HELD_OUT, "later": LATER, None: (*LISTED, *HELD_OUT, *LATER)}
-        names = tuple(kind.__name__ for kind in groups.get(options.only, ())) or (options.only,)
+        groups = {"listed": LISTED, "held_out": HELD_OUT, "later": LATER, "fourth": FOURTH}
+        kinds = tuple(kind.__name__ for kind in groups.get(options.only, ()))
+        names = kinds or ((options.only,) if options.only else tuple(DEFECTS))
         found = []
         with ProcessPoolExecutor(options.jobs, mp_context=get_context("spawn")) as pool:
             for d in pool.map(partial(damaged, options.seed, names), range(options.n * len(names))):

@@ -79,6 +79,19 @@ def test_held_samples_are_taken_once(each):
     assert judged(p, noise=0.0).outcome == "holds"
 
 
+def test_frames_of_another_rate_keep_the_time_that_the_motion_takes():
+    """Each is held for two or three samples, and for long ones at rest: with those a motion that needs a third of the
+    friction seemed to take half the time, by stamps that jitter by 60 ms."""
+    u = np.clip((np.floor(T * 220) / 220 - 0.8) / 0.3, 0, 1)
+    p = np.stack([0.5 + 0 * T, 0.03 * u**3 * (10 - 15 * u + 6 * u**2), 0.4 + 0 * T], axis=1)
+    seen_once = found(p, noise=0.0)
+    assert codes(seen_once) == ["stale", "clock"]
+    moving = (u > 0.1) & (u < 0.9)
+    late = np.interp(p[moving, 1], seen_once.y[:, 1], seen_once.t) - np.floor(T[moving] * 220) / 220
+    assert np.ptp(late) < 5e-3  # of 240 ms; a frame takes 4.5 ms
+    assert judged(p, noise=0.0).outcome == "holds"
+
+
 def test_stale_samples_are_left_out():
     p, stale = seen(truth(T)).p, np.array([250, 300, 301, 555, 720])
     for k in stale:

@@ -115,9 +115,9 @@ def _without_repeats(channels: Channels, options: AuditOptions) -> Channels:
     typical = float(np.median(length[stale]))
     if held:  # along the whole recording
         stale |= (length > 1) & (length <= typical + 1)
-    new = np.zeros(len(t), dtype=bool)
-    new[begins] = True
-    keep = new | ~np.repeat(stale, length)
+    repeats = np.arange(len(t)) - np.repeat(begins, length)
+    each = float(np.mean(length[stale])) if held else 1.0  # of a rest as many a second are kept as of the motion
+    keep = (repeats == 0) | (~np.repeat(stale, length) & (repeats % each < 1))
     count = int(np.count_nonzero(~keep))
     clause = f"{100 * count / len(t):.2g} % of the samples ({count}) repeat the one before while the tray moves: stale"
     if held:
