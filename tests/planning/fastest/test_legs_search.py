@@ -145,9 +145,10 @@ def test_where_a_leg_that_chose_its_end_leads_nowhere_legs_are_planned_along_cha
         tried.clear()
         assert plan_legs(case) == (safe,)  # type: ignore[arg-type]
         assert len(tried) == count
-    outcomes = {None: None, "first": None, "second": None}
-    with pytest.raises(UnreachableError, match="from stop to stop"):
-        plan_legs(case)  # type: ignore[arg-type]
+    for later in (None, [unsafe]):
+        outcomes = {None: None, "first": later, "second": later}
+        with pytest.raises(UnreachableError, match="out of reach"):
+            plan_legs(case)  # type: ignore[arg-type]
 
 
 def test_a_task_that_lacks_a_leg_or_is_not_safe_is_worse_than_a_slow_one() -> None:

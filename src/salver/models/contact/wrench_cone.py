@@ -128,7 +128,8 @@ def friction_needed(contacts: ContactSet, wrench_B: Array) -> Array:
 
 
 def _friction_needed_beside_walls(contacts: ContactSet, wrench_B: Array) -> Array:
-    """`friction_needed` of the base, interpolated between coefficients 20 % apart, to 1 %."""
+    """`friction_needed` of the base, interpolated between coefficients 20 % apart: to 1 %, and up to 5 % too high where
+    the object nearly tips over a wall."""
     friction = np.geomspace(1e-3, 5.0, 48)
     beyond = np.array([-margin(cone_facets(contacts.of_friction(mu)).rows, wrench_B) for mu in friction])  # (48, T)
     first, column = np.argmax(beyond <= 0, axis=0), np.arange(len(wrench_B))

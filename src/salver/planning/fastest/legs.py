@@ -48,19 +48,21 @@ def plan_legs(scenario: Scenario, *, options: FastestOptions | None = None, watc
     watch = watch or Watch(options.time_limit)
     problems = [transport_problem(leg, passing=True) for leg in scenario.each_leg]
     legs: list[Plan] = []
+    unreached: UnreachableError | None = None
     for begin in _begins(problems, options):
         try:
             found = in_turn(problems, begin, options, watch)
-        except UnreachableError:
+        except UnreachableError as error:
             if legs:
                 break
+            unreached = unreached or error
             continue  # `chains` says which stop is out of reach
         if not legs or _merit(found, problems) < _merit(legs, problems):
             legs = found
         if watch.over() or not _merit(legs, problems)[0]:
             break
-    if not legs:
-        raise UnreachableError(f"{scenario.name}: no motions were found that lead from stop to stop.")
+    if unreached is not None and (not legs or _merit(legs, problems)[0]):
+        raise unreached
     exact = scenario.with_changes(contact__condition="exact")
     seconds = sum(float(leg.solver["seconds"]) for leg in legs)
     record = {"name": legs[0].solver["name"], "seconds": seconds, "robust": True}
