@@ -13,7 +13,7 @@ from salver.cli.common import Json, print_json, say
 def render(
     directory: Annotated[Path, typer.Argument(help="A run directory with a simulation (`salver simulate`).")],
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", help="Film to write: .mp4, .mkv, .webm, .gif or .webp.")
+        Path | None, typer.Option("-o", "--output", help="Film to write: .mp4, .mkv, .webm, .gif or .webp; or .mcap.")
     ] = None,
     stem: Annotated[
         str,
@@ -28,6 +28,8 @@ def render(
     """Film the simulated runs of a directory, without a display.
 
     MuJoCo draws the pictures, which needs OpenGL; ffmpeg makes the film (not needed for gif, webp).
+    With a name that ends in .mcap, one motion is written as a recording for Foxglove or RViz: the simulated one, or the
+    planned one if it was not simulated.
 
     Example: `salver render runs/panda-cube -o cube.mp4`
     """
@@ -35,6 +37,15 @@ def render(
     from salver.reports.film import write_film
 
     path = output if output is not None else directory / "film.mp4"
+    if path.suffix.lower() == ".mcap":
+        from salver.reports.pages.mcap import write_mcap
+
+        found = write_mcap(directory, path, "plan" if stem == "both" else stem)
+        if json:
+            print_json({"recording": found})
+        else:
+            say(f"Wrote {found}: {found.stat().st_size / 1e6:.1f} MB.")
+        return
     film = write_film(directory, path, stem, rate=rate, speed=speed, width=width, height=height)
     for name, verdict in film.verdicts.items():
         if verdict.startswith(UNSAFE):
