@@ -252,7 +252,7 @@ def _plain(obj: Any) -> Any:
     if isinstance(obj, dict) or hasattr(obj, "keys"):
         for key in obj:
             if not isinstance(key, str):
-                raise TypeError(f"the key {key!r} is no string; JSON objects have string keys")
+                raise TypeError(f"the key {key!r} is not a string; JSON objects have string keys")
         return {key: _plain(obj[key]) for key in obj}
     if isinstance(obj, list | tuple | set | frozenset):
         return [_plain(item) for item in (sorted(obj) if isinstance(obj, set | frozenset) else obj)]

@@ -460,7 +460,7 @@ def test_units_that_are_none_or_are_named_twice_are_refused(text):
 def test_a_message_has_units_of_its_own(tmp_path):
     t, q = joint_motion(rate=100)
     (tmp_path / "b.json").write_text(json.dumps({"trajectory": trajectory_message(t, q)}))
-    with pytest.raises(FileFormatError, match=r"b\.json is no table .* leave --units out"):
+    with pytest.raises(FileFormatError, match=r"b\.json is not a table .* leave --units out"):
         read(tmp_path / "b.json", units=Units.parse("deg"))
 
 

@@ -280,7 +280,7 @@ def test_nothing_moves_that_was_not_confirmed(
     at = plan.joint.q[0] + (0.05 if away else 0.0)  # type: ignore[union-attr]
     fake = Library(plan, at)
     monkeypatch.setitem(sys.modules, "pylibfranka", fake)
-    with pytest.raises(SalverError, match="it was not confirmed"):
+    with pytest.raises(SalverError, match="you did not confirm"):
         execute.run_plan(directory, "franka", "arm", move_to_start=away, confirm=lambda checks: False)
     assert "connected" in {call[0] for call in fake.calls}
     assert "controlled" not in {call[0] for call in fake.calls}
@@ -295,7 +295,7 @@ def test_franka_moves_to_the_start_first_when_told(
     monkeypatch.setitem(sys.modules, "pylibfranka", fake)
     with pytest.raises(SalverError, match="--move-to-start"):
         execute.run_plan(directory, "franka", "arm")
-    with pytest.raises(SalverError, match="it was not confirmed"):
+    with pytest.raises(SalverError, match="you did not confirm"):
         execute.run_plan(directory, "franka", "arm", move_to_start=True, confirm=lambda checks: False)
     result = execute.run_plan(directory, "franka", "arm", move_to_start=True)
     assert result.achieved

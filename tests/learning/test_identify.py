@@ -382,7 +382,7 @@ def test_files_that_are_no_logs_are_refused(plan: Plan, tmp_path: Path) -> None:
     log = SensedArm(plan, 14, joints=False).log(None)
     with pytest.raises(FileFormatError, match='no column "q3"'):
         read_log(written(tmp_path / "a.csv", log, ["t", "q1", "q2", *(f"x{k}" for k in range(11))]), 7)
-    with pytest.raises(FileFormatError, match="is no log"):
+    with pytest.raises(FileFormatError, match="is not a log"):
         read_log(tmp_path / "log.txt", 7)
 
 

@@ -69,7 +69,7 @@ def test_another_load_is_not_believed_while_the_arm_moves_or_plans_or_is_another
     live = Live(cube, lead=LEAD)
     live.command(0.0)
     other = smooth.with_changes(tray__mass=1.0)
-    assert "the arm or the tray of the scenario is another one" in live.load(other).sentence
+    assert "the scenario has another arm or another tray" in live.load(other).sentence
     live.goto((0.45, 0.1, 0.45))
     assert "the arm moves, or is about to" in live.load(smooth).sentence
     told = []

@@ -151,7 +151,7 @@ def test_after_a_stop_nothing_is_gone_on_with(cube):
     said = live.release()
     assert not said.ok
     assert said.sentence == (
-        "To release is refused: the arm was stopped by the operator (a hand); resume() comes first."
+        "To release is refused: the arm was stopped by the operator (a hand); call resume() first."
     )
     assert not live.override(0.5).ok
     assert live.resume().ok

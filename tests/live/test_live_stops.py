@@ -69,7 +69,7 @@ def test_an_operators_stop_is_not_cancelled_by_the_next_twist(cube):
     assert at_rest(after)
     assert not np.any(after[1][-400:])
     assert live.stopped == "Stopped by the operator: a hand is in the way. 102 requests were refused since."
-    assert "the arm was stopped by the operator (a hand is in the way); resume() comes first" in live.refused
+    assert "the arm was stopped by the operator (a hand is in the way); call resume() first" in live.refused
     check(live, in_turn(before, after))
     assert live.resume().ok
     assert live.goto((0.5, 0.0, 0.5)).ok
@@ -138,7 +138,7 @@ def test_queued_goals_are_not_without_end(cube):
     live = Live(cube, lead=LEAD)
     answers = [live.goto((0.5, 0, 0.5), queued=True) for _ in range(101)]
     assert all(answer.ok for answer in answers[:100])
-    assert answers[100].sentence == "The goal is refused: 100 goals are queued already, which is the most."
+    assert answers[100].sentence == "The goal is refused: 100 goals are queued already, the most that are accepted."
     assert "queued is 'no'; it must be True or False" in live.goto((0.5, 0, 0.5), queued="no").sentence
 
 

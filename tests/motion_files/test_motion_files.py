@@ -309,7 +309,7 @@ def test_what_a_run_did_is_a_recording_without_velocities(tmp_path):
         (["export", "a.csv", "--format", "csv"], "a.csv would be written over itself; name another file with -o"),
         (["export", "a.csv", "--format", "json", "--rate", "10"], "a motion file keeps its own instants"),
         (["export", ".", "--format", "json", "--topic", "a"], "--scenario, --topic and --units are for motion files"),
-        (["simulate", "a.csv", "-s", "panda-cube", "--write", "a.xlsx"], "a.xlsx is no name for a motion"),
+        (["simulate", "a.csv", "-s", "panda-cube", "--write", "a.xlsx"], "a.xlsx is not a name for a motion"),
         (["audit", "a.csv", "-s", "panda-cube", "--units", "inch"], '--units "inch" must name at most one of each'),
         (["simulate", ".", "--stem", "both", "--write", "b.csv"], "--write is for one run; name its plan with --stem"),
     ],

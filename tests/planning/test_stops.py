@@ -185,8 +185,8 @@ def test_lost_and_beyond_a_limit_are_counted_from_what_became_of_the_load(tmp_pa
         (lambda s: {"duration": 0.7 * s.duration}, "is not safe"),
         (lambda s: {"t": s.t[::-1]}, "their times do not increase"),
         (lambda s: {"s": np.where(np.arange(len(s.s)) == 2, s.s[1], s.s)}, "their times do not increase"),
-        (lambda s: {"ddq": np.where(s.ddq == s.ddq.max(), np.nan, s.ddq)}, "stop_ddq is no array of numbers"),
-        (lambda s: {"stray": s.stray[1:]}, "stop_stray is no array of numbers"),
+        (lambda s: {"ddq": np.where(s.ddq == s.ddq.max(), np.nan, s.ddq)}, "stop_ddq is not an array of numbers"),
+        (lambda s: {"stray": s.stray[1:]}, "stop_stray is not an array of numbers"),
     ],
 )
 def test_nothing_moves_with_stops_that_are_not_what_they_should_be(bottle, change, words):

@@ -137,7 +137,7 @@ def test_a_lost_heartbeat_makes_the_stop_that_keeps_the_load() -> None:
     arm.run(0.1)
     ok, why = arm.carrier.goto("world", GOAL, None)
     assert not ok
-    assert "the arm was stopped by the monitor (no heartbeat for 0.1 s); resume() comes first" in why
+    assert "the arm was stopped by the monitor (no heartbeat for 0.1 s); call resume() first" in why
     assert arm.carrier.resume()[0]
     assert arm.carrier.goto("world", GOAL, None)[0]
 
@@ -174,7 +174,7 @@ def test_stop_latches_and_refuses_goals_and_twists() -> None:
     arm.run(0.5)
     assert arm.carrier.stop("by the service stop")[0]
     assert not arm.carrier.goto("world", GOAL, None)[0]
-    assert "resume() comes first" in arm.carrier.twist("world", arm.t, (0.1, 0, 0), (0, 0, 0), arm.t)
+    assert "call resume() first" in arm.carrier.twist("world", arm.t, (0.1, 0, 0), (0, 0, 0), arm.t)
     arm.run(1.2)
     assert arm.speed < 1e-6
     assert arm.holds()

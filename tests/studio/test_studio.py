@@ -393,7 +393,7 @@ def test_what_the_page_says_first_is_said_by_salver_and_begins_with_what_was_not
 def test_the_live_mode_of_a_window_is_its_own_and_ends_when_nobody_watches_it(tmp_path):
     with Studio(CUBE, tmp_path / "cube.toml", SCENARIO_DIR, true={"mass": 0.25}) as studio:
         assert "Line" in say(studio, "live", text=CUBE.replace("mass = 0.256", "mass = -1", 1), window="one")["problem"]
-        assert "Nobody knows" in say(studio, "hand", window="one", say={"stop": True})["problem"]
+        assert "There is no message" in say(studio, "hand", window="one", say={"stop": True})["problem"]
         frame = say(studio, "live", text=CUBE, window="one")["frame"]
         assert frame["verdict"][1] == "The arm rests."
         assert not say(studio, "hand", window="one", say={"goto": [9, 9]})["ok"]

@@ -95,13 +95,13 @@ def run_plan(
         checks += check_approach(approach(driven.look().q, start, arm), plan, arm)
         demand(checks)
         if not confirm([*checks, *posture]):
-            raise SalverError("Not moved: it was not confirmed.")
+            raise SalverError("The arm was not moved: you did not confirm.")
         driven.move(lambda q: approach(q, start, arm))
         posture = check_posture(_motion(plan), arm, driven.look(), preflight)
     checks += posture
     demand(checks)
     if not confirm(checks):
-        raise SalverError("Not moved: it was not confirmed.")
+        raise SalverError("The arm was not moved: you did not confirm.")
     began = time.perf_counter()
     with noted_signals():  # nothing may come between the run and its log
         log_ = _run(plan, arm, carried, driven, watchdog, -plan.scenario.physics.settle_before, signals)

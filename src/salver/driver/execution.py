@@ -222,7 +222,7 @@ class Drive:
         except BaseException as error:  # the command has left; a row less is no reason to leave the arm alone
             self.signals.note(f"The log failed ({named(error)})")
         if not self.book.left and not last:
-            raise SalverError("The run took longer than any run may.")
+            raise SalverError("The run exceeded the longest time that is allowed.")
         return last
 
     def scaled(self, elapsed: float) -> str:
@@ -276,7 +276,7 @@ class Drive:
             try:
                 step = self.wanted_command(state)
                 if np.shape(step) != self.sent.shape or not np.all(np.isfinite(step)):
-                    raise ArithmeticError("a command that is no number for each joint")
+                    raise ArithmeticError("a command that is not a finite number for each joint")
                 return step
             except BaseException as error:
                 if not self.stops:
@@ -358,7 +358,12 @@ class _Book:
     def __init__(self, room: int, n: int) -> None:
         joints = [(name, float, (n,)) for name in ("q", "dq", "sent", "q_wanted")]
         kinds = [*((name, float) for name in ("t", "woken", "elapsed")), ("bridged", bool), *joints, ("spent", float)]
-        self._rows = np.zeros(room, kinds)
+        try:
+            self._rows = np.zeros(room, kinds)
+        except MemoryError:
+            raise SalverError(
+                f"The log of {room} periods does not fit into memory; make the run shorter (--option longest)."
+            ) from None
         self._count = 0
 
     @property

@@ -223,7 +223,7 @@ def run_live(
     checks += check_posture(joint, arm, driven.look())
     demand(checks)
     if not confirm(checks):
-        raise SalverError("Not moved: it was not confirmed.")
+        raise SalverError("The arm was not moved: you did not confirm.")
     watchdog, course = watchdog or Watchdog(), LiveCourse(live)
     controller = controller_for(scenario, course, None, arm=arm, space="joint")
     loaded = with_load(arm, carried)

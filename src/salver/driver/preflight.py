@@ -241,7 +241,7 @@ def _stops(plan: Plan, arm: ArmModel) -> Check:
         array = getattr(stops, name)
         if array.dtype.kind != "f" or array.shape != shape or not np.all(np.isfinite(array)):
             return Check(
-                "stops", False, f"The plan's stops are not usable: stop_{name} is no array of numbers {shape}."
+                "stops", False, f"The plan's stops are not usable: stop_{name} is not an array of numbers {shape}."
             )
     in_time = np.all(np.diff(stops.t) > 0) and np.all((stops.t > 0) & (stops.t < joint.duration))
     if not in_time or not np.all(stops.duration > 0) or stops.s[0] != 0 or not np.all(np.diff(stops.s) > 0):

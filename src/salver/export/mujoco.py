@@ -51,8 +51,8 @@ def write_scene(directory: str | Path, path: Path, stem: str = "plan", *, unsafe
     for load in world.loads:
         if lent(load.still):
             raise SalverError(
-                f"A MuJoCo scene as a file cannot hold {load.nominal.inside}: what of it does not swing turns less "
-                "easily about one side than any solid could; a heavier or less oblong container can be written."
+                f"A MuJoCo scene as a file cannot hold {load.nominal.inside}: the part of it that does not swing "
+                "has an inertia that no solid has; make the container heavier or less oblong."
             )
     spec = scenes.specify(scenario, world, arm, visual=True)
     spec.modelname = scenario.name

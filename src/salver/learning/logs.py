@@ -62,10 +62,10 @@ def read_log(path: str | Path, n: int, names: Sequence[str] = (), topic: str | N
     if path.suffix.lower() in BAGS or path.is_dir():
         log = _of_bag(path, tuple(names), topic)
     elif topic is not None:
-        raise FileFormatError(f"{path} is no bag, so it has no topic {topic}; leave --topic away.")
+        raise FileFormatError(f"{path} is not a bag, so it has no topic {topic}; leave --topic out.")
     elif path.suffix not in (".npz", ".csv"):
         raise FileFormatError(
-            f"{path} is no log; give a .npz that salver execute wrote, a .csv with t and q1 to q{n}, or a ROS bag."
+            f"{path} is not a log; give a .npz that salver execute wrote, a .csv with t and q1 to q{n}, or a ROS bag."
         )
     else:
         found = load_npz(path, ("t", "q")) if path.suffix == ".npz" else _read_csv(path, n)
@@ -138,7 +138,7 @@ def _check(log: Log, n: int) -> None:
     parts = {"q": (log.q, n), "tau": (log.tau, n), "wrench_F": (log.wrench_F, 6)}
     if log.tau is None and log.wrench_F is None:
         raise FileFormatError(
-            f"{log.source} holds neither joint torques (tau) nor wrist forces (wrench_F): nothing weighs."
+            f"{log.source} holds neither joint torques (tau) nor wrist forces (wrench_F): the load cannot be weighed."
         )
     if np.ndim(log.t) != 1 or len(log.t) < 50:
         raise FileFormatError(f"{log.source} has {np.size(log.t)} samples; at least 50 are needed.")
@@ -153,7 +153,7 @@ def _check(log: Log, n: int) -> None:
         if not np.isfinite(values).all():
             bad = np.asarray(~np.isfinite(values).all(axis=1))
             raise FileFormatError(
-                f"{log.source}: {name} has values that are no numbers in {bad.sum()} of {bad.size} samples, first at "
+                f"{log.source}: {name} has values that are not numbers in {bad.sum()} of {bad.size} samples, first at "
                 f"t = {log.t[int(np.argmax(bad))]:.6g} s; leave a gap of at most {GAP:g} s instead."
             )
         for k, column in enumerate(values.T if name != "q" else ()):

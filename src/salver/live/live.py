@@ -243,14 +243,14 @@ class Live(Requested):
         mine = self._problem.scenario
         other = live_scenario(scenario if isinstance(scenario, Scenario) else load(scenario))
         if (other.arm, other.tray) != (mine.arm, mine.tray):
-            raise Refused("the arm or the tray of the scenario is another one")
+            raise Refused("the scenario has another arm or another tray")
         if other.payload.dynamic and not calm:
             raise Refused("something moves inside it; say calm=True when it stands still")
         if not self._planning.acquire(blocking=False):
-            raise Refused("a motion is being planned; it comes after that")
+            raise Refused("a motion is being planned; wait until it is committed")
         try:
             if not self.settled:
-                raise Refused("the arm moves, or is about to; it comes after that")
+                raise Refused("the arm moves, or is about to; wait until it rests")
             if self._astray:
                 raise Refused(self._astray)
             running, q = self._running, self.committed.motion.q[-1]

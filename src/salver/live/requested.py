@@ -121,7 +121,7 @@ class Requested(Commanded):
             raise Refused(self._lost)
         if stopped is not None:
             why = f" ({stopped.reason.rstrip('.')})" if stopped.reason else ""
-            raise Refused(f"the arm was stopped by the {stopped.source}{why}; resume() comes first")
+            raise Refused(f"the arm was stopped by the {stopped.source}{why}; call resume() first")
         over = wish is self._done and not self._queue and self._now >= self.committed.ends
         if wish is not None and PRIORITY[source] < PRIORITY[wish.source] and not over:
             raise Refused(f"what the {wish.source} requested is carried out first")
@@ -154,7 +154,7 @@ class Requested(Commanded):
         problem = self._problem
         goal = posture_goal(problem, q) if q is not None else pose_goal(problem, pose, self.options.requests)  # type: ignore[arg-type]
         if queued and len(self._queue) >= self.options.queued:
-            raise Refused(f"{self.options.queued} goals are queued already, which is the most")
+            raise Refused(f"{self.options.queued} goals are queued already, the most that are accepted")
         goal = replace(goal, source=source, id=self._requests.new(f"to {goal.what}"))
         self._refused = ""
         if queued:

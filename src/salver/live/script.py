@@ -168,10 +168,10 @@ def understood(text: str, line: int, source: str, last: float, options: ScriptOp
         words = json.loads(text)
     except (ValueError, RecursionError):
         raise wrong(
-            f'{text[: options.shown]!r} is no JSON; a line is like {{"t": 0.5, "goto": [0.45, 0.1, 0.5]}}'
+            f'{text[: options.shown]!r} is not JSON; a line is like {{"t": 0.5, "goto": [0.45, 0.1, 0.5]}}'
         ) from None
     if not isinstance(words, dict):
-        raise wrong("it is no object of JSON with names and values")
+        raise wrong("it is not a JSON object")
     if _deep(words, options.deepest):
         raise wrong("it is nested deeper than any request is")
     found = [key for key in KEYS if key in words]
@@ -180,7 +180,7 @@ def understood(text: str, line: int, source: str, last: float, options: ScriptOp
     t = seconds("t", last, f"a number of seconds from {last:g} on, the time of the line before")
     unknown = sorted(set(words) - {found[0], "t", "source"} - KEYS[found[0]])
     if unknown:
-        raise wrong(f'nobody knows what "{unknown[0][: options.shown]}" means beside {found[0]}')
+        raise wrong(f'"{unknown[0][: options.shown]}" is not a key of a line with {found[0]}')
     seconds("for", 0.0, "a number of seconds, at least 0")
     for key in ("stop", "resume", "hold", "release"):
         if key in words and words[key] is not True:

@@ -160,7 +160,7 @@ class _Process:
         except (OSError, EOFError) as error:
             self.close()
             how = "did not answer" if isinstance(error, TimeoutError) else "died"
-            raise SalverError(f"the process that plans {how}; another one begins with the next wish") from None
+            raise SalverError(f"the process that plans {how}; the next request starts another one") from None
 
     def close(self) -> None:
         running, self._running = self._running, None

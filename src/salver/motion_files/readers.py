@@ -91,7 +91,9 @@ def _read(path: Path, joint_names: JointNames, topic: str | None, as_path: bool,
     """`read`, without the verdict in the file."""
     ending = path.suffix.lower()
     if units.text and ending not in TABLES:
-        raise FileFormatError(f"{path} is no table ({', '.join(TABLES)}), so it is in rad, m and s; leave --units out.")
+        raise FileFormatError(
+            f"{path} is not a table ({', '.join(TABLES)}), so it is in rad, m and s; leave --units out."
+        )
     if path.is_file() and path.stat().st_size > LARGEST and ending not in BAGS:
         raise FileFormatError(f"{path} is larger than {LARGEST // 1_000_000} MB; cut it.")
     if path.is_dir() or ending in BAGS:
@@ -99,7 +101,7 @@ def _read(path: Path, joint_names: JointNames, topic: str | None, as_path: bool,
 
         return replace(read_bag(path, topic, as_path), form="ros2")
     if topic is not None:
-        raise FileFormatError(f"{path} is no bag, so it has no topic {topic}; leave --topic away.")
+        raise FileFormatError(f"{path} is not a bag, so it has no topic {topic}; leave --topic out.")
     if ending in (".yaml", ".yml", ".json"):
         from salver.motion_files.ros_readers import read_document, samples_of
 
@@ -158,8 +160,8 @@ def _of_json(document: Mapping[str, Any], source: str, joint_names: JointNames, 
             raise ValueError
     except (KeyError, TypeError, ValueError, OverflowError):
         raise FileFormatError(
-            f"{source} is no motion that salver wrote: t must be a list of numbers, and every array a list of as many "
-            "rows."
+            f"{source} is not a motion that salver wrote: t must be a list of numbers, and every array a list of as "
+            "many rows."
         ) from None
     return of_table(header, table, source, joint_names, as_path)
 
@@ -179,7 +181,7 @@ def of_columns(
     is. Arguments: as in `read`. Raises FileFormatError."""
     source = f"the {type(columns).__name__}"
     if not hasattr(columns, "keys"):
-        raise FileFormatError(f"{source} is no motion; give a file, a mapping of columns by name, or a DataFrame.")
+        raise FileFormatError(f"{source} is not a motion; give a file, a mapping of columns by name, or a DataFrame.")
     header = [str(name) for name in columns]
     parts = [columns[name] for name in columns]
     index = getattr(columns, "index", None)
@@ -307,14 +309,14 @@ def read_path(path: Path, joint_names: tuple[str, ...], topic: str | None = None
             wrong = next((word for word in header if not _is_number(word)), None)
             if any(_is_number(word) for word in header):  # a posture with a mistake, not a heading
                 raise FileFormatError(
-                    f'{path}, line 1: "{wrong}" is no number; every row must be {len(joint_names)} joint angles in rad.'
+                    f'{path}, line 1: "{wrong}" is not a number; each row must be {len(joint_names)} joint angles, rad.'
                 )
             if header:
                 columns = _joint_columns(header, joint_names)
                 if set(columns) != set(joint_names) and len(columns) != len(joint_names):
                     raise FileFormatError(
-                        f"{path} is no table of postures: its heading must name the joints {', '.join(joint_names)} or "
-                        f"q1 ... q{len(joint_names)}; it is {', '.join(header)}."
+                        f"{path} is not a table of postures: its heading must name the joints {', '.join(joint_names)} "
+                        f"or q1 ... q{len(joint_names)}; it is {', '.join(header)}."
                     )
                 wanted = joint_names if set(columns) == set(joint_names) else tuple(columns)
                 values = values[:, [columns[name] for name in wanted]]
@@ -324,7 +326,7 @@ def read_path(path: Path, joint_names: tuple[str, ...], topic: str | None = None
                 )
             bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
             if len(bad):
-                raise FileFormatError(f"{path}: posture {bad[0] + 1} has an angle that is no finite number.")
+                raise FileFormatError(f"{path}: posture {bad[0] + 1} has an angle that is not a finite number.")
             return values * units.of_joints(values.shape[1])
     samples = read(path, lambda: joint_names, topic, as_path=True, units=units)
     if not isinstance(samples, JointSamples):

@@ -153,7 +153,7 @@ def _column(points: Any, key: str, n: int, source: str) -> Array | None:
     rows = [() if (row := _get(point, key)) is None else row for point in points]
     for k, row in enumerate(rows):
         if not _is_row(row):
-            raise FileFormatError(f"{source}: point {k + 1} has {key} that are no list; there are {n} joints.")
+            raise FileFormatError(f"{source}: point {k + 1} has {key} that are not a list; there are {n} joints.")
     if all(len(row) == 0 for row in rows):
         return None
     for k, row in enumerate(rows):
@@ -252,7 +252,7 @@ def _messages(path: Path, chosen: Callable[[Sequence[Any]], list[Any]]) -> list[
             "--format csv -o motion.csv."
         )
     if path.is_dir() and not (path / "metadata.yaml").is_file():
-        raise FileFormatError(f"{path} is a directory without metadata.yaml, so it is no ROS 2 bag.")
+        raise FileFormatError(f"{path} is a directory without metadata.yaml, so it is not a ROS 2 bag.")
     files = [file for file in path.iterdir() if file.is_file()] if path.is_dir() else [path]
     if sum(file.stat().st_size for file in files) > LARGEST_BAG:
         raise FileFormatError(

@@ -55,7 +55,9 @@ def form_of(path: str | Path, like: str | None = None) -> str:
     ending = Path(path).suffix.lower()
     matching = [form for form, endings in ENDINGS.items() if ending in endings or (not ending and form == "ros2")]
     if not matching:
-        raise SalverError(f"{path} is no name for a motion: it must end in .csv, .json, .yaml, or in nothing (a bag).")
+        raise SalverError(
+            f"{path} is not a name for a motion: it must end in .csv, .json, .yaml, or in nothing (a bag)."
+        )
     return like if like in matching else matching[0]
 
 

@@ -118,8 +118,8 @@ def read_plan(directory: str | Path, stem: str = "plan", required: tuple[str, ..
         return found
     if number is None or number > len(legs):
         raise FileFormatError(
-            f"{Path(directory) / 'plan'}.npz is a plan of {len(legs)} legs, and this is for one motion; name a leg: "
-            f"leg1 to leg{len(legs)} (with --stem, where there is one)."
+            f"{Path(directory) / 'plan'}.npz is a plan of {len(legs)} legs, where a plan of one motion is needed; "
+            f"name a leg, leg1 to leg{len(legs)}, or give another plan."
         )
     return leg_files(found, number)
 
@@ -152,7 +152,7 @@ def read_files(directory: str | Path, stem: str = "plan", required: tuple[str, .
     arrays = load_npz(directory / f"{stem}.npz", required)
     record = read_json(directory / f"{stem}.json")
     if not isinstance(record, dict):
-        raise FileFormatError(f"{directory / stem}.json is no record of a plan; write it again with `salver plan`.")
+        raise FileFormatError(f"{directory / stem}.json is not a record of a plan; write it again with `salver plan`.")
     certificate.check(directory, stem, scenario, arrays, record)
     legs = record.get("legs")
     if (legs is not None) != bool(scenario.legs) or len(legs or ()) != len(scenario.legs):

@@ -188,7 +188,7 @@ def start_posture(
         raise ScenarioError(
             f"arm.start_posture puts {what} {1e3 * distance:.3g} mm and {np.rad2deg(angle):.3g} deg{hint} from "
             f"({x:.3f}, {y:.3f}, {z:.3f}) m, where the motion starts; at most {1e3 * START_DISTANCE:g} mm and "
-            f"{np.rad2deg(START_ANGLE):.2g} deg are put right: change one of them, or leave start_posture out to have "
+            f"{np.rad2deg(START_ANGLE):.2g} deg are corrected: change one of them, or leave start_posture out to have "
             "one chosen."
         )
     exact, size = posture_at(arm, target, q, iterations=20)

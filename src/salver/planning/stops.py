@@ -58,7 +58,7 @@ Space = Literal["object", "joint"]
 def with_stops(plan: Plan, progress: Progress | None = None) -> Plan:
     """The plan with its stops. Raises ScenarioError when it is not a safe plan of an arm."""
     if plan.joint is None or not plan.ok:
-        raise ScenarioError("Stops are planned for safe plans of an arm; this plan is none.")
+        raise ScenarioError("Stops are planned for safe plans of an arm; this plan is unsafe or has no arm.")
     stops = plan_stops(stop_problem(plan), plan.joint, space=plan.space, progress=progress)
     return replace(plan, stops=stops)
 

@@ -165,7 +165,7 @@ class World:
                     return self._again()
                 case "record" if isinstance(value, bool):
                     return self._record(value)
-        return Status("refused", f"Nobody knows what {str(key)[:40]} means.", False)
+        return Status("refused", f'There is no message "{str(key)[:40]}".', False)
 
     @property
     def _closing(self) -> bool:

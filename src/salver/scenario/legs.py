@@ -73,10 +73,10 @@ def loads(objects: Sequence[CarriedObject], legs: Sequence[Leg]) -> list[list[Ca
         on_it = ", ".join(item.name for item in found[-1]) or "nothing"
         for name in leg.taken:
             if name not in here:
-                raise ValueError(f'legs[{i}].take = "{name}": it is not on the tray there; on it: {on_it}')
+                raise ValueError(f'legs[{i}].take = "{name}": it is not on the tray then; the tray holds {on_it}')
         for name in leg.added:
             if name in here:
-                raise ValueError(f'legs[{i}].put = "{name}": it is on the tray already; on it: {on_it}')
+                raise ValueError(f'legs[{i}].put = "{name}": it is on the tray already; the tray holds {on_it}')
         here = (here - set(leg.taken)) | set(leg.added)
         found.append(_standing(objects, here, f"after legs[{i}]"))
     for i, load in enumerate(found[:-1]):

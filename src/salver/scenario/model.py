@@ -248,8 +248,8 @@ class Scenario(Shown, Model):
             )
         if self.legs:
             raise ScenarioError(
-                f"{self.name} is a task of {len(self.legs)} legs, each with a load of its own, and {what} is for one; "
-                "salver plan and sv.plan_legs plan them all, and --stem leg1 names one of a plan."
+                f"{self.name} is a task of {len(self.legs)} legs, and {what} takes one motion with one load; "
+                "salver plan and sv.plan_legs plan all legs, and --stem leg1 names one of a plan."
             )
 
     @property

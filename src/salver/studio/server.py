@@ -172,7 +172,7 @@ class Studio:
                 case "end" | "close":
                     self._close(window, live=do == "close")
                     return {}
-            raise ScenarioError(f"Nobody knows what {do[:40]} means.")
+            raise ScenarioError(f'There is no message "{do[:40]}".')
         except SalverError as error:
             return {"problem": str(error)}
         except Exception as error:  # one message that fails is no reason to end

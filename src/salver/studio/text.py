@@ -41,7 +41,7 @@ def changed(text: str, changes: Iterable[tuple[Key, Any]]) -> str:
             _put(document, key, value)
         found = tomlkit.dumps(document)
     except (TOMLKitError, LookupError, TypeError, ValueError) as error:
-        raise ScenarioError(f"The text cannot be changed there; mend it by hand first ({error}).") from None
+        raise ScenarioError(f"The text cannot be changed there; edit it by hand first ({error}).") from None
     if len(HEADER.findall(found)) > len(HEADER.findall(text)):  # a new table has an empty line before and after it
         found = HEADER.sub(r"\1\n\2", found)
     return found

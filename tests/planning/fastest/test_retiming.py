@@ -225,7 +225,7 @@ def test_path_on_which_the_load_cannot_even_rest_has_a_status(problem):
     q[:, 5] += np.linspace(0, 1.2, 5)  # tilts the tray by 69 degrees
     found = retime(problem, SplinePath.through(q))
     assert not found.status.ok
-    assert "stand still" in found.status.sentence
+    assert "stay in place at rest" in found.status.sentence
 
 
 # Plans and the command -----------------------------------------------------------------------------------------
@@ -305,7 +305,7 @@ def test_command_reads_waypoints_and_writes_a_run(problem, tmp_path):
 def test_a_first_posture_with_a_mistake_is_no_heading(tmp_path):
     file, names = tmp_path / "waypoints.csv", ("joint1", "joint2", "joint3")
     file.write_text("0.3,O.2,0.1\n0,0,0\n0.1,0.1,0.1\n")
-    with pytest.raises(FileFormatError, match=r'line 1: "O.2" is no number; every row must be 3 joint angles'):
+    with pytest.raises(FileFormatError, match=r'line 1: "O.2" is not a number; each row must be 3 joint angles'):
         read_path(file, names)
     file.write_text("joint1,joint2,joint3\n0.3,0.2,0.1\n0,0,0\n")
     assert read_path(file, names).tolist() == [[0.3, 0.2, 0.1], [0, 0, 0]]

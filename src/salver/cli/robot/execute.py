@@ -171,12 +171,13 @@ def _changed(options: Any, name: str, value: str, before: str = "") -> Any:
     first, _, rest = name.partition(".")
     known = {field.name: getattr(options, field.name) for field in fields(options)}
     if first not in known:
-        raise SalverError(f'--option: there is no "{before}{first}"; there are {", ".join(known)}.')
+        wrong = f'there is no "{before}{first}"' if first else f'"{before[:-1]}" is a group'
+        raise SalverError(f"--option: {wrong}; there are {', '.join(before + key for key in known)}.")
     now = known[first]
     if is_dataclass(now):
         return replace(options, **{first: _changed(now, rest, value, f"{before}{first}.")})
     if rest or not isinstance(now, int | float):
-        raise SalverError(f"--option {before}{name}: there is no number of that name.")
+        raise SalverError(f"--option {before}{name} names no number.")
     given = numbers(value)
     number = given[0] if len(given) == 1 else 0.0
     if not 0.0 < number < float("inf") or type(now)(number) != number:

@@ -191,9 +191,9 @@ def identify_runs(
     possible, off = nearest(body, estimate.phi, estimate.together, within_shape=inside)
     if off > OPTIONS.impossible and estimate.phi[0] > 0:  # a negative mass has its own message
         raise SalverError(
-            f"{sources}: what was felt is {off:.1f} standard deviations from any distribution of mass inside "
-            f"{body.name}; at most {OPTIONS.impossible:g} is accepted: its shape or its place, the "
-            "empty tray or the sensor's axes are others."
+            f"{sources}: the readings are {off:.1f} standard deviations from those of any distribution of mass inside "
+            f"{body.name}; at most {OPTIONS.impossible:g} is accepted: check its shape and place, "
+            "the log of the empty tray and the sensor's axes."
         )
     ranges = narrowed(scenario, estimate, scenario if within is None else within, inside)
     told = not_shown(ranges, found.sensors)

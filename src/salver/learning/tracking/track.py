@@ -48,7 +48,7 @@ class Judge:
         """The judge of a scenario, for plans in a space (`Plan.space`): the verdict on a plan in object space takes the
         arm to follow exactly. Raises ScenarioError without an arm, or with a liquid or pendulum."""
         if scenario.arm is None:
-            raise ScenarioError(f"{scenario.name} has no arm; what is compared are its joints.")
+            raise ScenarioError(f"{scenario.name} has no arm; track compares joints.")
         payload = scenario.payload
         if payload.dynamic:
             raise ScenarioError(

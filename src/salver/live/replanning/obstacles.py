@@ -78,15 +78,15 @@ def predicted(seen: Moving, now: float, clock: float | None = None, options: Obs
     """Predictions at live time `now`, s, when the loop's clock is at `clock`, s. Raises Refused for an impossible
     obstacle."""
 
-    def refused(what: str) -> Refused:
-        return Refused(f"{what} of the obstacle {seen.name}")
+    def refused(key: str, must: str) -> Refused:
+        return Refused(f"{key} of the obstacle {seen.name} must {must}")
 
-    def numbers(value: Any, shape: tuple[int, ...], most: float, must: str) -> Array:
+    def numbers(key: str, value: Any, shape: tuple[int, ...], most: float, must: str) -> Array:
         with contextlib.suppress(Refused):
             array = wishes.numbers(value, shape, "")
             if np.abs(array).max(initial=0.0) <= most:
                 return array
-        raise refused(must)
+        raise refused(key, must)
 
     found: dict[str, Array] = {}
     for names, shape, most in (
@@ -100,45 +100,41 @@ def predicted(seen: Moving, now: float, clock: float | None = None, options: Obs
     ):
         for name in names:
             of = f"{shape} finite numbers" if shape else "a finite number"
-            found[name] = numbers(
-                getattr(seen, name), shape, most, f"{name} must be {of}, at most {most:g}: the {name}"
-            )
+            found[name] = numbers(name, getattr(seen, name), shape, most, f"be {of}, at most {most:g}")
             if (not shape or name == "size") and np.any(found[name] < 0):
-                raise refused(f"{name} must not be negative: the {name}")
+                raise refused(name, "not be negative")
     radius, size = float(found["radius"]), tuple(map(float, found["size"]))
     if seen.type == "box" and min(size) > 0:
         solid: tuple[Any, ...] = ("box", *size)
     elif seen.type in ("sphere", "capsule") and radius > 0:
         solid = (seen.type, radius, *([float(found["length"])] if seen.type == "capsule" else []))
     else:
-        raise refused("type must be sphere or capsule with a radius, or box with a size, above 0: the type")
+        raise refused("type", "be sphere or capsule with a radius above 0, or box with a size above 0")
     R = found["rotation"]
     if np.abs(R @ R.T - np.eye(3)).max() > 1e-6 or np.linalg.det(R) < 0:
-        raise refused("rotation must be orthonormal and right-handed: the rotation")
+        raise refused("rotation", "be orthonormal and right-handed")
     powers = np.stack([found["position"], found["velocity"], 0.5 * found["acceleration"]])
     late = 0.0  # s, since when it was seen
     if seen.seen is not None:
-        when = numbers(seen.seen, (), np.inf, "seen must be a time on the clock of the loop, s: the time")
+        when = numbers("seen", seen.seen, (), np.inf, "be a time on the clock of the loop, s")
         ahead = float(when) - (now if clock is None else clock)
         if ahead > options.ahead:
-            raise refused(f"seen must not be later than the loop's clock (it is by {ahead:.3g} s): the time")
+            raise refused("seen", f"not be later than the loop's clock (it is by {ahead:.3g} s)")
         late = max(-ahead, 0.0)
     samples = None
     given: Any = seen.samples
     if given is not None:
         several = isinstance(given, tuple) and len(given) == 2 and isinstance(given[0], Sequence | np.ndarray)
         if not several or not getattr(given[0], "ndim", 1):
-            raise refused("samples must be times and positions: the samples")
-        must = "samples must be increasing times and as many positions, finite numbers: the samples"
+            raise refused("samples", "be times and positions")
+        must = "be increasing times and as many positions, finite numbers"
         count = len(given[0])
-        t, p = numbers(given[0], (count,), 1e3, must), numbers(given[1], (count, 3), 1e3, must)
+        t, p = (numbers("samples", x, of, 1e3, must) for x, of in zip(given, ((count,), (count, 3)), strict=True))
         if not count or np.any(np.diff(t) <= 0):
-            raise refused(must)
+            raise refused("samples", must)
         fastest = float((np.linalg.norm(np.diff(p, axis=0), axis=1) / np.diff(t)).max(initial=0.0))
         if fastest > options.speed:
-            raise refused(
-                f"samples must not move at more than {options.speed:g} m/s (they do at {fastest:.3g}): the samples"
-            )
+            raise refused("samples", f"not move at more than {options.speed:g} m/s (they do at {fastest:.3g})")
         samples = (now - late + t, p)
     sure, grows, lasts = (float(found[name]) for name in ("uncertainty", "growth", "lasts"))
     now -= late
@@ -195,7 +191,7 @@ class Predicted:
     def standing(self) -> Predicted:
         """The prediction of an obstacle that stands still for ever. Raises Refused if it moves."""
         if self.samples is not None or self.powers[1:].any():
-            raise Refused(f"it must stand still, without velocity, acceleration and samples: the obstacle {self.name}")
+            raise Refused(f"the obstacle {self.name} must stand still, without velocity, acceleration and samples")
         return replace(self, growth=0.0, until=np.inf)
 
     @property

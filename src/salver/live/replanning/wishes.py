@@ -170,7 +170,7 @@ def numbers(value: Any, shape: tuple[int, ...], what: str) -> Array:
     except Exception:  # whatever is in what was given
         array = None
     if array is None:
-        raise Refused(f"{what} is no array of numbers; it must be {shape} finite numbers")
+        raise Refused(f"{what} is not an array of numbers; it must be {shape} finite numbers")
     if array.shape != shape:
         raise Refused(f"{what} has shape {array.shape}; it must be {shape}")
     if not np.all(np.isfinite(array)):
@@ -213,7 +213,7 @@ def _poses(
     if far > options.distance:
         raise Refused(f"{one} position is {far:.3g} m away in S; it must be at most {options.distance:g} m, in S")
     if np.abs(R @ np.swapaxes(R, -1, -2) - np.eye(3)).max() > ORTHONORMAL or (np.linalg.det(R) < 0).any():
-        raise Refused(f"{one} rotation is none: its rows must be orthonormal and right-handed")
+        raise Refused(f"{one} rotation is not a rotation matrix: its rows must be orthonormal and right-handed")
     return p, R, turned
 
 

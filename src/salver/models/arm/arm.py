@@ -316,15 +316,15 @@ def _build(text: str, path: Path) -> Any:
     for name, inertia in zip(list(model.names)[1:], list(model.inertias)[1:], strict=True):
         if not (inertia.mass >= 0 and np.isfinite(inertia.toDynamicParameters()).all()):
             raise ScenarioError(
-                f"The URDF {path} has a mass or an inertia that none can be (what the joint {name} moves weighs "
+                f"The URDF {path} has an impossible mass or inertia (what the joint {name} moves weighs "
                 f"{inertia.mass:g} kg); masses are at least 0, and all numbers finite."
             )
         gyration = np.sqrt(np.abs(np.linalg.eigvalsh(inertia.inertia)).max() / inertia.mass) if inertia.mass > 0 else 0
         if gyration > LARGEST_LINK:
             raise ScenarioError(
-                f"The URDF {path} gives what the joint {name} moves, {inertia.mass:g} kg, an inertia as if it were all "
-                f"{gyration:.3g} m from its centre; inertias are in kg m^2 (1000 kg mm^2 are 0.001), of a mass at "
-                f"most {LARGEST_LINK:g} m away."
+                f"The URDF {path} gives what the joint {name} moves, {inertia.mass:g} kg, the inertia of a mass "
+                f"{gyration:.3g} m from its centre; at most {LARGEST_LINK:g} m are accepted, and inertias are in "
+                "kg m^2 (1000 kg mm^2 are 0.001)."
             )
     model.gravity.linear = GRAVITY_S.copy()
     return model

@@ -114,7 +114,9 @@ def retime(problem: TransportProblem, path: SplinePath, *, spans: int = 20, node
 
     bound = reachable_law(problem, path)
     if bound is None:
-        status = Status("infeasible", "No time law keeps this path: the load does not even stand still on it.", False)
+        status = Status(
+            "infeasible", "No timing of this path is safe: the load does not even stay in place at rest on it.", False
+        )
         return FastestMotion(law, np.zeros((law.size, 1)), np.inf, problem, status, curve_of=curve_of)
     t, u = bound
     s = np.linspace(0.0, 1.0, 401)

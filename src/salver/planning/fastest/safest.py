@@ -53,7 +53,7 @@ def quickest_within(
     """
     duration = scenario.motion.duration
     if duration is None:
-        raise ScenarioError(f"{scenario.name}: motion.duration is missing; the {sought} plan is of a given one.")
+        raise ScenarioError(f"{scenario.name}: motion.duration is missing; the {sought} plan needs one.")
     quickest = fastest(transport_problem(scenario, level=scenario.motion.orientation == "fixed"), options, watch=watch)
     if not quickest.status.ok:
         raise UnreachableError(f"{scenario.name}: {quickest.status.sentence}")

@@ -131,8 +131,8 @@ def plan_least_sensitive(
     line = _cost_of_line(scenario)
     if line == 0.0:
         raise ScenarioError(
-            f"{scenario.name}: nothing that is uncertain acts on the closed loop of {problem.payload.first.name}; its "
-            "mass, centre of mass or inertia must be, or ask for the safest plan."
+            f"{scenario.name}: no uncertain parameter acts on the closed loop of {problem.payload.first.name}; give "
+            "its mass, centre of mass or inertia a range, or ask for the safest plan."
         )
     objective = SensitivityCost(problem, quickest.spline, duration, line)
 
