@@ -369,7 +369,7 @@ def test_a_sensor_of_coarse_steps_is_not_saturated(plan: Plan, tmp_path: Path) -
         (lambda log: replace(log, wrench_F=np.clip(log.wrench_F, -1.6, 1.6)), "saturated"),
         (lambda log: replace(log, wrench_F=clipped(log.wrench_F, 0.04)), "for 4 % of the time: it is saturated"),
         (lambda log: replace(log, t=1e3 * log.t), "times are in s"),
-        (lambda log: replace(log, q=np.where(log.t[:, None] > 0.5, np.nan, log.q)), "no numbers"),
+        (lambda log: replace(log, q=np.where(log.t[:, None] > 0.5, np.nan, log.q)), "not numbers"),
     ],
 )
 def test_files_that_are_no_good_logs_are_refused(plan: Plan, tmp_path: Path, change, said: str) -> None:

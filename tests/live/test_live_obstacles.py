@@ -479,29 +479,53 @@ def test_what_stands_still_and_is_reported_a_hundred_times_a_second_takes_no_pla
 def test_what_cannot_be_is_refused_in_a_sentence(cube):
     live = Live(cube, lead=0.1)
     for seen, sentence in (
-        (Moving("x", "sphere", (0, 0, np.nan), radius=0.1), "position must be"),
-        (Moving("x", "sphere", (0, 0, 0), (300, 0, 0), radius=0.1), "velocity must be .* at most 50"),
-        (Moving("x", "sphere"), "type must be"),
-        (Moving("x", "ring", radius=0.1), "type must be"),
-        (Moving("x", "box", size=(1, 1, 0)), "type must be"),
-        (Moving("x", "sphere", radius=-1), "radius must not be negative"),
-        (Moving("x", "sphere", radius=0.1, growth=-1), "growth must not be negative"),
-        (Moving("x", "sphere", radius=0.1, lasts=np.inf), "lasts must be"),
-        (Moving("x", "sphere", radius=0.1, rotation=np.ones((3, 3))), "rotation must be orthonormal"),
-        (Moving("x", "sphere", radius=0.1, samples=([1, 0], np.zeros((2, 3)))), "samples must be increasing"),
-        (Moving("x", "sphere", radius=0.1, samples=([0, 1], np.zeros((3, 3)))), "samples must be increasing"),
-        (Moving("x", "sphere", radius=0.1, samples=3), "samples must be times and positions"),
-        (Moving("x", "sphere", radius=0.1, samples=(3, np.zeros((2, 3)))), "samples must be times and positions"),
-        (Moving("x", "sphere", radius=0.1, samples=(np.array(3), 0)), "samples must be times and positions"),
-        (Moving("x", "sphere", radius=0.1, samples=([[0], [1, 2]], np.zeros((2, 3)))), "samples must be increasing"),
+        (Moving("x", "sphere", (0, 0, np.nan), radius=0.1), "position of the obstacle x must be"),
+        (
+            Moving("x", "sphere", (0, 0, 0), (300, 0, 0), radius=0.1),
+            "velocity of the obstacle x must be 3 finite numbers, at most 50",
+        ),
+        (Moving("x", "sphere"), "type of the obstacle x must be"),
+        (Moving("x", "ring", radius=0.1), "type of the obstacle x must be"),
+        (Moving("x", "box", size=(1, 1, 0)), "type of the obstacle x must be"),
+        (Moving("x", "sphere", radius=-1), "radius of the obstacle x must not be negative"),
+        (Moving("x", "sphere", radius=0.1, growth=-1), "growth of the obstacle x must not be negative"),
+        (Moving("x", "sphere", radius=0.1, lasts=np.inf), "lasts of the obstacle x must be"),
+        (Moving("x", "sphere", radius=0.1, rotation=np.ones((3, 3))), "rotation of the obstacle x must be orthonormal"),
+        (
+            Moving("x", "sphere", radius=0.1, samples=([1, 0], np.zeros((2, 3)))),
+            "samples of the obstacle x must be increasing",
+        ),
+        (
+            Moving("x", "sphere", radius=0.1, samples=([0, 1], np.zeros((3, 3)))),
+            "samples of the obstacle x must be increasing",
+        ),
+        (Moving("x", "sphere", radius=0.1, samples=3), "samples of the obstacle x must be times and positions"),
+        (
+            Moving("x", "sphere", radius=0.1, samples=(3, np.zeros((2, 3)))),
+            "samples of the obstacle x must be times and positions",
+        ),
+        (
+            Moving("x", "sphere", radius=0.1, samples=(np.array(3), 0)),
+            "samples of the obstacle x must be times and positions",
+        ),
+        (
+            Moving("x", "sphere", radius=0.1, samples=([[0], [1, 2]], np.zeros((2, 3)))),
+            "samples of the obstacle x must be increasing",
+        ),
         (Moving("x", "sphere", radius=0.1, samples=([0, 1e-3], [[0, 0, 0], [1, 0, 0]])), "more than 50 m/s .* 1e.03"),
         (
             Moving("x", "sphere", radius="big"),
             "radius of the obstacle x must be a finite number, at most 10",
         ),
         ("a ball", "a list of Moving"),
-        (Moving("x", "sphere", radius=0.1, samples=([0, 2000], np.zeros((2, 3)))), "samples must be increasing"),
-        (Moving("x", "sphere", radius=0.1, samples=([0, 1], np.full((2, 3), 2e3))), "samples must be increasing"),
+        (
+            Moving("x", "sphere", radius=0.1, samples=([0, 2000], np.zeros((2, 3)))),
+            "samples of the obstacle x must be increasing",
+        ),
+        (
+            Moving("x", "sphere", radius=0.1, samples=([0, 1], np.full((2, 3), 2e3))),
+            "samples of the obstacle x must be increasing",
+        ),
     ):
         status = live.obstacles([seen])
         assert not status.ok

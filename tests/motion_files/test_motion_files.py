@@ -150,7 +150,7 @@ def test_salvers_json_that_is_damaged_is_one_sentence(tmp_path):
     whole = json.loads(path.read_text())
     for damage in ({"t": 3}, {"q": [[1, 2], [3]]}, {"joint_names": ["one"]}, {"t": None}, {"q": "x"}, {"dq": {"a": 1}}):
         path.write_text(json.dumps({**whole, **damage}))
-        with pytest.raises(FileFormatError, match=r"no motion that salver wrote"):
+        with pytest.raises(FileFormatError, match=r"not a motion that salver wrote"):
             read(path, lambda: JOINTS)
 
 

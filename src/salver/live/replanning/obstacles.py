@@ -99,7 +99,7 @@ def predicted(seen: Moving, now: float, clock: float | None = None, options: Obs
         (("lasts",), (), options.lasts),
     ):
         for name in names:
-            of = f"{shape} finite numbers" if shape else "a finite number"
+            of = f"{' x '.join(map(str, shape))} finite numbers" if shape else "a finite number"
             found[name] = numbers(name, getattr(seen, name), shape, most, f"be {of}, at most {most:g}")
             if (not shape or name == "size") and np.any(found[name] < 0):
                 raise refused(name, "not be negative")
