@@ -11,6 +11,8 @@ import io
 import sys
 import tempfile
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from PIL import Image
@@ -27,6 +29,7 @@ from browser import Browser, chromium, missing  # noqa: E402
 
 SCENARIO = "panda-tall-bottle"
 FALLING = 0.95  # s
+SMOOTH = 2  # pixels that are drawn for one of the picture, along each axis: software draws no smooth edges
 SET = "const e = document.getElementById(arguments[0]); e.value = arguments[1]; e.dispatchEvent(new Event('change'))"
 
 
@@ -44,51 +47,63 @@ def main() -> None:
 
 
 def _studio() -> None:
-    """The bottle in the engine; an obstacle in its way; a mass that cannot be."""
+    """The bottle as it is designed, with the list of loads; in the engine; behind an obstacle; its mass impossible."""
     text = (scenario.SCENARIO_DIR / f"{SCENARIO}.toml").read_text()
     wall = {"type": "box", "name": "shelf", "size": [0.3, 0.06, 0.3], "position": [0.45, 0.12, 0.45]}
-    texts = {
-        "studio.png": text,
-        "studio-blocked.png": changed(text, [(["obstacles", 0], wall)]),
-        "studio-mistake.png": text,
-    }
-    for name, shown in texts.items():
-        with Studio(shown, Path("bottle.toml"), scenario.SCENARIO_DIR) as studio, chromium(1500, 960) as browser:
-            browser.call("POST", "url", {"url": studio.url})
-            if name == "studio.png":
-                browser.wait_for("window.salver && salver.state.plan", 120)
-                browser.click("#run")
-                browser.wait_for("salver.state.said.startsWith('In the engine')", 120)
-                browser.script("salver.halt(); salver.setTime(0.83)")
-            else:
-                browser.wait_for("window.salver && salver.state.looks > 0")
-            if name == "studio-mistake.png":
-                browser.script(
-                    "const area = document.getElementById('text'); area.value = area.value.replace('0.256', '-0.256');"
-                    "area.dispatchEvent(new Event('input'))"
-                )
-                browser.wait_for("salver.state.mistakes.length")
-            time.sleep(0.5)
-            _photograph(browser, name, None)
+    with _page(text) as browser:
+        browser.script("document.getElementById('follow').click(); designing()")
+        browser.click("#add")
+        time.sleep(1.0)
+        _photograph(browser, "studio-add.png", None)
+    with _page(text) as browser:
+        browser.wait_for("salver.state.plan", 120)
+        browser.click("#run")
+        browser.wait_for("salver.state.said.startsWith('In the engine')", 120)
+        browser.script("salver.halt(); salver.setTime(0.83)")
+        _photograph(browser, "studio.png", None)
+    with _page(changed(text, [(["obstacles", 0], wall)])) as browser:
+        _photograph(browser, "studio-blocked.png", None)
+    with _page(text) as browser:
+        browser.script(
+            "const area = document.getElementById('text'); area.value = area.value.replace('0.256', '-0.256');"
+            "area.dispatchEvent(new Event('input'))"
+        )
+        browser.wait_for("salver.state.mistakes.length")
+        time.sleep(0.5)
+        _photograph(browser, "studio-mistake.png", None)
+
+
+@contextmanager
+def _page(text: str, width: int = 1500, height: int = 960, live: bool = False) -> Iterator[Browser]:
+    """The studio's page with a text."""
+    with (
+        Studio(text, Path("bottle.toml"), scenario.SCENARIO_DIR, live=live) as studio,
+        chromium(width, height) as browser,
+    ):
+        browser.resize(width, height, SMOOTH)
+        if width < 1000:
+            browser.devtools("Emulation.setTouchEmulationEnabled", enabled=True, maxTouchPoints=2)
+        browser.call("POST", "url", {"url": studio.url})
+        begun = f"salver.state.frames >= {int(live)}"
+        browser.wait_for(f"window.salver && salver.state.answer && salver.state.idle() && {begun}", 120)
+        time.sleep(0.5)
+        yield browser
 
 
 def _live() -> None:
-    """The bottle half way to a goal."""
+    """The same hand has moved both arms, and one has lost its bottle; both at rest on a touch screen."""
     text = (scenario.SCENARIO_DIR / f"{SCENARIO}.toml").read_text()
-    with (
-        Studio(text, Path("bottle.toml"), scenario.SCENARIO_DIR, live=True) as studio,
-        chromium(1280, 860) as browser,
-    ):
-        browser.call("POST", "url", {"url": studio.url})
-        browser.wait_for("window.salver && salver.state.frames > 3")
-        (live,) = studio.lives.values()
-        world = live.world
-        world.say({"goto": [0.45, 0.15, 0.5]})
-        while world.frame()["speed"] < 0.5:
-            time.sleep(0.01)
-        with world._lock:  # the world stands still for its picture
-            time.sleep(0.5)
-            _photograph(browser, "live.png", None)
+    with _page(text, 1280, 860, live=True) as browser:
+        browser.script("hand({ goto: [0.45, 0.15, 0.5] })")
+        browser.wait_for(
+            "fall && fall.to && salver.state.time > fall.t + 0.15 && salver.state.time < fall.t + 0.3", 120
+        )
+        browser.script("source.close()")
+        time.sleep(1.0)
+        _photograph(browser, "live.png", None)
+    with _page(text, 820, 1100, live=True) as browser:
+        browser.wait_for("salver.state.frames > 30")
+        _photograph(browser, "live-touch.png", None)
 
 
 def _report() -> None:
@@ -99,6 +114,7 @@ def _report() -> None:
             sv.simulate(sv.load_plan(directory, stem), parameters={"com_z": 0.005}).save(directory, stem)
         page = write_report(directory)
         with chromium(1280, 860) as browser:
+            browser.resize(1280, 860, SMOOTH)
             browser.open(page)
             browser.wait_for("window.salver && window.salver.state.viewer")
             _photograph(browser, "report-top.png", FALLING)
@@ -114,8 +130,10 @@ def _photograph(browser: Browser, name: str, time: float | None, section: str | 
         browser.script("salver.setPlaying(false); salver.setTime(arguments[0])", time)
     if section:
         browser.script("document.getElementById(arguments[0]).scrollIntoView({behavior: 'instant'})", section)
-    picture = Image.open(io.BytesIO(browser.screenshot())).convert("RGB")
-    picture.quantize(256, Image.Quantize.MAXCOVERAGE).save(HERE / "images" / name, optimize=True)
+    picture = Image.open(io.BytesIO(browser.screenshot())).convert("RGB").reduce(SMOOTH)
+    picture.quantize(256, Image.Quantize.MEDIANCUT, kmeans=2, dither=Image.Dither.NONE).save(
+        HERE / "images" / name, optimize=True
+    )
 
 
 if __name__ == "__main__":

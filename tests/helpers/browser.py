@@ -57,9 +57,10 @@ class Browser:
     def screenshot(self) -> bytes:
         return base64.b64decode(self.call("GET", "screenshot"))
 
-    def resize(self, width: int, height: int) -> None:
+    def resize(self, width: int, height: int, scale: float = 1.0) -> None:
+        """scale: pixels of a screenshot in one of the page."""
         self.devtools(
-            "Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=False
+            "Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=scale, mobile=False
         )
 
     def pdf(self) -> bytes:

@@ -331,7 +331,19 @@ const additions = [
   ...Object.entries(given.loads).map(([name, load]) => [name, "objects", load]),
   ...Object.entries(given.obstacles).map(([name, obstacle]) => [`obstacle: ${name}`, "obstacles", obstacle]),
 ];
-byId("add").append(...additions.map(([name], i) => new Option(name, i)));
+// A side view of a load or an obstacle, all to one scale; what is liquid is blue.
+function pictured(thing) {
+  const { size, radius, height, type } = thing.shape ?? thing, image = svg("svg", { viewBox: "-12 -26 24 26", width: 24, height: 26 });
+  const [w, h] = [100 * (size?.[0] ?? 2 * radius), 100 * (size?.[2] ?? height ?? 2 * radius)];
+  svg("rect", { x: -w / 2, y: -h, width: w, height: h, rx: type === "sphere" ? w / 2 : 0.6, fill: thing.shape ? "#e69f00" : "#8a919b" }, image);
+  if (thing.liquid) svg("rect", { x: -100 * thing.liquid.radius, y: -100 * thing.liquid.fill, width: 200 * thing.liquid.radius, height: 100 * thing.liquid.fill, fill: "#0072b2" }, image);
+  return image;
+}
+byId("add").append(...additions.map(([name, , thing], i) => {
+  const entry = new Option("", i);
+  entry.append(pictured(thing), name);
+  return entry;
+}));
 byId("add").addEventListener("change", (event) => {
   const [name, key, value] = additions[Number(event.target.value)], there = state.answer.parts.filter((part) => part.key[0] === key);
   event.target.value = "";
