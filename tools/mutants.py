@@ -134,12 +134,12 @@ def _children(node: ast.AST) -> Iterator[ast.AST]:
     """What may be changed below a node: no texts, annotations, decorators, words of an error."""
     if isinstance(node, ast.JoinedStr | ast.Raise | ast.Import | ast.ImportFrom):
         return
-    if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
-        return
     for name, value in ast.iter_fields(node):
         if name in ("annotation", "returns", "decorator_list", "type_params", "bases"):
             continue
         for child in value if isinstance(value, list) else [value]:
+            if isinstance(child, ast.If) and "TYPE_CHECKING" in ast.unparse(child.test):
+                continue
             if isinstance(child, ast.AST) and getattr(child, "arg", None) not in PRECAUTIONS:
                 yield child
 

@@ -177,10 +177,12 @@ def test_watchdog_brakes_to_rest_within_the_torque_rate(plan: Plan) -> None:
 @pytest.mark.slow
 def test_undisturbed_the_watchdog_is_silent_and_torques_are_the_controllers(plan: Plan) -> None:
     arm, carried, controller = _parts(plan)
-    robot = SimulatedRobot(plan, arm, 0.0, realtime=False)
+    robot = SimulatedRobot(plan, arm, 0.1, realtime=False)
     log_ = Drive(
-        robot, controller, plan.joint, arm, carried, robot.start_time, 1.5, Watchdog(), controlled_stops(arm, carried)
+        robot, controller, plan.joint, arm, carried, robot.start_time, 1.6, Watchdog(), controlled_stops(arm, carried)
     ).run()  # type: ignore[arg-type]
+    t = robot.record({}, 0.0).t
+    np.testing.assert_allclose(t, np.linspace(0.0, 1.6, 321), atol=1e-9)  # evenly, beyond the plan's end too
     assert log_.stopped == ""
     assert np.abs(log_.q - log_.q_wanted).max() < 2e-3
     _, _, again = _parts(plan)

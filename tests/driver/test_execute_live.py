@@ -335,6 +335,7 @@ def test_a_run_takes_its_options():
     """The record of the live motion is as long as the run, unless it is to be longer."""
     assert LiveRunOptions(longest=300.0).kept.record == 300.0
     assert LiveRunOptions(longest=30.0, live=LiveOptions(record=500.0)).kept.record == 500.0
+    assert run_live.__kwdefaults__["realtime"]  # only a simulated arm can wait for the planner
 
 
 def heard_in(prompter, heard, periods):

@@ -67,7 +67,7 @@ def task(legs=None, **changes):
         ],
         "contact": {"condition": "exact"},
         "arm": {"model": "panda"},
-        "physics": {"settle_before": 0.2, "settle_after": 0.1},
+        "physics": {"timestep": 1e-3, "settle_before": 0.2, "settle_after": 0.1},
         **changes,
     }
     return data
