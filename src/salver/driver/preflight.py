@@ -15,6 +15,7 @@ from salver.contact_margins import margins
 from salver.errors import SalverError
 from salver.geometry import log
 from salver.models.arm.arm_geometry import arm_geometry
+from salver.models.described import Wall
 from salver.models.tray_motion import FULL_SPEED
 from salver.planning.follow.clearance import sweep
 from salver.planning.follow.forward import tray_motion
@@ -104,9 +105,8 @@ def check_plan(
 def looked_at(joint: JointMotion, options: PreflightOptions = STANDARD) -> JointMotion:
     """The motion resampled at the instants at which it is judged."""
     pieces = np.maximum(options.pieces, np.ceil(np.diff(joint.t) / options.step)).astype(int)
-    parts = [np.linspace(a, b, n, endpoint=False) for a, b, n in zip(joint.t[:-1], joint.t[1:], pieces, strict=True)]
-    t = np.concatenate([*parts, joint.t[-1:]])
-    return JointMotion(t, *joint.sample(t))
+    t, z = joint.evenly(pieces)
+    return JointMotion(t, *z[:3])
 
 
 def _numbers(plan: Plan, arm: ArmModel, options: PreflightOptions) -> Check:
@@ -151,9 +151,8 @@ def _arm(motion: JointMotion, arm: ArmModel, bodies: Sequence[Body], plan: Plan)
     parts = arm_geometry(arm, bodies, plan.scenario.around)
     status, swept = verdict(arm, motion, bodies, parts, BETWEEN), sweep(parts, motion)
     near, touch = swept.nearest, swept.touch
-    floor = "" if plan.scenario.floor is None else ", the floor"
-    box = "" if plan.scenario.surroundings.keep_in is None else ", the keep-in box"
-    around = f"{floor}{box} and {len(plan.scenario.obstacles) or 'no'} obstacles"
+    walls = dict.fromkeys(f", the {one.name}" for one in plan.scenario.around if isinstance(one, Wall))
+    around = f"{''.join(walls)} and {len(plan.scenario.obstacles) or 'no'} obstacles"
     if near is None:
         sentence = "Nothing is known of the arm's shape, so collisions cannot be excluded."
     elif touch is not None:
