@@ -296,7 +296,6 @@ def test_feet_are_at_the_base():
     assert feet.sum() == 4
     np.testing.assert_allclose(scene.model.geom_pos[feet][:, 2], -0.02 + FOOT_RADIUS)
     np.testing.assert_array_equal(scene.foot_number[feet], range(4))
-    np.testing.assert_array_equal(scene.foot_support[feet], -1)
 
 
 def test_a_block_across_two_others_has_feet_on_both():

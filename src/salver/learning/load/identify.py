@@ -158,13 +158,10 @@ def identify(plan: Plan, loaded: Sequence[Log], empty: Log, bounds: SensorBounds
     return identify_runs(plan.scenario, [LoggedRun(plan, log, empty) for log in loaded], bounds=bounds)
 
 
-def identify_runs(
-    scenario: Scenario, runs: Sequence[LoggedRun], within: Scenario | None = None, bounds: SensorBounds | None = None
-) -> Identified:
+def identify_runs(scenario: Scenario, runs: Sequence[LoggedRun], bounds: SensorBounds | None = None) -> Identified:
     """Identify a scenario's load from runs of any plans, in which it stood at the same position on the tray.
 
-    within: a scenario of the same load whose ranges contain it too, to which the result is restricted; default: the
-    scenario. Raises as `identify` does.
+    Raises as `identify` does.
     """
     one_load(scenario, "identification")
     if any(run.plan.joint is None for run in runs):
@@ -195,7 +192,7 @@ def identify_runs(
             f"{body.name}; at most {OPTIONS.impossible:g} is accepted: check its shape and place, "
             "the log of the empty tray and the sensor's axes."
         )
-    ranges = narrowed(scenario, estimate, scenario if within is None else within, inside)
+    ranges = narrowed(scenario, estimate, inside)
     told = not_shown(ranges, found.sensors)
     return Identified(
         scenario,

@@ -38,15 +38,12 @@ def half_ranges(scenario: Scenario) -> Array:
     return np.array([ranges.get(name, 0.0) for name in INERTIAL])
 
 
-def narrowed(
-    scenario: Scenario, estimate: Estimate, within: Scenario, inside: bool, denied_from: float = 4.5
-) -> dict[str, Range]:
-    """Ranges of mass, centre of mass and inertia in the scenario's B, within those of `within`, a scenario of the same
-    load. inside: whether a mass inside the shape can have the scenario's inertia. denied_from: standard deviations
-    from which on the logs contradict an inertia without a range."""
-    body, half = within.payload.first, half_ranges(within)
+def narrowed(scenario: Scenario, estimate: Estimate, inside: bool, denied_from: float = 4.5) -> dict[str, Range]:
+    """Ranges of mass, centre of mass and inertia in the scenario's B, within its own. inside: whether a mass inside the
+    shape can have the scenario's inertia. denied_from: standard deviations from which on the logs contradict an inertia
+    without a range."""
+    body, half = scenario.payload.first, half_ranges(scenario)
     nominal = inertial_vector(body.inertial)
-    nominal[1:4] += body.com_G - scenario.payload.first.com_G
     off = slid(estimate)
     sure, likely, denied = (
         (low - off, high + off) for low, high in (intervals(estimate, width) for width in (WIDTH, LIKELY, denied_from))
@@ -54,14 +51,14 @@ def narrowed(
     before = nominal - half, nominal + half
     found = {name: _within(k, sure, before, likely) for k, name in enumerate(NAMES)}
     if inside:
-        points = scenario.payload.first.points_B
+        points = body.points_B
         low, high = np.array([(found[name].low, found[name].high) for name in NAMES[1:]]).T
         away = np.clip(0.5 * (points.min(axis=0) + points.max(axis=0)), low, high)
         most = found["mass"].high * (points.max(axis=0) - away) * (away - points.min(axis=0))  # Bhatia and Davis 2000
         reach = np.full(6, 2 * most.sum())
         allowed = consistent(-reach, reach, most)
     else:
-        most, spread = np.full(3, np.inf), prior(within)[1][4:]
+        most, spread = np.full(3, np.inf), prior(scenario)[1][4:]
         allowed = nominal[4:] - spread, nominal[4:] + spread
     ranged = np.asarray(half[4:] > 0) & (not body.any_contents)
     for old, new in zip(before, allowed, strict=True):

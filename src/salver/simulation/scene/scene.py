@@ -18,7 +18,6 @@ import numpy as np
 from salver.errors import ScenarioError
 from salver.geometry import Array, Indices, quat_wxyz_from_matrix
 from salver.models.arm.arm import ArmModel
-from salver.models.bodies import TRAY
 from salver.scenario import Scenario
 from salver.simulation.scene.elements import (
     ARM_PREFIX,
@@ -60,8 +59,8 @@ class Scene:
     model: mujoco.MjModel. arm: the arm, or None if the tray is the engine's world.
     world: the true loads. tray_id, object_ids: MuJoCo bodies. n: joints of the arm.
     qpos_ids, qvel_ids: (m,) first index of each object's free joint. contact_time: solref[0], s.
-    foot_object, foot_support, foot_number: (n_geom,) for each geom the index of the object whose foot it is (-1: no
-    foot), the index of the object that supports it (-1: the tray), its number in `Load.outline_B`.
+    foot_object, foot_number: (n_geom,) for each geom the index of the object whose foot it is (-1: no foot), and its
+    number in `Load.outline_B`.
     obstacle: (n_geom,) whether a geom is an obstacle or the floor.
     swings: the liquids and pendulums, in the order of the objects. shaking: vibration of the tray, or None. sliding:
     kinetic friction, or None where it is the static one.
@@ -76,7 +75,6 @@ class Scene:
     qvel_ids: Array
     contact_time: float
     foot_object: Array
-    foot_support: Array
     foot_number: Array
     obstacle: Array
     swings: tuple[Swing, ...] = ()
@@ -232,12 +230,10 @@ def _compiled(spec: Any, arm: ArmModel | None, world: TrueWorld, contact_time: f
         if inertia := lent(load.still):
             model.body(f"salver:object:{k}").inertia -= inertia
             mujoco.mj_setConst(model, mujoco.MjData(model))
-    foot = np.full((3, model.ngeom), -1)
-    index = {load.name: k for k, load in enumerate(world.loads)}
+    foot = np.full((2, model.ngeom), -1)
     for k, load in enumerate(world.loads):
-        for number, support in foot_supports(load):
-            geom = model.geom(foot_name(k, number)).id
-            foot[:, geom] = k, -1 if support == TRAY else index[support], number
+        for number, _ in foot_supports(load):
+            foot[:, model.geom(foot_name(k, number)).id] = k, number
     joints = [model.joint(f"salver:object:{k}").id for k in range(len(world.loads))]
     return Scene(
         model=model,
@@ -249,8 +245,7 @@ def _compiled(spec: Any, arm: ArmModel | None, world: TrueWorld, contact_time: f
         qvel_ids=model.jnt_dofadr[joints],
         contact_time=contact_time,
         foot_object=foot[0],
-        foot_support=foot[1],
-        foot_number=foot[2],
+        foot_number=foot[1],
         obstacle=np.array([model.geom(i).name.startswith((OBSTACLE, FLOOR)) for i in range(model.ngeom)]),
         swings=tuple(_found_swing(model, k, load) for k, load in enumerate(world.loads) if load.value is not None),
     )
