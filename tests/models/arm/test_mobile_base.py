@@ -17,7 +17,7 @@ from salver.models.arm.known_arms import KNOWN_ARMS
 from salver.planning.fastest import plan_fastest, transport_problem
 from salver.planning.fastest.retiming import plan_retimed
 from salver.planning.follow.limits import verdict
-from salver.planning.trajopt.constraints.constraints import Rolling
+from salver.planning.trajopt.constraints.constraints import Driving
 from salver.planning.verdict.verify import verify
 from salver.simulation.physics import simulate
 from salver.simulation.scene.loads import true_world
@@ -223,13 +223,15 @@ def test_no_verdict_lets_a_differential_base_slide_sideways(column):
     sideways = plan_fastest(task(column, (0.0, 1.5)))
     case = task({**column, "base": {**column["base"], "kind": "differential"}}, (0.0, 1.5))
     found = verify(transport_problem(case), sideways.joint)
-    assert found.sentence.startswith("rolling would be exceeded"), found.sentence
+    assert found.sentence.startswith("velocity of the base across its heading would be exceeded"), found.sentence
     said = verdict(load_arm(case.arm, case.tray), sideways.joint).sentence
     assert "the base moves across its heading at " in said
+    assert ", above 0.005 m/s" in said
     assert not plan_retimed(case, sideways.joint.q[::20]).ok
 
 
-def test_derivatives_of_rolling_are_those_of_differences():
+@pytest.mark.parametrize("way", [0, 1])
+def test_derivatives_of_the_velocities_of_a_base_are_those_of_differences(way):
     rng = np.random.default_rng(4)
     case = task(on_ridgeback(kind="differential"))
     problem = transport_problem(case)
@@ -237,7 +239,8 @@ def test_derivatives_of_rolling_are_those_of_differences():
 
     def rows(z):
         motion = problem.at(np.linspace(0.0, 1.0, 6), z, 1.0)
-        return next(iter(Rolling(problem.arm).blocks(motion)))
+        blocks = list(Driving(problem.arm, problem.limits).blocks(motion))
+        return blocks[way]
 
     node, row = (x.ravel() for x in np.indices((6, 2)))
     gradient, step = rows(z).gradient(node, row).reshape(-1, 4, 9), 1e-6
@@ -246,3 +249,21 @@ def test_derivatives_of_rolling_are_those_of_differences():
             moved = z.copy()
             moved[k, :, j] += step
             assert ((rows(moved).values - rows(z).values) / step).ravel() == pytest.approx(gradient[:, k, j], abs=1e-5)
+
+
+def test_a_base_keeps_its_limits_along_and_across_its_heading(column):
+    """At 45 deg it would be 1.41 times as fast if only the fixed axes were limited; an omnidirectional one may turn
+    to drive slantwise."""
+    slow = {"velocity": [1.0, 1.0, 2.0], "acceleration": 10.0, "jerk": JERK}
+    durations = {}
+    for kind in ("differential", "omnidirectional"):
+        base = {**column["base"], "limits": slow, "kind": kind}
+        plan = plan_fastest(task({**column, "base": base}, (2.0, 2.0), 45.0))
+        assert plan.ok, plan.status
+        q, dq, _ = plan.joint.sample(np.linspace(0.0, plan.duration, 500))
+        along = np.cos(q[:, 2]) * dq[:, 0] + np.sin(q[:, 2]) * dq[:, 1]
+        across = np.cos(q[:, 2]) * dq[:, 1] - np.sin(q[:, 2]) * dq[:, 0]
+        assert 0.97 < np.abs(along).max() <= 0.98
+        assert np.abs(across).max() <= (0.005 if kind == "differential" else 0.98)
+        durations[kind] = plan.duration
+    assert durations["omnidirectional"] < 0.9 * durations["differential"]

@@ -21,7 +21,7 @@ from salver.geometry import GRAVITY_S, Array, adjoint, invert
 from salver.models.arm.arm_limits import JointLimits, VelocityByPosition, joint_limits, read_joint_limits
 from salver.models.arm.known_arms import KNOWN_ARMS, robot_file
 from salver.models.arm.mobile_base import JOINTS, on_base
-from salver.models.arm.tables import Arm, ArmLimits
+from salver.models.arm.tables import Arm, ArmLimits, MobileBase
 from salver.models.arm.urdf import LARGEST_LINK, SUFFIXES, read_chain, read_disabled_pairs
 from salver.models.contact.contact import ContactSet
 from salver.models.described import Tray
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from salver.models.bodies import Body
 
 TRAY_FRAME = "salver_tray"
+DRIVEN = ("along", "across")  # ways in which a base drives, beside its heading
 OWN = ("the URDF", "the maker of")  # beginnings of the sources of the arm's own limits
 # Of a moving link to which the URDF gives no mass, in the physics engine: 10 kg, 0.1 kg m^2. It is heavy, so that the
 # load hardly moves the arm, as it does not move one under position control.
@@ -52,8 +53,8 @@ class ArmModel:
     geometry: "meshes" (refuse), "capsules" (fit some), "unchecked" (leave them out). disabled_pairs: (first, second),
     sorted: links that the SRDF excludes from comparison. weightless: moving links to which, with everything fixed to
     them, the URDF gives no mass. If there are any, torques are unknown: the arm has no torque limits, and counts as
-    position-controlled. base_position, R_base: (3,) m and (3, 3), pose of the URDF's root in S. sideways: largest
-    velocity of the base across its heading, m/s; infinite unless it is a differential one. p_FE, R_FE: (3,) m and
+    position-controlled. base_position, R_base: (3,) m and (3, 3), pose of the URDF's root in S. base: one that drives,
+    as the scenario has it; its joints are the first three. p_FE, R_FE: (3,) m and
     (3, 3), pose in F of the middle of the tray's top surface. tray_com_E: (3,) the tray's centre of mass in E.
     tray_size: (3,) edges of the box around it, with its rim, along the axes of E, m.
     """
@@ -78,7 +79,7 @@ class ArmModel:
     weightless: tuple[str, ...]
     base_position: Array
     R_base: Array
-    sideways: float
+    base: MobileBase | None
     p_FE: Array
     R_FE: Array
     tray_com_E: Array
@@ -94,10 +95,18 @@ class ArmModel:
         return "m" if self.linear[joint] else "rad"
 
     def base_velocity(self, q: Array, dq: Array) -> tuple[Array, Array]:
-        """Velocities (...), m/s, of a base that drives, along its heading and across it, from positions and velocities
-        of all joints (..., n)."""
-        cosine, sine = np.cos(q[..., 2]), np.sin(q[..., 2])
-        return cosine * dq[..., 0] + sine * dq[..., 1], cosine * dq[..., 1] - sine * dq[..., 0]
+        """Velocity (N, 2) of a base that drives, m/s, along and across its heading, and these two directions (N, 2, 2)
+        in the axes of base_x and base_y, from positions and velocities of all joints (N, n)."""
+        cosine, sine = np.cos(q[:, 2]), np.sin(q[:, 2])
+        axes = np.stack([np.stack([cosine, sine], axis=1), np.stack([-sine, cosine], axis=1)], axis=1)
+        return (axes @ dq[:, :2, None])[:, :, 0], axes
+
+    def base_limits(self, limits: JointLimits) -> tuple[float, float]:
+        """Largest of these two velocities, m/s: the limits of base_x and base_y; across the heading of a differential
+        base, that at which it counts as rolling."""
+        assert self.base is not None
+        along, across = limits.velocity[:2].tolist()
+        return along, self.base.sideways if self.base.kind == "differential" else across
 
     def tray_pose(self, q: Array) -> tuple[Array, Array]:
         """(p_SE, R_SE) at joint positions q (n,)."""
@@ -246,7 +255,7 @@ def load_arm(arm: Arm, tray: Tray) -> ArmModel:
         weightless=weightless,
         base_position=np.array(arm.base_position),
         R_base=arm.R_base,
-        sideways=arm.base.sideways if arm.base is not None and arm.base.kind == "differential" else np.inf,
+        base=arm.base,
         p_FE=p_FE,
         R_FE=R_FE,
         tray_com_E=com_E,

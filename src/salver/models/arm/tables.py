@@ -53,7 +53,7 @@ class MobileBase(Model):
     y: tuple[Place, Place]
     yaw_deg: tuple[Degrees, Degrees] = (-180.0, 180.0)
     limits: ArmLimits = ArmLimits()
-    sideways: Annotated[Number, Field(gt=0, le=1)] = 0.005
+    sideways: Annotated[Number, Field(ge=0.002, le=1)] = 0.005
     mount: Point | None = None
     mount_rpy_deg: Turns = (0.0, 0.0, 0.0)
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from salver.errors import Status
 from salver.geometry import Array
-from salver.models.arm.arm import ArmModel, with_load
+from salver.models.arm.arm import DRIVEN, ArmModel, with_load
 from salver.models.arm.arm_geometry import ArmGeometry, arm_geometry
 from salver.models.arm.arm_limits import LIMITS, STANDING, LimitKind
 from salver.models.bodies import Body
@@ -149,8 +149,8 @@ def verdict(
         f"the {peak.kind} of {peak.joint} reaches {peak.value:.4g} {peak.unit} at t = {peak.time:.2f} s, {_over(peak)}"
         for peak in broken
     ]
-    sideways = _sideways(arm, motion)
-    sentences += [sideways] if sideways else []
+    driven = _driven(arm, motion, between)
+    sentences += driven
     swept = sweep(parts, motion)
     for key, near in (("clearance", swept.nearest), ("obstacle_clearance", swept.obstacle), (COLLISION, swept.touch)):
         if near is not None:
@@ -159,7 +159,7 @@ def verdict(
         touch = swept.touch
         sentences.append(f"{touch.first} and {touch.second} touch at t = {touch.time:.2f} s")
     if sentences:
-        code = LIMIT_EXCEEDED if broken or sideways else COLLISION
+        code = LIMIT_EXCEEDED if broken or driven else COLLISION
         return Status(code, f"{arm.name} cannot follow: {'; '.join(sentences)}.", False, details)
     first = f"Not checked: {'; '.join(blind)}. " if blind else ""
     worst = max(found, key=lambda peak: peak.share)
@@ -170,16 +170,19 @@ def verdict(
     return Status(WITHIN_LIMITS, f"{first}{arm.name} follows within its limits; {nearest}.", True, details)
 
 
-def _sideways(arm: ArmModel, motion: JointMotion) -> str:
-    """Where a differential base would have to move across its heading, in words; "" where it rolls."""
-    if np.isinf(arm.sideways):
-        return ""
-    t = np.linspace(motion.t[0], motion.t[-1], 2 * max(200, len(motion.t)))
-    across = np.abs(arm.base_velocity(*motion.sample(t)[:2])[1])
-    k = int(np.argmax(across))
-    if across[k] <= arm.sideways:
-        return ""
-    return f"the base moves across its heading at {across[k]:.3g} m/s at t = {t[k]:.2f} s, and its wheels only roll"
+def _driven(arm: ArmModel, motion: JointMotion, between: float) -> list[str]:
+    """Where a base drives faster, along or across its heading, than it may, in words."""
+    if arm.base is None:
+        return []
+    t, found = np.linspace(motion.t[0], motion.t[-1], 2 * max(200, len(motion.t))), []
+    speed = np.abs(arm.base_velocity(*motion.sample(t)[:2])[0])
+    for way, v, most in zip(DRIVEN, speed.T, arm.base_limits(arm.planning_limits), strict=True):
+        k = int(np.argmax(v))
+        if v[k] > most * (1 + between) + 1e-9:
+            found.append(
+                f"the base moves {way} its heading at {v[k]:.3g} m/s at t = {t[k]:.2f} s, above {most:.3g} m/s"
+            )
+    return found
 
 
 def _over(peak: Peak) -> str:

@@ -363,7 +363,7 @@ def _stray_at_rest(problem: TransportProblem, q: Array) -> float:
 def straight(pair: Ends, arm: ArmModel | None = None) -> Start:
     """The straight path in joint space; on a differential base (of `arm`) it turns on the spot, drives, and turns."""
     postures = np.stack([pair.start, pair.goal])
-    if arm is not None and np.isfinite(arm.sideways):
+    if arm is not None and arm.base is not None and arm.base.kind == "differential":
         x, y, _ = (pair.goal - pair.start)[:3]
         postures = postures.repeat(2, axis=0)
         heading = np.arctan2(y, x)  # forwards, or backwards if that is nearer

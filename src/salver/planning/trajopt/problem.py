@@ -40,9 +40,9 @@ from salver.planning.trajopt.constraints.constraints import (
     Clearance,
     Constraint,
     ContactConstraint,
+    Driving,
     JointLimit,
     LevelConstraint,
-    Rolling,
     TiltConstraint,
     TorqueLimit,
     TorqueRateLimit,
@@ -150,8 +150,8 @@ class TransportProblem:
         found += [PassPose(self.arm, end.target, f"pose {k} to pass") for k, end in enumerate(self.through, 1)]
         if self.keep_out is not None:
             found.append(Clearance(self.keep_out))
-        if np.isfinite(self.arm.sideways):
-            found.append(Rolling(self.arm))
+        if self.arm.base is not None:
+            found.append(Driving(self.arm, limits))
         return (*found, *self.extra)
 
     def at(

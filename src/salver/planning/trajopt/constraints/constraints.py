@@ -7,7 +7,7 @@
     LevelConstraint         |e_x . R_SE^T e_z|, |e_y . R_SE^T e_z| - tolerance
     TiltConstraint          (cos(largest) - e_z . R_SE e_z) / (1 - cos(largest))
     Clearance               (required + deviation - distance) / 0.1 m
-    Rolling                 (|velocity of the base across its heading| - largest) / (1 m/s)
+    Driving                 (|velocity of the base along, across its heading| - largest) / (1 m/s)
 
 The optimiser gets a list of `Constraint` objects; users can add subclasses (docs/extending.md). Rows are scaled such
 that 0 is the limit and 1 the size of the quantity: the limit itself, or the weight of an object.
@@ -26,7 +26,7 @@ import numpy as np
 from salver.dynamics.load_rows import LoadRows
 from salver.dynamics.motion_gradients import Unknowns
 from salver.geometry import Array, Indices, hat
-from salver.models.arm.arm import ArmModel
+from salver.models.arm.arm import DRIVEN, ArmModel
 from salver.models.arm.arm_limits import LIMITS, JointLimits, LimitKind
 from salver.models.contact_rows import ContactRows
 from salver.models.tray_motion import FULL_SPEED, Speed
@@ -452,33 +452,32 @@ class Clearance(Constraint):
 
 
 @dataclass(frozen=True, eq=False)
-class Rolling(Constraint):
-    """A differential base does not move across its heading: |cos(yaw) dy - sin(yaw) dx| <= largest, of the motion."""
+class Driving(Constraint):
+    """Velocities of a base that drives, along its heading and across it, within `ArmModel.base_limits`, of the motion
+    itself; in units of 1 m/s."""
 
     arm: ArmModel
+    limits: JointLimits
 
     def blocks(self, motion: MotionEvaluation) -> Iterator[Block]:
-        q, dq = motion.z[:2]
-        along, across = self.arm.base_velocity(q, dq)
+        n, points = motion.n, np.arange(len(motion.s))
+        velocity, axes = self.arm.base_velocity(*motion.z[:2])
+        by_yaw = np.stack([velocity[:, 1], -velocity[:, 0]], axis=1)
+        for k, most in enumerate(self.arm.base_limits(self.limits)):
+            if np.isinf(most):
+                continue
 
-        def gradient(i: Indices, f: Indices) -> Array:
-            rows = np.zeros((len(i), 4 * motion.n))
-            rows[:, 2] = -along[i]
-            rows[:, motion.n], rows[:, motion.n + 1] = -np.sin(q[i, 2]), np.cos(q[i, 2])
-            return np.where(f == 0, 1.0, -1.0)[:, None] * rows
+            def gradient(i: Indices, f: Indices, k: int = k) -> Array:
+                rows = np.zeros((len(i), 4 * n))
+                rows[:, 2], rows[:, n : n + 2] = by_yaw[i, k], axes[i, k]
+                return np.where(f == 0, 1.0, -1.0)[:, None] * rows
 
-        def in_words(excess: float) -> str:
-            return f"{1e3 * excess:.3g} mm/s"
-
-        values = both_sides(across[:, None], -self.arm.sideways)
-        margins = (0.2 * self.arm.sideways, FINEST)
-        yield Block(
-            "rolling",
-            values,
-            gradient,
-            np.arange(len(q)),
-            margins,
-            slows=1 / self.arm.sideways,
-            always=True,
-            in_words=in_words,
-        )
+            yield Block(
+                f"velocity of the base {DRIVEN[k]} its heading",
+                both_sides(velocity[:, k : k + 1], -most),
+                gradient,
+                points,
+                slows=1 / most,
+                always=True,
+                in_words=lambda excess: f"{1e3 * excess:.3g} mm/s",
+            )
