@@ -256,8 +256,8 @@ def page(records: list[dict[str, Any]], ran: list[dict[str, Any]], others: list[
         "the arms that salver knows and on two URDFs, no floor; every other one has one to three obstacles near it.",
         f"Each is planned at the default effort, {also or 'and nothing else:'}",
         "what any of these solves counts as solvable, and the shortest duration is the best known; nothing says that",
-        "no shorter one exists. A task that was planned at the default effort only has nothing to be compared with.",
-        "Processor times of one core.",
+        "no shorter one exists. A task that was planned at the default effort only is not compared.",
+        "Times are processor times of one core.",
         "",
         table(records),
         "",
@@ -313,7 +313,7 @@ def _exceptions(records: list[dict[str, Any]]) -> list[str]:
         "",
         f"More than 3 % above the best known: {'; '.join(slower) or 'none'}.",
         "",
-        f"Solved by none: {', '.join(unsolved) or 'none'}.",
+        f"Not solved in any run: {', '.join(unsolved) or 'none'}.",
         "",
     ]
 
@@ -325,7 +325,7 @@ def _in_engine(records: list[dict[str, Any]], ran: list[dict[str, Any]]) -> str:
     lost = [f"{run['number']} ({run['runs'] - run['held']})" for run in of_these if run["held"] < run["runs"]]
     solved = sum(r["default"]["duration"] is not None for r in records)
     return (
-        "In the physics engine, with the arm and with objects at corners of what is uncertain (`--corners 10`), "
+        "In the physics engine, with the arm and with objects at corners of the uncertain set (`--corners 10`), "
         f"{sum(run['held'] for run in of_these)} of {sum(run['runs'] for run in of_these)} runs hold, of "
         f"{len(of_these)} of the {solved} solved tasks. {sum(run['distinct'] for run in of_these)} of them are "
         "different: a corner that was drawn again, and a task without ranges, is run once and counted as often."

@@ -72,7 +72,7 @@ def acceleration() -> Any:
         zero = float(np.interp(0, -values, a))
         axes.plot(zero, 0, "o", color=colour, markersize=4)
         axes.annotate(f"{zero:.2f} m/s²", (zero, 0), (4, 6), textcoords="offset points", color=colour, fontsize=8)
-    axes.set(xlabel="sideways acceleration of a level tray (m/s²)", ylabel="what is left (N)", xlim=(0, 5.6))
+    axes.set(xlabel="sideways acceleration of a level tray (m/s²)", ylabel="margin (N)", xlim=(0, 5.6))
     axes.legend(loc="lower left")
     return figure
 
@@ -233,11 +233,13 @@ def ranges() -> Any:
         look = {"color": style.ROLE_COLOURS[role], "linestyle": ROLE_DASHES[role], "label": label}
         samples = plan.evaluation.samples
         speeding.plot(samples.t, samples.a_S @ way / np.linalg.norm(way), **look)
-        left.plot(plan.margins.t, 100 * plan.margins.exact_worst, **look)
+        worst = 100 * plan.margins.exact_worst
+        left.plot(plan.margins.t, worst, **{**look, "label": f"least {worst.min():.1f} %"})
     for axes in (speeding, left):
         axes.axhline(0, color=style.BLACK, linewidth=0.6)
     speeding.set(ylabel="acceleration along\nthe path, m/s²")
     speeding.legend(loc="upper right")
+    left.legend(loc="upper left", bbox_to_anchor=(0.03, 1.12))
     left.set(xlabel="time, s", ylabel="worst-case margin,\n% of the weight", xlim=(0, None))
     left.annotate("below 0 the bottle may slide or tip", (0.2, -16), fontsize=8)
     return _tight(speeding.figure)
@@ -352,15 +354,11 @@ def sloshing() -> Any:
     line = make_plan(scenario.with_changes(motion__duration=plan.duration), "baseline", arm=False)
     for role, made, label in (("plan", plan, "planned with the liquid"), ("baseline", line, "straight line")):
         (spill,) = made.margins.load_verdicts(worst=True)
-        curve.plot(
-            spill.t,
-            1e3 * (spill.inner.edge(spill.inner.value) - spill.size),
-            color=style.ROLE_COLOURS[role],
-            linestyle=ROLE_DASHES[role],
-            label=label,
-        )
+        room = 1e3 * spill.left
+        look = {"color": style.ROLE_COLOURS[role], "linestyle": ROLE_DASHES[role]}
+        curve.plot(spill.t, room, label=f"{label}: least {room.min():.0f} mm", **look)
     curve.axhline(0, color=style.BLACK, linewidth=0.8)
-    curve.set(xlabel="time, s", ylabel="highest crest to brim, mm", xlim=(0, plan.duration), ylim=(-28, 26))
+    curve.set(xlabel="time, s", ylabel="highest crest to brim, mm", xlim=(0, plan.duration), ylim=(-28, 34))
     curve.annotate("may spill below 0", (0.295, -14), fontsize=7)
     curve.legend(loc="upper right")
     return _tight(curve.figure)

@@ -161,7 +161,7 @@ def bodies(
     """All objects at rest, in their order. edges, phase: number of edges of the friction cones, first angle in rad.
     tray: with the rim against which some are set.
 
-    Raises ValueError when an object's support does not come before it, or a rim is missing against which one stands.
+    Raises ValueError when an object is listed before its support, or is set against a rim that the tray lacks.
     """
     made: dict[str, Body] = {}
     top: dict[str, float] = {TRAY: 0.0}
