@@ -92,7 +92,7 @@ def test_a_speed_that_is_none_is_refused_in_a_sentence(cube):
         said = live.override(wrong)
         assert not said.ok
         assert said.sentence.startswith("The override is refused: factor is ")
-        assert said.sentence.endswith("it must be a number from 0.05 to 1, and hold() stops.")
+        assert said.sentence.endswith("it must be a number from 0.05 to 1; call hold() to stop.")
     assert live.state.speed == ""
 
 

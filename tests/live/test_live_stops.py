@@ -81,7 +81,7 @@ def test_what_a_policy_requests_waits_for_the_operator(cube):
     drive(live, 0.2, [(0.0, lambda live: live.goto((0.45, 0.1, 0.45), source="policy"))])
     assert live.goto((0.5, -0.2, 0.45)).ok  # the operator takes over from a policy,
     sentence = live.twist(TWIST, source="policy").sentence  # and not the other way round,
-    assert sentence == "The twist is refused: what the operator requested is carried out first."
+    assert sentence == "The twist is refused: a request of the operator is carried out first."
     drive(live, 2.0, begins=0.2)
     assert live.settled
     assert live.twist(TWIST, source="policy").ok  # before that is done.

@@ -362,5 +362,5 @@ def test_poses_of_the_tray_and_of_the_object_that_move_apart_are_refused(apart):
     if apart < 0.02:
         assert of_columns(table).frame == "E"
     else:
-        with pytest.raises(FileFormatError, match="p_SE_x and p_SB_x are of points that move apart"):
+        with pytest.raises(FileFormatError, match="p_SE_x and p_SB_x belong to points that move apart"):
             of_columns(table)

@@ -162,8 +162,8 @@ class Senses:
         return inside & slow, ""
 
     def _follows(self, q: Array, dq: Array, elapsed: float) -> tuple[Mask, Array]:
-        """Whether the speed (n,) of each joint follows from the one before it, a time before; and rad by which its
-        positions then left the integral of their speeds."""
+        """Whether each joint's speed (n,) can follow from the speed of the reading before, `elapsed` s earlier; and the
+        drift (n,), rad, of its positions from the integral of the speeds."""
         plausible, before, time = self._plausible, self._read, max(elapsed, self._period)
         most = plausible.speed_change * self._arm.limits.velocity * time / self._period
         went = q - before.q

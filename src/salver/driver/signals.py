@@ -32,7 +32,8 @@ class Signals:
 def noted_signals(signals: Signals | None = None) -> Iterator[Signals]:
     """A context in which these signals interrupt nothing and are only noted; repeated signals count as one.
 
-    signals: an existing object that notes them. Python allows this in the main thread only; in others nothing changes.
+    signals: the object that notes them; default: a new one. Python allows this in the main thread only; in others
+    nothing changes.
     """
     signals, before = signals or Signals(), {}
 

@@ -41,7 +41,7 @@ class Reader:
         self.pieces = pieces
 
     def take(self, pieces: Pieces) -> None:
-        """Read from other pieces from now on."""
+        """Replace the pieces that `read` evaluates."""
         self.pieces, self._piece = pieces, 0
 
     def read(self, now: float) -> None:

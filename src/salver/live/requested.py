@@ -124,7 +124,7 @@ class Requested(Commanded):
             raise Refused(f"the arm was stopped by the {stopped.source}{why}; call resume() first")
         over = wish is self._done and not self._queue and self._now >= self.committed.ends
         if wish is not None and PRIORITY[source] < PRIORITY[wish.source] and not over:
-            raise Refused(f"what the {wish.source} requested is carried out first")
+            raise Refused(f"a request of the {wish.source} is carried out first")
 
     @answers("The goal")
     def goto(

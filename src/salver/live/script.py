@@ -323,7 +323,7 @@ class Prompter:
                 self._note({"t": t, "answer": told})
 
     def _due(self, one: Said | str, t: float) -> bool:
-        """Whether its turn has come; that of a stop comes by its time alone."""
+        """Whether a waiting line is due at time t, s. Stops are not asked for here: only their own time counts."""
         return isinstance(one, str) or (not one.stops and t >= (one.t or 0.0) - 1e-9)
 
     def _misunderstood(self, sentence: str, t: float) -> None:

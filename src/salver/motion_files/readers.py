@@ -230,7 +230,7 @@ def of_table(
             if np.ptp(np.linalg.norm(lines, axis=0)) > APART:
                 one, two = header[place["px"]], header[other["px"]]
                 raise FileFormatError(
-                    f"{source}: {one} and {two} are of points that move apart; leave out one of them."
+                    f"{source}: {one} and {two} belong to points that move apart; leave out one of them."
                 )
         pose = values[:, [place[name] for name in _POSE]]
         tray = tray_samples(t, units.length * pose[:, :3], pose[:, 3:], "B" if frame == "sb" else "E", source)

@@ -185,7 +185,7 @@ def factor_of(value: Any, least: float) -> float:
     except Refused:
         factor = np.nan
     if not least <= factor <= 1.0:
-        raise Refused(f"factor is {shown(value)}; it must be a number from {least:g} to 1, and hold() stops")
+        raise Refused(f"factor is {shown(value)}; it must be a number from {least:g} to 1; call hold() to stop")
     return factor
 
 

@@ -168,8 +168,8 @@ def tip_over_margin(contacts: ContactSet, wrench_B: Array) -> Array:
 def support_rows(contacts: ContactSet) -> tuple[Array, Array]:
     """Rows (n, 6), m, one for each edge of the support polygon, and the row (6,) of f_z.
 
-    (row F_B) / f_z is the distance of the zero-moment point beyond the edge. With walls there is a row for each facet
-    along which the object tips, and that distance is the one beyond the facet.
+    (row F_B) / f_z is the distance of the zero-moment point beyond the edge. With walls the rows are those of the
+    facets along which the object tips, and the distance is the one beyond a facet.
     """
     shift = _shift_to_centre(contacts.base)
     if contacts.on_walls:
