@@ -26,7 +26,7 @@ from salver.scenario import SCENARIO_DIR, names, parse
 from salver.simulation.scene.loads import true_world
 from salver.studio.live_mode import LiveMode
 from salver.studio.look import change, look
-from salver.studio.parts import LOADS, OBSTACLES, parts
+from salver.studio.parts import LOADS, OBSTACLES, parts, poses
 from salver.studio.planner import MORE
 from salver.studio.server import Studio
 from salver.studio.text import changed, checked
@@ -455,14 +455,14 @@ def test_the_plan_of_a_window_is_the_commands_and_another_window_has_its_own(tmp
     with Studio(text, Path("cube.toml"), tmp_path) as studio:
         here = say(studio, "plan", text=text, window="one")
         assert here["ok"], here
-        assert here["end"] == pytest.approx(here["duration"], abs=1e-5)
+        assert here["legs"][0]["end"] == pytest.approx(here["duration"], abs=1e-5)
         assert say(studio, "save", text=text)["saved"]
         other = say(studio, "plan", text=changed(text, [(["motion", "goal", "position", 1], 0.0)]), window="two")
         assert other["duration"] < here["duration"]
         seen = say(studio, "run", window="one")
         assert "the plan: holds" in seen["sentence"]
-        assert here["duration"] < seen["end"]
-        assert {variant["source"] for variant in seen["variants"]} == {"run"}
+        assert here["duration"] < seen["legs"][0]["end"]
+        assert {variant["source"] for variant in seen["legs"][0]["variants"]} == {"run"}
         assert "plan first" in say(studio, "run", window="three")["problem"]
         for window, duration in (("one", here["duration"]), ("two", other["duration"])):
             status, page = asked(studio, "GET", urlsplit(studio.url).path + f"report/{window}")
@@ -482,7 +482,7 @@ def test_stops_campaign_and_exports_are_those_of_the_plan_of_a_window(tmp_path):
         assert found["ok"], found
         seen = say(studio, "stops", window="one")
         assert "It can be stopped at any time within" in seen["sentence"]
-        assert [variant["key"] for variant in seen["variants"]] == ["plan", "baseline"]
+        assert [variant["key"] for variant in seen["legs"][0]["variants"]] == ["plan", "baseline"]
         assert "the plan: holds" in say(studio, "run", window="one")["sentence"]
         _, directory = studio._plans["one"]
         assert MORE["campaign"](directory, n=2)["sentence"].startswith(
@@ -498,12 +498,65 @@ def test_stops_campaign_and_exports_are_those_of_the_plan_of_a_window(tmp_path):
         assert asked(studio, "GET", f"{path}docx/one")[0] == 404
 
 
+ROUND = (SCENARIO_DIR / "waiters-round.toml").read_text()
+
+
+def test_each_leg_is_shown_with_the_load_that_it_carries():
+    for k, carried in enumerate((["glass1", "glass2", "glass3"], ["glass2", "glass3"], ["glass3"])):
+        seen = shown(ROUND, leg=k)
+        assert seen["legs"] == [3, k]
+        assert [item["name"] for item in seen["scene"]["objects"]] == carried
+        start, goal, *_ = seen["parts"]
+        assert start["key"] == (["legs", k - 1, "goal"] if k else ["motion", "start"])
+        assert goal["key"] == ["legs", k, "goal"]
+        held = [part["name"] for part in seen["parts"] if part["key"][0] == "objects" and "handle" in part]
+        assert held == carried
+        assert "does not hold below" in seen["line"]["sentence"]
+    assert shown(ROUND, leg=9)["legs"] == [3, 2]  # another window has taken legs away
+    assert shown(CUBE, leg=2)["legs"] == [0, 0]
+
+
+def test_via_poses_are_dragged_and_all_poses_follow_the_first_object_on_a_tray_that_stays():
+    via = [{"position": [0.5, -0.1, 0.5]}, {"position": [0.48, 0.0, 0.55]}]
+    text = changed(CUBE, [(["motion", "duration"], None), (["motion", "through"], via), (["plan"], None)])
+    names_of = [part["name"] for part in parts(checked(text, SCENARIO_DIR)) if part["key"][0] == "motion"]
+    assert names_of == ["start", "via 1", "via 2", "goal", "motion"]
+    for before in (text, ROUND):
+        was = poses(checked(before, SCENARIO_DIR))
+        at = checked(before, SCENARIO_DIR).objects[0].at
+        after = change(before, SCENARIO_DIR, [(["objects", 0, "at"], np.add(at, [0.012, -0.007]).tolist())])
+        now = poses(checked(after, SCENARIO_DIR))
+        assert len(was) == len(now) == 4
+        for (_, key, one), (_, other_key, other) in zip(was, now, strict=True):
+            assert key == other_key
+            R_SE = one.rotation @ checked(before, SCENARIO_DIR).bodies[0].R_EB.T
+            np.testing.assert_allclose(np.subtract(other.position, one.position), R_SE @ [0.012, -0.007, 0], atol=2e-6)
+
+
+@pytest.mark.slow
+def test_a_task_of_several_legs_is_planned_run_and_reported_in_a_window(tmp_path):
+    with Studio(ROUND, tmp_path / "round.toml", SCENARIO_DIR) as studio:
+        found = say(studio, "plan", text=ROUND, window="one")
+        assert found["ok"], found
+        assert sum(leg["end"] for leg in found["legs"]) == pytest.approx(found["duration"], abs=1e-4)
+        assert found["verdict"][2].startswith("Not checked: what happens at the stops while objects are taken off")
+        seen = say(studio, "run", window="one")
+        assert seen["sentence"].endswith("leg 1: holds; leg 2: holds; leg 3: holds.")
+        path = urlsplit(studio.url).path + "report/one/report"
+        links = asked(studio, "GET", f"{path}.html")[1].decode()
+        for k in (1, 2, 3):
+            assert f"report-leg{k}.html" in links
+            assert asked(studio, "GET", f"{path}-leg{k}.html")[0] == 200
+        assert asked(studio, "GET", f"{path}-leg4.html")[0] == 404
+        assert asked(studio, "GET", f"{path}-leg1.html/../plan.json")[0] == 404
+
+
 @pytest.mark.slow
 def test_a_plan_that_is_no_motion_of_the_arm_is_told_and_not_played(tmp_path):
     text = changed(CUBE, [(["motion", "duration"], 0.4)])
     with Studio(text, tmp_path / "cube.toml", tmp_path) as studio:
         found = say(studio, "plan", text=text, window="one")
-        assert (found["ok"], [variant["key"] for variant in found["variants"]]) == (False, ["baseline"])
+        assert (found["ok"], [variant["key"] for variant in found["legs"][0]["variants"]]) == (False, ["baseline"])
         level, head, detail = found["verdict"]
         assert (level, head) == ("bad", "No safe motion was found.")
         assert "No reference of this degree and duration is safe" in detail
@@ -744,4 +797,20 @@ def test_in_a_browser_two_thumbs_steer_both_arms_and_the_fall_is_shown_again_slo
         assert browser.script("return salver.state.live.gone") is False
         browser.click("#again")
         browser.wait_for(f"!({shown})")
+        assert [entry for entry in browser.log("browser") if entry["level"] == "SEVERE"] == []
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(missing() is not None, reason=str(missing()))
+def test_in_a_browser_another_leg_is_chosen_and_its_goal_dragged(tmp_path):
+    with Studio(ROUND, tmp_path / "round.toml", SCENARIO_DIR) as studio, chromium(1400, 900) as browser:
+        opened(browser, studio.url)
+        browser.script("document.getElementById('follow').click(); designing()")
+        pick(browser, "#leg", "leg 2")
+        assert browser.script("return salver.state.viewer.variants[0].objects.length") == 2 * 7
+        drag(browser, "goal", 30, 10)
+        was, now = tomllib.loads(ROUND)["legs"], tomllib.loads(browser.script("return salver.state.text"))["legs"]
+        assert now[1]["goal"]["position"] != was[1]["goal"]["position"]
+        assert (now[0], now[2]) == (was[0], was[2])
+        assert browser.script("return document.getElementById('leg').value") == "1"
         assert [entry for entry in browser.log("browser") if entry["level"] == "SEVERE"] == []

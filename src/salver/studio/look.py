@@ -29,7 +29,7 @@ from salver.reports.pages.replay import IDENTITY, joint_poses, stage, still, vie
 from salver.reports.style import BLUE, VERMILION
 from salver.scenario import Arm, Scenario
 from salver.scenario.warnings import warnings_of
-from salver.studio.parts import parts
+from salver.studio.parts import parts, poses
 from salver.studio.text import Key, Mistake, changed, checked, mistakes
 from salver.studio.words import looked, mistaken
 from salver.trajectory import min_jerk_line
@@ -37,21 +37,25 @@ from salver.trajectory import min_jerk_line
 Look = dict[str, Any]
 
 
-def look(text: str, folder: Path, near: Sequence[float] | None = None, arm_drawn: str = "") -> Look:
+def look(text: str, folder: Path, near: Sequence[float] | None = None, arm_drawn: str = "", leg: int = 0) -> Look:
     """All that the page shows of a text, ready for JSON: its mistakes, or its picture, parts, warnings and margins.
 
-    near: the posture that was shown last, from which the arm follows. arm_drawn: the arm whose links the page has.
+    near: the posture that was shown last, from which the arm follows. arm_drawn: the arm whose links the page has. leg:
+    which one of several is shown, 0 for the first.
     """
     scenario = checked(text, folder)
     if isinstance(scenario, list):
         return _mistaken(text, scenario)
     try:
+        leg = min(max(leg, 0), len(scenario.each_leg) - 1)
+        task = scenario.each_leg[leg]
         shown = {
             "text": text,
             "mistakes": [],
-            "parts": parts(scenario),
-            "line": _straight_line(scenario),
-            **_drawn(scenario, near, arm_drawn),
+            "legs": [len(scenario.legs), leg],
+            "parts": parts(scenario, leg),
+            "line": _straight_line(task),
+            **_drawn(task, near, arm_drawn),
         }
         return {**shown, "verdict": looked(scenario, shown["blocked"], shown["unchecked"], warnings_of(scenario))}
     except SalverError as error:
@@ -111,10 +115,9 @@ def _placed(before: Scenario | list[Mistake], key: Key, value: Any) -> list[tupl
 def _tray_stays(before: Scenario, moved_E: Array) -> list[tuple[Key, Any]]:
     """Start and goal are places of the first object: moved on the tray with it, they leave the tray where it is."""
     found: list[tuple[Key, Any]] = []
-    for name in ("start", "goal") if not before.legs else ("start",):
-        pose = getattr(before.motion, name)
+    for _, key, pose in poses(before):
         place = pose.position + pose.rotation @ before.bodies[0].R_EB.T @ moved_E
-        found.append((["motion", name, "position"], np.round(place, 6).tolist()))
+        found.append(([*key, "position"], np.round(place, 6).tolist()))
     return found
 
 
@@ -142,9 +145,9 @@ def _followed(scenario: Scenario, arm: Arm) -> Array | None:
 
 def _straight_line(scenario: Scenario) -> Look | None:
     """The straight min-jerk line of the load, whatever the arm can: the shortest time in which it holds in the worst
-    case, and its margin over durations; None for several legs."""
+    case, and its margin over durations; None for a load that stays."""
     motion = scenario.motion
-    if scenario.legs or motion.start.same_as(motion.goal):
+    if motion.start.same_as(motion.goal):
         return None
     ends = (
         np.array(motion.start.position),
@@ -199,9 +202,8 @@ def _links(arm: str) -> list[Look]:
     ]
 
 
-def _drawn(scenario: Scenario, near: Sequence[float] | None, arm_drawn: str) -> Look:
+def _drawn(task: Scenario, near: Sequence[float] | None, arm_drawn: str) -> Look:
     """The scene at start and goal, what touches there, and the sentence of what is blocked, "" for nothing."""
-    task = scenario.each_leg[0] if scenario.legs else scenario
     bodies, ends = task.payload.bodies, (task.motion.start, task.motion.goal)
     line = [list(pose.position) for pose in ends]
     red: list[list[str]] = [[], []]
@@ -231,10 +233,6 @@ def _drawn(scenario: Scenario, near: Sequence[float] | None, arm_drawn: str) -> 
         del scene["meshes"]
     else:
         scene |= viewpoint([np.array(line)], reach, task)
-    if scenario.legs:
-        found["blocked"] = (
-            found["blocked"] or "This task has several legs: `salver plan` plans them all, the studio shows the first."
-        )
     return {"scene": scene, **found}
 
 

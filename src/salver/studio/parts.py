@@ -28,14 +28,28 @@ OBSTACLES: dict[str, dict[str, Any]] = {
 Part = dict[str, Any]
 
 
-def parts(scenario: Scenario) -> list[Part]:
+def poses(scenario: Scenario, leg: int | None = None) -> list[tuple[str, list[str | int], Pose]]:
+    """The poses that a task states, or those of one of its legs, in order: name, key of its table, pose."""
+    motion, legs = scenario.motion, scenario.legs
+    found: list[list[tuple[str, list[str | int], Pose]]] = []
+    begin: tuple[list[str | int], Pose] = (["motion", "start"], motion.start)
+    for k, (through, goal) in enumerate([(one.through, one.goal) for one in legs] or [(motion.through, motion.goal)]):
+        own: list[str | int] = ["legs", k] if legs else ["motion"]
+        between = [(f"via {i + 1}", [*own, "through", i], pose) for i, pose in enumerate(through)]
+        found.append([("start", *begin), *between, ("goal", [*own, "goal"], goal)])
+        begin = [*own, "goal"], goal
+    if leg is not None:
+        return found[leg]
+    return [*found[0], *(one for rest in found[1:] for one in rest[1:])]
+
+
+def parts(scenario: Scenario, leg: int = 0) -> list[Part]:
     """The parts of a scenario, each with its name and the key of its table. `handle`: key of the position that can be
     dragged, on the tray or in the world; `fields`: values that sliders set; `lists`: values that are chosen from
-    several."""
-    motion = scenario.motion
+    several. leg: which one of several, 0 for the first; an object that it does not carry has no handle."""
+    motion, carried = scenario.motion, {item.name for item in scenario.each_leg[leg].objects}
     found: list[Part] = [
-        _pose("start", motion.start, ["motion", "start"]),
-        *([] if scenario.legs else [_pose("goal", motion.goal, ["motion", "goal"])]),
+        *(_pose(name, pose, key) for name, key, pose in poses(scenario, leg)),
         {
             "name": "motion",
             "key": ["motion"],
@@ -45,7 +59,7 @@ def parts(scenario: Scenario) -> list[Part]:
                 _list("heading at the goal", ["motion", "goal_yaw"], ["free", "fixed"], motion.goal_yaw),
             ],
         },
-        *(_object(item, k, len(scenario.objects) > 1) for k, item in enumerate(scenario.objects)),
+        *(_object(item, k, len(scenario.objects) > 1, item.name in carried) for k, item in enumerate(scenario.objects)),
         *(_obstacle(item, k) for k, item in enumerate(scenario.obstacles)),
         {
             "name": "tray",
@@ -87,7 +101,7 @@ def _pose(name: str, pose: Pose, key: list[str | int]) -> Part:
     return {"name": name, "key": key, "handle": handle, "fields": fields}
 
 
-def _object(item: CarriedObject, k: int, several: bool) -> Part:
+def _object(item: CarriedObject, k: int, several: bool, here: bool) -> Part:
     key: list[str | int] = ["objects", k]
     ranges, shape = item.uncertainty, item.shape
     high = item.loose().solid.height
@@ -121,7 +135,7 @@ def _object(item: CarriedObject, k: int, several: bool) -> Part:
     return {
         "name": item.name,
         "key": key,
-        "handle": {"key": [*key, "at"], "at": list(item.at), "of": "tray"},
+        **({"handle": {"key": [*key, "at"], "at": list(item.at), "of": "tray"}} if here else {}),
         "fields": fields,
         "removable": several,
     }

@@ -6,6 +6,7 @@ import contextlib
 import subprocess
 import sys
 import threading
+from dataclasses import replace
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -22,6 +23,13 @@ if TYPE_CHECKING:
     from salver.models.uncertain.parameters import UncertainSet
 
 NAMES = {"plan": "the plan", "baseline": "the straight line"}
+
+
+def motions(directory: Path) -> dict[str, str]:
+    """Stems of the motions in a run directory, and what they are: the plan's legs, if it has several."""
+    from salver.planning.round import has_legs, load_round
+
+    return {stem: f"leg {stem[3:]}" for stem in load_round(directory).by_stem} if has_legs(directory) else NAMES
 
 
 class PlanningProcess:
@@ -101,8 +109,13 @@ def _failed(sentence: str) -> dict[str, Any]:
 
 
 def _planned(scenario: Scenario, directory: Path) -> dict[str, Any]:
+    from salver.planning.fastest.legs import plan_legs
     from salver.planning.make import plan_pair
 
+    if scenario.legs:
+        legs = plan_legs(scenario)
+        legs.save(directory)
+        return {"ok": legs.ok, "duration": legs.duration, "verdict": planned(legs, legs.warnings)}
     plan, baseline = plan_pair(scenario)
     plan.save(directory, "plan")
     baseline.save(directory, "baseline")
@@ -115,7 +128,7 @@ def _run(directory: Path) -> dict[str, Any]:
     from salver.simulation.physics import simulate
 
     said = []
-    for stem, name in NAMES.items():
+    for stem, name in motions(directory).items():
         plan = load_plan(directory, stem)
         if plan.joint is None and plan.scenario.arm is not None:
             said.append(f"{name} is nothing that the arm can follow")
@@ -130,12 +143,17 @@ def _run(directory: Path) -> dict[str, Any]:
 
 def _stops(directory: Path) -> dict[str, Any]:
     from salver.planning.plan import load_plan
+    from salver.planning.round import has_legs, load_round
     from salver.planning.stops import with_stops
 
-    plans = {stem: load_plan(directory, stem) for stem in NAMES}
-    plan = plans["plan"] = with_stops(plans["plan"])
-    for stem, made in plans.items():
-        made.save(directory, stem)
+    if has_legs(directory):
+        whole = load_round(directory)
+        legs = tuple(with_stops(leg) for leg in whole.legs)
+        replace(whole, legs=legs).save(directory)
+        return {"sentence": " ".join(f"Leg {k}: {leg.stops.sentence}" for k, leg in enumerate(legs, 1) if leg.stops)}
+    plan, baseline = with_stops(load_plan(directory)), load_plan(directory, "baseline")
+    plan.save(directory)
+    baseline.save(directory, "baseline")
     return {"sentence": plan.stops.sentence if plan.stops else ""}
 
 

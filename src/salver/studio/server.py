@@ -20,16 +20,17 @@ from salver.errors import SalverError, ScenarioError
 from salver.export import FORMATS, write_export
 from salver.files import versions, write_atomic
 from salver.models.arm.arm import load_arm
+from salver.planning.round import has_legs
 from salver.reports.pages.cells import speed_bar
 from salver.reports.pages.page import asset, fill, framed, write_report
 from salver.reports.pages.replay import replay_scene
-from salver.reports.run import read_run
+from salver.reports.run import ReportedRun, read_leg, read_run
 from salver.scenario import Scenario
 from salver.studio.live_mode import LiveMode
 from salver.studio.local_page import HTML, LocalPage, Shown
 from salver.studio.look import change, look
 from salver.studio.parts import LOADS, OBSTACLES
-from salver.studio.planner import PlanningProcess
+from salver.studio.planner import PlanningProcess, motions
 from salver.studio.text import LONGEST, checked
 from salver.studio.words import PLANNING
 
@@ -90,7 +91,8 @@ class Studio:
     def _show(self, what: str) -> Shown:
         if what == "":
             return self._page(), HTML
-        kind, _, window = what.partition("/")
+        kind, _, rest = what.partition("/")
+        window, _, page = rest.partition("/")
         if kind == "frames" and window in self.lives:
             return self._frames(window)
         if window not in self._plans or kind not in ("report", *FORMATS):
@@ -98,6 +100,9 @@ class Studio:
         _, directory = self._plans[window]
         try:
             with self._looking:
+                if page.startswith("report-leg"):
+                    known = {f"report-{leg}.html" for leg in motions(directory)}
+                    return ((directory / page).read_bytes(), HTML) if page in known else None
                 if kind == "report":
                     return write_report(directory).read_bytes(), HTML
                 return self._export(directory, kind)
@@ -147,8 +152,8 @@ class Studio:
 
     def _say(self, message: Any) -> dict[str, Any]:
         """{"do": "look" | "plan" | "run" | "stops" | "campaign" | "save" | "live" | "hand" | "end" | "close",
-        "text": ..., "window": ...}; to look, "changes", "near" and "arm"; to save, "over"; of a hand, "say". Each
-        answer has a "problem" when it could not be done."""
+        "text": ..., "window": ...}; to look, "changes", "near", "arm" and "leg"; to save, "over"; of a hand, "say".
+        Each answer has a "problem" when it could not be done."""
         try:
             if not isinstance(message, dict):
                 raise ScenarioError("A message is a table.")
@@ -187,7 +192,10 @@ class Studio:
             after = change(text, self._folder, changes) if changes else text
             if window in self._plans and self._plans[window][0] != after:
                 self._forget(window)
-            return look(after, self._folder, message.get("near"), str(message.get("arm", "")))
+            leg = message.get("leg", 0)
+            if not isinstance(leg, int):
+                raise ScenarioError("leg is a whole number.")
+            return look(after, self._folder, message.get("near"), str(message.get("arm", "")), leg)
 
     def _forget(self, window: str) -> None:
         """The plan of a window: its text is no more."""
@@ -205,12 +213,12 @@ class Studio:
             return found
         self._forget(window)
         self._plans[window] = text, directory
-        shown = self._replayed(directory)
-        if "plan" not in (variant["key"] for variant in shown.get("variants", [])):
+        legs = self._replayed(directory)
+        if any("plan" not in (variant["key"] for variant in shown.get("variants", [])) for shown in legs):
             level, head, detail = found["verdict"]
-            instead = "Shown is the straight line." if shown else "The arm cannot make it."
+            instead = "Shown is the straight line." if legs[0] else "The arm cannot make it."
             found["verdict"] = level, head, f"{detail} {instead}"
-        return {**found, "speed_bar": str(speed_bar(found["speeds"])), **shown}
+        return {**found, "speed_bar": str(speed_bar(found["speeds"])) if "speeds" in found else "", "legs": legs}
 
     def _checked(self, text: str) -> Scenario:
         scenario = checked(text, self._folder)
@@ -223,12 +231,17 @@ class Studio:
             raise ScenarioError("Nothing is planned yet; plan first.")
         _, directory = self._plans[window]
         found = self._planners.setdefault(window, PlanningProcess()).more(what, directory)
-        return {"ended": True} if found is None else {**found, **self._replayed(directory)}
+        return {"ended": True} if found is None else {**found, "legs": self._replayed(directory)}
 
-    def _replayed(self, directory: Path) -> dict[str, Any]:
-        """For the viewer: motions of a run directory that the arm can make, as planned or as the engine has them, and
-        from when to when; nothing where there are none."""
-        run = read_run(directory)
+    def _replayed(self, directory: Path) -> list[dict[str, Any]]:
+        """For the viewer, of each leg of a run directory."""
+        if not has_legs(directory):
+            return [self._shown(read_run(directory))]
+        return [self._shown(read_leg(directory, k + 1)) for k in range(len(motions(directory)))]
+
+    def _shown(self, run: ReportedRun) -> dict[str, Any]:
+        """Motions that the arm can make, as planned or as the engine has them, and from when to when; nothing where
+        there are none."""
         can = [motion for motion in run.motions if run.scenario.arm is None or "q" in motion.arrays]
         if not can:
             return {}

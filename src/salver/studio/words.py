@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from salver.planning.plan import Plan
+    from salver.planning.round import MultiLegPlan
     from salver.scenario import Scenario
     from salver.studio.text import Mistake
 
@@ -34,14 +35,15 @@ def looked(scenario: Scenario, blocked: str, unchecked: Sequence[str], warnings:
     return "", reached if scenario.arm else "The tray moves without an arm.", " ".join(filter(None, detail))
 
 
-def planned(plan: Plan, warnings: Sequence[str]) -> Said:
+def planned(plan: Plan | MultiLegPlan, warnings: Sequence[str]) -> Said:
     """The words on a plan: what was not checked comes first, then the result."""
     blind = _not_checked(plan.unchecked)
-    arm = "" if plan.arm_status is None or plan.arm_status.ok else plan.arm_status.sentence
+    legs: Sequence[Plan] = [plan] if not hasattr(plan, "legs") else plan.legs
+    arm = " ".join(leg.arm_status.sentence for leg in legs if leg.arm_status and not leg.arm_status.ok)
     detail = " ".join(filter(None, [blind, plan.status.sentence, arm, *warnings]))
     if not plan.ok:
         return "bad", "No safe motion was found.", detail
-    kept = "" if plan.speeds.every else " at full speed"
+    kept = "" if all(leg.speeds.every for leg in legs) else " at full speed"
     return "", f"{plan.duration:.3f} s, safe in the worst case{kept}{' of what is checked' if blind else ''}.", detail
 
 

@@ -8,7 +8,7 @@ const here = location.pathname.replace(/\/?$/, "/");
 const own = crypto.randomUUID();  // this window
 const COLOURS = { start: [0.0, 0.45, 0.7, 1], goal: [0.84, 0.37, 0.0, 1], tray: [0.0, 0.62, 0.45, 1], objects: [0.9, 0.62, 0.0, 1], obstacles: [0.35, 0.38, 0.42, 1] };
 const RING = 0.04;  // m, within which a ring is taken hold of
-const state = { text: given.text, saved: null, mistakes: [], answer: null, verdict: null, plan: null, planning: null, said: "", done: [], undone: [], chosen: "goal", time: 0, speed: 1, playing: false, gesture: null, base: "", viewer: null, looks: 0, live: null, frames: 0, held: null, keys: new Set() };
+const state = { text: given.text, saved: null, mistakes: [], answer: null, verdict: null, plan: null, planning: null, said: "", done: [], undone: [], chosen: "goal", leg: 0, time: 0, speed: 1, playing: false, gesture: null, base: "", viewer: null, looks: 0, live: null, frames: 0, held: null, keys: new Set() };
 
 function post(does, more = {}) {
   return fetch(here + "say", { method: "POST", body: JSON.stringify({ do: does, window: own, ...more }) })
@@ -29,7 +29,7 @@ function edit(gesture, change) {
 
 async function next() {
   if (asking || !queue.length) return;
-  const { gesture, changes, text, typed, back } = queue.shift();
+  const { gesture, changes, text, typed, back, kept } = queue.shift();
   if (gesture !== state.gesture) {
     if (!back && state.answer) state.done.push(state.text);
     if (!back) state.undone.length = 0;
@@ -37,9 +37,10 @@ async function next() {
   }
   asking = true;
   const known = state.answer ?? {};
-  const answer = await post("look", { text: text ?? state.base, changes: changes ?? [], near: known.posture, arm: known.arm });
+  const answer = await post("look", { text: text ?? state.base, changes: changes ?? [], near: known.posture, arm: known.arm, leg: state.leg });
   asking = false;
   heard(answer, typed);
+  if (kept) show3d(kept);
   next();
 }
 
@@ -59,7 +60,9 @@ function heard(answer, typed) {
 }
 
 function show(answer) {
-  state.answer = answer;
+  [state.answer, state.leg] = [answer, answer.legs[1]];
+  byId("leg").hidden = !answer.legs[0];
+  byId("leg").replaceChildren(...Array.from({ length: answer.legs[0] }, (_, k) => new Option(`leg ${k + 1}`, k, false, k === state.leg)));
   if (state.viewer) state.viewer.furnish(answer.scene);
   else begin(answer.scene);
   list();
@@ -90,16 +93,19 @@ async function plan() {
   state.planning = null;
   state.said = found.problem ?? "";
   state.plan = found.verdict ? found : null;
-  if (found.variants) {
-    byId("speeds").innerHTML = found.speed_bar;
-    show3d(found);
-  }
+  if (found.legs) show3d(found);
   tell();
 }
 
-function show3d(motions) {
-  state.viewer?.furnish({ variants: motions.variants });
-  state.time = motions.start;
+// A plan, and of several legs the one that is looked at.
+function show3d(found) {
+  clearTimeout(state.due);
+  state.plan = { ...found, variants: null, ...found.legs[state.leg] };
+  tell();
+  if (!state.plan.variants) return;
+  byId("speeds").innerHTML = found.speed_bar;
+  state.viewer?.furnish({ variants: state.plan.variants });
+  state.time = state.plan.start;
   play(true);
 }
 
@@ -112,10 +118,7 @@ async function more(event) {
   const found = await post(event.target.id);
   if (text !== state.text || !state.plan || found.ended) return;
   state.said = found.problem ?? found.sentence;
-  if (found.variants) {
-    Object.assign(state.plan, { variants: found.variants, start: found.start, end: found.end });
-    show3d(found);
-  }
+  if (found.legs) show3d({ ...state.plan, legs: found.legs });
   tell();
 }
 
@@ -135,7 +138,7 @@ function tell() {
   byId("plan").disabled = wrong;
   for (const id of ["add", "chosen"]) byId(id).disabled = !state.answer;
   byId("report").hidden = !found?.variants;
-  byId("report").href = `${here}report/${own}`;
+  byId("report").href = `${here}report/${own}/report.html`;
   byId("export").hidden = !found?.variants || !found.ok;
 }
 setInterval(() => state.planning !== null && (byId("clock").textContent = `${((performance.now() - state.planning) / 1000).toFixed(0)} s`), 1000);
@@ -359,6 +362,10 @@ byId("remove").addEventListener("click", () => {
   edit({}, { changes: [[part.key, null]] });
 });
 byId("chosen").addEventListener("change", (event) => choose(event.target.value));
+byId("leg").addEventListener("change", (event) => {
+  state.leg = Number(event.target.value);
+  edit({}, { text: state.text, back: true, kept: state.plan });
+});
 
 // --- buttons and text
 
