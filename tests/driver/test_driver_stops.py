@@ -149,6 +149,8 @@ def test_an_arm_that_is_elsewhere_is_not_drawn_back_but_goes_the_same_way_beside
     there, beside = (stops(ArmState(q + x, dq + y), t) for x, y in ((0.0, 0.0), (off, faster)))
     assert there.keeps_load
     assert not beside.keeps_load
+    one = stops(ArmState(q + 0.03 * np.eye(7)[2], dq), t)  # a joint alone
+    assert np.allclose(one.reference(0.0)[0], q + 0.03 * np.eye(7)[2], atol=2e-3)
     for value, expected in zip(beside.reference(0.0), (q + off, dq + faster, ddq), strict=True):
         assert np.allclose(value, expected, atol=2e-3)  # between two samples of the loop's table
     for s in (0.1, beside.duration):  # the speed is gone after 0.15 s at these limits

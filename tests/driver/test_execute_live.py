@@ -292,6 +292,7 @@ def test_wishes_are_said_at_their_times_and_a_twist_as_long_as_it_lasts():
                 {"t": 0.31, "jog": [0.1, 0.2]},
                 {"t": 0.32, "put": {"name": "crate", "type": "sphere", "position": [0, 0, 1], "radius": 0.1}},
                 {"t": 0.33, "remove": "crate"},
+                {"t": 0.335, "chunk": [0.1], "positions": [[0.4, 0.0, 0.5]], "quats_wxyz": [[0.0, 0.0, 0.0, 2.0]]},
                 {"t": 0.34, "put": {"name": "crate", "type": "sphere", "velocity": [0, 0, 1]}},
             ),
             "wishes",
@@ -302,9 +303,12 @@ def test_wishes_are_said_at_their_times_and_a_twist_as_long_as_it_lasts():
         prompter.period(k * 1e-3)
         assert len(heard.told) <= before + 1
     names = [name for name, *_ in heard.told]
-    assert names == ["goto", "goto"] + ["twist"] * 6 + ["chunk", "stop", "twist", "jog", "put", "remove"]
+    assert names == ["goto", "goto"] + ["twist"] * 6 + ["chunk", "stop", "twist", "jog", "put", "remove", "chunk"]
     assert heard.told[10] == ("twist", ([0.1, 0.2, 0.3], (0.0, 0.0, 0.0)), {"frame": "tray", "source": "operator"})
     assert heard.told[11] == ("jog", ([0.1, 0.2],), {"source": "operator"})
+    times, (places, turned) = heard.told[14][1]
+    assert (times, places) == ([0.1], [[0.4, 0.0, 0.5]])
+    np.testing.assert_allclose(turned, [np.diag([-1.0, -1.0, 1.0])], atol=1e-12)
     crate = heard.told[12][1][0]
     assert (crate.name, crate.type, crate.position, crate.radius) == ("crate", "sphere", [0, 0, 1], 0.1)
     assert "an obstacle has a name, a type and some of length, position, radius" in prompter.notes[-1]["answer"]
@@ -313,7 +317,7 @@ def test_wishes_are_said_at_their_times_and_a_twist_as_long_as_it_lasts():
     assert heard.told[2][1] == ([0.1, 0.2, 0.3], (0.0, 0.0, 0.4))
     assert prompter.over
     assert [note["t"] for note in prompter.notes] == pytest.approx(
-        [0.01, 0.011, 0.03, 0.2, 0.25, 0.3, 0.31, 0.32, 0.33, 0.34]
+        [0.01, 0.011, 0.03, 0.2, 0.25, 0.3, 0.31, 0.32, 0.33, 0.335, 0.34]
     )
 
 

@@ -86,7 +86,7 @@ def test_the_load_stays_at_corners_of_its_ranges(plan: Plan) -> None:
 
 @pytest.mark.parametrize("duration", [0.0, float("nan"), 100.0])
 def test_absurd_durations_are_refused(duration: float) -> None:
-    with pytest.raises(ScenarioError, match=r"must be 0\.3 to 30"):
+    with pytest.raises(ScenarioError, match=r"must be 0\.3 to 30\.$"):
         plan_excite(load("panda-tall-bottle"), duration)
 
 

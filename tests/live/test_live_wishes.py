@@ -108,7 +108,11 @@ def test_an_arm_that_is_elsewhere_is_stopped(cube):
     assert "Stopped by the monitor: panda_joint1 is 0.100 rad from where it was commanded to be." in str(state)
 
 
-def test_a_load_that_is_not_safe_at_rest_is_not_begun_with(cube, problem):
+def test_a_load_that_is_not_safe_at_rest_is_not_begun_with(cube, problem, monkeypatch):
+    monkeypatch.setattr("salver.live.standing.LOOKS", 2)
+    steep = {"motion__start__rpy_deg": [26.5, 0.0, 0.0], "motion__orientation": "free", "motion__duration": None}
+    with pytest.raises(ScenarioError, match=r"in any of 2 postures at motion\.start; in the first, contact of cube"):
+        Live(cube.with_changes(**steep, arm__start_posture=None))  # it slides from 26.57 deg on
     with pytest.raises(ScenarioError, match="the load is not safe at rest at q"):
         Live(cube, q=np.array([0.0, 0.5, 0.0, -1.5, 0.0, 2.6, 0.0]))  # the tray leans
     with pytest.raises(ScenarioError, match=r"clearance of tray from wall would be (3|3\.\d) mm too small"):
