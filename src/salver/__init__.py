@@ -62,6 +62,10 @@ def load_scenario(name_or_path: str | Path, **changes: Any) -> Scenario:
 
     Raises:
         ScenarioError: one sentence for each mistake.
+
+    Examples:
+        >>> sv.load_scenario("panda-cube", motion__duration=1.5).motion.duration
+        1.5
     """
     from salver.scenario import load
 
@@ -100,6 +104,10 @@ def plan(scenario: Scenario | str | Path, method: str | None = None, *, arm: boo
     Raises:
         ScenarioError: a mistake in the scenario.
         UnreachableError: no motion was found; the sentence says why.
+
+    Examples:
+        >>> sv.plan("panda-cube").ok
+        True
     """
     from salver.planning.make import make_plan
 
@@ -119,6 +127,12 @@ def plan_legs(scenario: Scenario | str | Path, **options: Any) -> MultiLegPlan:
     Raises:
         ScenarioError: a mistake in the scenario or an unknown option.
         UnreachableError: no motion was found; the sentence says why.
+
+    Examples:
+        >>> there, back = ({"goal": {"position": [0.444, y, 0.4]}} for y in (0.1, -0.1))
+        >>> changes = {"motion__duration": None, "motion__goal": back["goal"]}
+        >>> sv.plan_legs(sv.load_scenario("panda-cube", legs=[there, back], **changes), starts=1).ok
+        True
     """
     from salver.planning.fastest.legs import plan_legs as run
 
@@ -139,6 +153,10 @@ def fastest(scenario: Scenario | str | Path, *, robust: bool = True, **options: 
     Raises:
         ScenarioError: a mistake in the scenario or an unknown option.
         UnreachableError: no motion was found; the sentence says why.
+
+    Examples:
+        >>> sv.fastest("panda-cube").duration < 1.0
+        True
     """
     from salver.planning.fastest import plan_fastest
 
@@ -179,6 +197,10 @@ def retime(
         ScenarioError: a mistake in the scenario, or no scenario.
         FileFormatError: the file cannot be read.
         UnreachableError: no safe timing was found; the sentence says why.
+
+    Examples:
+        >>> sv.retime(sv.plan("panda-cube")).duration < 2.5
+        True
     """
     from salver.errors import ScenarioError
     from salver.planning.fastest.retiming import plan_retimed
@@ -228,6 +250,11 @@ def audit(
 
     Raises:
         SalverError: one sentence for each mistake.
+
+    Examples:
+        >>> line = sv.plan("panda-cube", "baseline").joint
+        >>> sv.audit({"t": line.t} | {f"q{k + 1}": q for k, q in enumerate(line.q.T)}, "panda-cube").ok
+        True
     """
     from salver.auditing import AuditOptions
     from salver.auditing import audit as run
@@ -246,9 +273,17 @@ def load_plan(directory: str | Path, stem: str = "plan") -> Plan:
         directory: a run directory, as `salver plan` and `Plan.save` write it.
         stem: name of the plan: "plan", "baseline", "nominal" or "leg1".
 
+    Returns:
+        The Plan.
+
     Raises:
         FileFormatError: no such plan, or a file that was changed.
         ScenarioError: a mistake in its scenario.
+
+    Examples:
+        >>> directory = sv.plan("panda-cube").save("runs/cube")
+        >>> sv.load_plan(directory).duration
+        2.5
     """
     from salver.planning.plan import load_plan as load
 
@@ -277,6 +312,10 @@ def simulate(
 
     Raises:
         ScenarioError: an unknown parameter, or a value that no object can have.
+
+    Examples:
+        >>> sv.simulate(sv.plan("panda-cube"), parameters={"mass": 0.27}).summary["outcome"]
+        'holds'
     """
     from salver.errors import ScenarioError
     from salver.planning.plan import Plan
@@ -314,6 +353,13 @@ def simulate_legs(
 
     Raises:
         ScenarioError: an unknown parameter, or a value that no object can have.
+
+    Examples:
+        >>> there, back = ({"goal": {"position": [0.444, y, 0.4]}} for y in (0.1, -0.1))
+        >>> changes = {"motion__duration": None, "motion__goal": back["goal"]}
+        >>> plan = sv.plan_legs(sv.load_scenario("panda-cube", legs=[there, back], **changes), starts=1)
+        >>> sv.simulate_legs(plan).outcome
+        'holds'
     """
     from salver.simulation.round import simulate_round
 
@@ -349,6 +395,10 @@ def campaign(
 
     Raises:
         SalverError: one sentence for each mistake.
+
+    Examples:
+        >>> sv.campaign(sv.plan("panda-cube").save("runs/campaign"), n=2, jobs=1)
+        <Campaign panda-cube, plan holds 2 of 2>
     """
     if not isinstance(directory, str | Path) or not Path(directory).exists():
         raise _no_plan("campaign", directory)
@@ -369,6 +419,10 @@ def margins(motion: Plan | MotionSamples, scenario: Scenario | str | Path | None
 
     Raises:
         ScenarioError: a motion without a scenario, or a mistake in it.
+
+    Examples:
+        >>> bool(sv.margins(sv.plan("panda-cube")).exact_worst.min() > 0.3)
+        True
     """
     from salver.errors import ScenarioError
     from salver.planning.plan import Plan
@@ -403,6 +457,10 @@ def report(
 
     Raises:
         SalverError: one sentence for each mistake.
+
+    Examples:
+        >>> sv.report(sv.plan("panda-cube"), path="cube.html").path.name
+        'cube.html'
     """
     from salver.auditing import Audit
     from salver.errors import ScenarioError

@@ -1,5 +1,6 @@
 """What `import salver as sv` offers: it does what the commands do, and says in a sentence what it wants."""
 
+import doctest
 import json
 import subprocess
 import sys
@@ -27,6 +28,15 @@ def directory(plan, tmp_path_factory):
 def test_what_is_listed_is_what_is_public():
     assert dir(sv) == sorted([*sv.__all__, "__version__"])
     assert all(hasattr(sv, name) for name in dir(sv))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", sv.__all__)
+def test_every_public_name_has_an_example_that_runs(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    found = doctest.DocTestFinder(recurse=False).find(getattr(sv, name), name, globs={"sv": sv})
+    assert [one.examples != [] for one in found] == [True]
+    assert doctest.DocTestRunner().run(found[0]).failed == 0
 
 
 @pytest.fixture(scope="module")
@@ -135,6 +145,10 @@ def test_a_plan_as_tables(plan):
     assert np.array_equal(frame.index, plan.t)
     assert np.array_equal(frame[[f"q_panda_joint{k}" for k in range(1, 8)]], plan.arrays()["q"])
     assert frame.attrs["scenario"] == "panda-cube-1.2s"
+    pi, theta = data["state_sensitivity"], data["input_sensitivity"]
+    assert np.array_equal(pi.sel(state="v_z", parameter="mass"), plan.state_sensitivity[:, 8, 0])
+    assert (theta.dims, theta.shape) == (("t", "edge", "parameter"), plan.input_sensitivity.shape)
+    assert np.array_equal(frame["input_sensitivity_3_mass"], plan.input_sensitivity[:, 3, 0])
 
 
 @pytest.mark.slow

@@ -62,7 +62,12 @@ EVADE = Evade()
 
 
 class Live(Requested):
-    """A motion that changes while the arm moves, and never drops its load (docs/howto/live.md)."""
+    """A motion that changes while the arm moves, and never drops its load (docs/howto/live.md).
+
+    Examples:
+        >>> sv.Live("panda-cube").goto((0.45, 0.1, 0.5)).ok
+        True
+    """
 
     def __init__(
         self,

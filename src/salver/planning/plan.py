@@ -366,10 +366,15 @@ class Plan(Shown, Tabular, Plotted):
         return out
 
     def table(self) -> Table:
-        """The motion of the object, of the arm if there is one, and the contact quantities, for pandas and xarray."""
+        """The motion of the object, of the arm if there is one, contact quantities with their tubes, and the
+        sensitivities Pi and Theta, for pandas and xarray."""
         about = {"scenario": self.scenario.name, "method": self.method, "ok": self.ok}
-        labels = {} if self.joint is None else {"joint": self._joint_names}
-        return Table(dimensioned(self.arrays(), {}), labels, about)
+        state = [f"{block}_{axis}" for block in ("p", "theta", "v", "omega") for axis in "xyz"]
+        labels = {"state": state, "parameter": self.uncertain.names}
+        if self.joint is not None:
+            labels["joint"] = self._joint_names
+        own = {"state_sensitivity": ("state", "parameter"), "input_sensitivity": ("edge", "parameter")}
+        return Table(dimensioned(self.arrays(), own), labels, about)
 
     @property
     def _joint_names(self) -> tuple[str, ...]:
