@@ -182,7 +182,7 @@ class LoadDynamics(ABC):
         return self.seen(value, hung, slope, np.zeros(len(slope)))[:, :2]
 
     def extent(self, value: float, places: Array) -> Array:
-        """Displacement (T,), m, of positions (T, 2) as in `seen`."""
+        """Distance (T,), m, from the axis of positions (T, 2) as `seen` returns them."""
         return np.asarray(np.linalg.norm(places, axis=-1))
 
     def away(self, value: float, places: Array, slope: Array) -> Array:

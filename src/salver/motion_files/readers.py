@@ -202,8 +202,8 @@ def of_table(
     as_path: bool = False,
     units: Units = SI,
 ) -> Samples:
-    """A tray or joint motion, depending on the header; if it has both, that of the tray, or with `as_path` of the
-    joints."""
+    """A motion of tray or joints, depending on the header. With both, the tray's motion; with `as_path`, the
+    joints'."""
     lowered = [name.lower() for name in header]
     for j, name in enumerate(lowered):
         first = lowered.index(name)

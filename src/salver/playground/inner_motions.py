@@ -69,7 +69,7 @@ class InnerMotions:
         return float(self._recorder.t[self._recorder.count - 1]) - self._rough > self._half_period
 
     def _look(self) -> None:
-        """At what was taken since the last look; what the next one needs of it is kept."""
+        """Evaluate the samples recorded since the last call, and keep what the next call needs."""
         if self._seen:
             return
         self._seen = True

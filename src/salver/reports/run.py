@@ -181,7 +181,7 @@ def read_leg(directory: str | Path, number: int) -> ReportedRun:
 
 
 def read_run(directory: str | Path) -> ReportedRun:
-    """Read a run directory. Raises FileFormatError when it is none, or a file in it is damaged."""
+    """Read a run directory. Raises FileFormatError if the directory is not one, or a file in it is damaged."""
     directory = Path(directory)
     scenario_of(directory)
     if not (directory / "plan.npz").is_file():

@@ -37,4 +37,4 @@ class InnerDynamics(Model):
 
     @abstractmethod
     def dynamics(self, height: float) -> LoadDynamics:
-        """The dynamic model of it in an object of a height, m."""
+        """The dynamic model of the contents in an object of a height, m."""

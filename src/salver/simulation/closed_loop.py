@@ -69,7 +69,7 @@ def rollout(
     phi = np.atleast_2d(np.asarray(phi_samples, dtype=float))
     t = np.atleast_1d(np.asarray(t, dtype=float))
     if t[0] < 0 or np.any(np.diff(t) <= 0):
-        raise ValueError("t must increase from a value that is not negative")
+        raise ValueError("t must increase, and begin at 0 or later")
     grasp_inverse = np.asarray(np.linalg.pinv(grasp_map), dtype=float)
     inverse_inertia = np.asarray(np.linalg.inv(spatial_inertia(phi)), dtype=float)
     loop = _Loop(gains, body.phi, grasp_map, grasp_inverse, phi, inverse_inertia)

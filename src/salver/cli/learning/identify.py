@@ -124,7 +124,7 @@ def _show(found: Identified) -> None:
     largest = sorted(found.shares.items(), key=lambda share: -share[1])[:4]
     parts = ", ".join(f"{1e3 * x:.1f} g {name}" for name, x in largest)
     console.print(
-        f"The mass's +-{1e3 * found.ranges['mass'].half:.1f} g are mostly {parts} (bounds: --bound NAME=VALUE)."
+        f"The mass is known to +-{1e3 * found.ranges['mass'].half:.1f} g, mostly {parts} (bounds: --bound NAME=VALUE)."
     )
     for sentence in found.told:
         console.print(headed("not identified", sentence))

@@ -165,7 +165,7 @@ def identify_runs(scenario: Scenario, runs: Sequence[LoggedRun], bounds: SensorB
     """
     one_load(scenario, "identification")
     if any(run.plan.joint is None for run in runs):
-        raise ScenarioError(f"{scenario.name}: a plan without a joint motion; identification needs that of an arm.")
+        raise ScenarioError(f"{scenario.name}: this plan has no joint motion; identification needs one.")
     _each_its_own(runs)
     sources, bounds = ", ".join(run.loaded.source for run in runs), bounds or SensorBounds()
     readings = _felt(scenario, runs, prior(scenario))

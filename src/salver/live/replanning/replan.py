@@ -267,8 +267,8 @@ def _by_joints(limits: JointLimits, start: AtPosture, goal: Array) -> float:
 
 
 def _by_friction(at: TransportProblem, start: AtPosture, goal: Array) -> float:
-    """About the least time, s, in which friction brings what stands on a level tray to rest at the goal (n,): braked,
-    and then from rest to rest."""
+    """Estimate of the least time, s, to bring a load that friction holds on a level tray to rest at the goal (n,):
+    braking first, then a motion from rest to rest."""
     most = min(body.friction for body in at.items) * -GRAVITY_S[2]
     p_SE, R_SE = at.arm.tray_pose(start.q)
     v_S = R_SE @ (at.arm.body_jacobian(start.q) @ start.rates[0])[:3]

@@ -82,7 +82,7 @@ class MotionEvaluation:
 
     def __post_init__(self) -> None:
         if self.known.terms is not None and not np.array_equal(self.known.terms.q, self.z[0, self.nodes]):
-            raise ValueError("the terms that are known are another motion's")
+            raise ValueError("the known terms belong to another motion")
 
     @property
     def n(self) -> int:
