@@ -1,4 +1,4 @@
-"""Driving an arm: the loop on the simulated arm, its safety, the Franka adapter, motion capture."""
+"""Driving an arm: the loop on the simulated arm, its safety, the Franka adapter."""
 
 from __future__ import annotations
 
