@@ -234,6 +234,23 @@ def test_a_dead_band_is_a_resolution(band):
     assert "no arm" not in verdict.sentence
 
 
+def test_a_column_that_ends_at_a_bound_of_the_sensors_range_is_no_jolt():
+    """A safe sway, of which the sensor shows no more than 0.15 m to one side; and whole, at rest at its goal."""
+    u = np.clip((T - 0.1) / 1.8, 0, 1)
+    sway = 0.2 * np.sin(2 * np.pi * u) ** 3
+    p = np.stack([0.5 + 0 * T, sway, 0.4 + 0 * T], axis=1) + 2e-5 * np.random.default_rng(5).standard_normal(
+        (len(T), 3)
+    )
+    p[:, 1] = np.minimum(p[:, 1], 0.15)
+    seen = judged(p, noise=0.0).nominal
+    assert seen.code == "cannot_tell"
+    assert "range" in seen.details["reasons"]
+    assert "for 1" in seen.sentence  # a hundred and more samples
+    for noise in (0.0, 2e-5):
+        assert "range" not in codes(found(np.stack([0.5 + 0 * T, sway, 0.4 + 0 * T], axis=1), noise=noise))
+    assert "range" not in codes(found(truth(T), noise=0.0))
+
+
 def test_axes_of_which_another_is_up_give_no_verdict():
     """Motion capture with its second axis up; the load stays, and on a tray that stands on edge it would not."""
     y_up = {"x": truth(T)[:, 0], "y": truth(T)[:, 2], "z": -truth(T)[:, 1]}

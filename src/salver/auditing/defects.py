@@ -1,8 +1,8 @@
 """Defects of a recording by logger, sensor or software, found in the samples and repaired if that is sound.
 
-In this order: a wrong unit, repeated samples, jitter of the clock, two sources that take turns, interpolation, spikes
-and jumps, one column in another unit. They are searched for in the channels as they are in the file: a pose, or joint
-positions.
+In this order: a wrong unit, the end of a sensor's range, repeated samples, jitter of the clock, two sources that take
+turns, interpolation, spikes and jumps, one column in another unit. They are searched for in the channels as they are in
+the file: a pose, or joint positions.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import maximum_filter1d, median_filter
 
-from salver.auditing.noise import of_one_size, resolution
+from salver.auditing.noise import dead_band, of_one_size, resolution
 from salver.auditing.options import AuditOptions
 from salver.auditing.recorded import LEVER
 from salver.geometry import Array
@@ -73,7 +73,16 @@ def repaired(channels: Channels, options: AuditOptions, fewest: int = 16) -> Cha
     """The repaired samples, with the defects that were found. fewest: number of samples in which defects show."""
     if not np.ptp(channels.y, axis=0).any():
         return channels
-    known = _in_metres, _without_repeats, _with_even_clock, _of_one_sensor, _not_on_lines, _without_breaks, _in_one_unit
+    known = (
+        _in_metres,
+        _in_range,
+        _without_repeats,
+        _with_even_clock,
+        _of_one_sensor,
+        _not_on_lines,
+        _without_breaks,
+        _in_one_unit,
+    )
     for step in known:
         if len(channels.t) >= fewest:
             channels = step(channels, options)
@@ -87,6 +96,21 @@ def _in_metres(channels: Channels, options: AuditOptions) -> Channels:
         return channels
     clause = f"the tray is up to {far:.2g} m from the origin: positions must be in m"
     return channels.having(Defect("unit", clause, systematic=True))
+
+
+def _in_range(channels: Channels, options: AuditOptions) -> Channels:
+    """Add a defect if a column comes to its largest or smallest value at speed, and stays there for three samples while
+    others move: an axis that comes to rest slows down before."""
+    least = 4 * max(channels.step, dead_band(channels.scaled))
+    moving = np.diff(channels.y, axis=0).any(axis=1)
+    for column in np.hstack([channels.scaled, -channels.scaled]).T:
+        ends, moved = column == column.max(), np.abs(np.diff(column))
+        there = ends[2:-2] & ends[3:-1] & ends[4:] & ~ends[1:-3]
+        reached = np.flatnonzero(there & moving[2:-1] & moving[3:])  # two samples before this one
+        if len(reached) and moved[reached].max() > max(least, options.stopping * np.quantile(moved, 0.99)):
+            clause = f"a column stays at its extreme for {np.count_nonzero(ends)} samples, and comes to it at speed"
+            return channels.having(Defect("range", f"{clause}: the sensor's range ends there", systematic=True))
+    return channels
 
 
 # Repeated samples ---------------------------------------------------------------------------------------------

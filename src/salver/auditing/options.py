@@ -28,6 +28,8 @@ class AuditOptions:
     fiercest: m/s^2, above the acceleration of any arm (the fastest delta robots reach it). Errors of the samples become
         violations.
     nearest, furthest: m, distances from the origin outside which positions are in another unit.
+    stopping: share of a column's largest step between samples with which it may come to an extreme at which it stays.
+        Fewer ends of a sensor's range are noticed.
     uneven: ratio of the noise of two columns above which their units differ; axes of one sensor differ by less than
         ten. A column in cm may not be noticed.
     drop: factor by which the power of the noise falls at the cut-off of a filter. Weaker filters are not detected.
@@ -63,6 +65,7 @@ class AuditOptions:
     fiercest: float = 150.0
     nearest: float = 2e-3
     furthest: float = 20.0
+    stopping: float = 0.2
     uneven: float = 30.0
     drop: float = 30.0
     break_off: float = 5.0
