@@ -102,7 +102,7 @@ def _in_range(channels: Channels, options: AuditOptions) -> Channels:
     """Add a defect if a column comes to its largest or smallest value at speed, and stays there for three samples while
     others move: an axis that comes to rest slows down before."""
     least = 4 * max(channels.step, dead_band(channels.scaled))
-    moving = np.diff(channels.y, axis=0).any(axis=1)
+    moving = np.asarray(np.any(np.diff(channels.y, axis=0), axis=1))
     for column in np.hstack([channels.scaled, -channels.scaled]).T:
         ends, moved = column == column.max(), np.abs(np.diff(column))
         there = ends[2:-2] & ends[3:-1] & ends[4:] & ~ends[1:-3]
