@@ -38,7 +38,7 @@ def on_base(chain: Chain, base: MobileBase, path: Path, carriage: float = 1e-6) 
     carriage: mass of each of the two links between the joints, as a share of the base's, since the physics engine moves
     no link without mass. Raises ScenarioError when a link or joint of the file has one of the names of the base's.
     """
-    taken = sorted((chain.all_links & {*LINKS}) | (chain.all_joints & {*JOINTS}))
+    taken = sorted((chain.all_links & {*LINKS, TOP}) | (chain.all_joints & {*JOINTS}))
     if taken:
         raise ScenarioError(f"The URDF {path} has the name {taken[0]}, which arm.base has for itself; rename it there.")
     if base.size is not None:

@@ -69,12 +69,17 @@ def programme_of(
     objective: Objective = SHORTEST,
     points: int = 2,
 ) -> Programme:
-    """The programme with constraints at nodes (N,) in [0, 1].
+    """The programme with constraints at nodes (N,) in [0, 1]; for the shortest duration, unless a base drives, only
+    those near the start motion.
 
     curve_of: makes the curve of a problem and grid. points: from node to node, at which joint limits are imposed.
     """
     curve = curve_of(problem, Grid.of(start.spline, nodes, points))
-    return Programme(curve, problem.constraints, objective)
+    constraints = problem.constraints
+    if objective.scalar is Scalar.DURATION and problem.arm.base is None:  # others may lead far from the start
+        postures = curve.motion(start.coefficients, start.duration)[0, curve.grid.nodes]
+        constraints = tuple(constraint.near(postures) for constraint in constraints)
+    return Programme(curve, constraints, objective)
 
 
 def optimise(
