@@ -148,7 +148,7 @@ def _check(log: Log, n: int) -> None:
             continue
         if np.shape(values) != (len(log.t), width):
             raise FileFormatError(
-                f"{log.source}: {name} has the shape {np.shape(values)}; for this arm it must be ({len(log.t)}, {width})."
+                f"{log.source}: {name} has the shape {np.shape(values)}; this arm needs ({len(log.t)}, {width})."
             )
         if not np.isfinite(values).all():
             bad = np.asarray(~np.isfinite(values).all(axis=1))
