@@ -402,11 +402,12 @@ class Live(Requested):
         running = self._running
         resigned = self._resigned == (running, self._sighting.news)
         free = self._stopped is None and self._held is None
+        # One tick for each hand-over: with several from the same state fewer obstacles are evaded.
+        early = self._hand_over(self.committed, "tick") <= self.committed.begins + 1e-9
         if running.outlook.sentence(self._now) and not resigned and free and self._offer is None:
-            return EVADE
+            return None if early else EVADE
         if wish is not None and wish is not self._done:
-            early = isinstance(wish, Follow) and self._hand_over(self.committed, "tick") <= self.committed.begins + 1e-9
-            return None if early else wish
+            return None if early and isinstance(wish, Follow) else wish
         if not free:
             return None
         if isinstance(running.wish, Goal) and self._now < running.committed.ends:
