@@ -52,11 +52,16 @@ def test_a_recorded_line_is_dry_or_spills_or_is_seen_too_badly(cup, tmp_path, du
         assert "sloshing" in found.worst.details["reasons"] or "noise" in found.worst.details["reasons"]
 
 
-def test_a_shake_that_noise_hides_raises_no_wave_by_more_than_is_allowed_for(cup):
-    """Shakes of every frequency, as large as would just be found, begun anywhere: against the filters themselves."""
+@pytest.mark.parametrize("square", [False, True])
+def test_a_shake_that_noise_hides_raises_no_wave_by_more_than_is_allowed_for(cup, square):
+    """Shakes of every frequency, as large as would just be found, begun anywhere: against the filters themselves. In a
+    box waves along both sides add up."""
     t, p, quat = line(1.2, noise=1e-4)
     motion = tray_motion(TraySamples(t, p, quat, "E", "line", ()), None, np.zeros(3), np.eye(3))
-    case, t = LoadCase(cup.payload.first, 0.05, 0.0), motion.samples.t
+    box = {"objects__0__shape": {"type": "box", "size": [0.09, 0.07, 0.085]}}
+    box |= {"objects__0__liquid": {"kind": "water", "size": [0.08, 0.06], "fill": 0.05, "brim": 0.08}}
+    body = (cup.with_changes(**box) if square else cup).payload.first
+    case, t = LoadCase(body, 0.05, 0.0), motion.samples.t
     w = np.tile(at_rest(), (len(t), 1))
     part = SloshingResponse.of(SurfaceMotion.along((case,), t, w))
     most, _ = unseen("cup", (part,), motion)
@@ -64,7 +69,8 @@ def test_a_shake_that_noise_hides_raises_no_wave_by_more_than_is_allowed_for(cup
     for frequency in (1.0, 3.0, 3.35, 4.0, 5.76, 8.0):
         shaken = w.copy()
         amplitude = 7 * noise * np.sqrt(2 * frequency / (800 * frequency * np.ptp(t)))
-        shaken[:, 0] += amplitude * (2 * np.pi * frequency) ** 2 * np.sin(2 * np.pi * frequency * t)
+        shake = amplitude * (2 * np.pi * frequency) ** 2 * np.sin(2 * np.pi * frequency * t)
+        shaken[:, :2] += np.outer(shake, [1.0, float(square)])
         waves = SurfaceMotion.along((case,), t, shaken)
         assert np.all(waves.crest <= most.size), frequency
     assert np.median(most.size) < 0.5 * case.dynamics.room(case.value)  # and it is no empty statement

@@ -84,6 +84,24 @@ def judged(motion):
     return Judged.of(*motion)
 
 
+@pytest.mark.parametrize(("lacking", "at_first"), [(0.15, 0.0), (0.25, 0.25), (1.1, 1.1)])
+def test_a_fifth_of_a_margin_may_be_missing_for_twenty_milliseconds(cube, lacking, at_first):
+    """Of a constraint that the state inherits: what is missing later counts, and so does a row that is violated."""
+    problem = transport_problem(cube)
+    judged = Judged.of(
+        problem, JointMotion(np.array([0.0, 0.2]), np.tile(problem.start_posture, (2, 1)), *np.zeros((2, 2, 7)))
+    )
+    constraint = next(x for x in problem.constraints if isinstance(x, ContactConstraint))
+    block = next(x for x in constraint.blocks(judged.along) if x.inherits)
+    margin = STANDARD.margin(block, constraint)
+    rows = block.having(values=np.full(block.values.shape, (lacking - 1.0) * margin))
+    (found,) = judged.rows(constraint, [rows])
+    early = judged.t[block.points] < 0.02
+    assert early.any()
+    np.testing.assert_allclose(found.values[early], at_first * margin, atol=1e-12)
+    np.testing.assert_allclose(found.values[~early], lacking * margin)
+
+
 @pytest.mark.slow
 def test_a_deviation_is_that_of_a_drive_that_is_linear_between_three_times_as_many_instants(motion, judged):
     """With derivatives of the dynamics at each of these."""
