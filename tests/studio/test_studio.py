@@ -1,6 +1,7 @@
 """The studio: a text that is changed by hand keeps its comments, says what is wrong at its line, and is planned as the
 command plans it; the page in a real browser."""
 
+import base64
 import http.client
 import io
 import json
@@ -247,6 +248,13 @@ def test_the_links_of_an_arm_are_sent_once_and_the_posture_follows():
     assert "meshes" in first["scene"]
     assert "meshes" not in again["scene"]
     np.testing.assert_allclose(again["posture"], first["posture"], atol=1e-6)
+
+
+def test_a_page_that_draws_without_a_graphics_card_gets_a_third_of_the_triangles():
+    def count(**how):
+        return sum(len(base64.b64decode(mesh["triangles"])) // 6 for mesh in shown(CUBE, **how)["scene"]["meshes"])
+
+    assert 1000 < count(coarse=True) < count() / 3
 
 
 @pytest.mark.parametrize("name", ["panda-coffee", "panda-tall-bottle"])

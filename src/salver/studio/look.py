@@ -37,11 +37,19 @@ from salver.trajectory import min_jerk_line
 Look = dict[str, Any]
 
 
-def look(text: str, folder: Path, near: Sequence[float] | None = None, arm_drawn: str = "", leg: int = 0) -> Look:
+def look(
+    text: str,
+    folder: Path,
+    near: Sequence[float] | None = None,
+    arm_drawn: str = "",
+    leg: int = 0,
+    coarse: bool = False,
+) -> Look:
     """All that the page shows of a text, ready for JSON: its mistakes, or its picture, parts, warnings and margins.
 
     near: the posture that was shown last, from which the arm follows. arm_drawn: the arm whose links the page has. leg:
-    which one of several is shown, 0 for the first.
+    which one of several is shown, 0 for the first. coarse: draw links with few triangles, for a page that draws without
+    a graphics card.
     """
     scenario = checked(text, folder)
     if isinstance(scenario, list):
@@ -55,7 +63,7 @@ def look(text: str, folder: Path, near: Sequence[float] | None = None, arm_drawn
             "legs": [len(scenario.legs), leg],
             "parts": parts(scenario, leg),
             "line": _straight_line(task),
-            **_drawn(task, near, arm_drawn),
+            **_drawn(task, near, arm_drawn, coarse),
         }
         return {**shown, "verdict": looked(scenario, shown["blocked"], shown["unchecked"], warnings_of(scenario))}
     except SalverError as error:
@@ -194,21 +202,19 @@ def _shortest(scaled: TimeScaled, durations: Array, margin: Array) -> float | No
 
 
 @lru_cache(maxsize=4)
-def _links(arm: str) -> list[Look]:
+def _links(arm: str, coarse: bool) -> list[Look]:
     """Links of an arm, given as JSON, for the viewer: half a second."""
-    return [
-        pack(mesh)
-        for mesh in link_meshes(load_arm(Arm.model_validate_json(arm), Scenario.model_fields["tray"].default))
-    ]
+    model = load_arm(Arm.model_validate_json(arm), Scenario.model_fields["tray"].default)
+    return [pack(mesh) for mesh in (link_meshes(model, 600) if coarse else link_meshes(model))]
 
 
-def _drawn(task: Scenario, near: Sequence[float] | None, arm_drawn: str) -> Look:
+def _drawn(task: Scenario, near: Sequence[float] | None, arm_drawn: str, coarse: bool) -> Look:
     """The scene at start and goal, what touches there, and the sentence of what is blocked, "" for nothing."""
     bodies, ends = task.payload.bodies, (task.motion.start, task.motion.goal)
     line = [list(pose.position) for pose in ends]
     red: list[list[str]] = [[], []]
     arm, name = (load_arm(task.arm, task.tray), task.arm.model_dump_json()) if task.arm else (None, "")
-    scene: Look = stage(task, bodies, arm, _links(name) if name else [])
+    scene: Look = stage(task, bodies, arm, _links(name, coarse) if name else [])
     if arm is None:
         first = task.payload.first
         turns = [pose.rotation @ first.R_EB.T for pose in ends]

@@ -152,8 +152,8 @@ class Studio:
 
     def _say(self, message: Any) -> dict[str, Any]:
         """{"do": "look" | "plan" | "run" | "stops" | "campaign" | "save" | "live" | "hand" | "end" | "close",
-        "text": ..., "window": ...}; to look, "changes", "near", "arm" and "leg"; to save, "over"; of a hand, "say".
-        Each answer has a "problem" when it could not be done."""
+        "text": ..., "window": ...}; to look, "changes", "near", "arm", "leg" and "coarse"; to save, "over"; of a hand,
+        "say". Each answer has a "problem" when it could not be done."""
         try:
             if not isinstance(message, dict):
                 raise ScenarioError("A message is a table.")
@@ -195,7 +195,9 @@ class Studio:
             leg = message.get("leg", 0)
             if not isinstance(leg, int):
                 raise ScenarioError("leg is a whole number.")
-            return look(after, self._folder, message.get("near"), str(message.get("arm", "")), leg)
+            return look(
+                after, self._folder, message.get("near"), str(message.get("arm", "")), leg, bool(message.get("coarse"))
+            )
 
     def _forget(self, window: str) -> None:
         """The plan of a window: its text is no more."""
