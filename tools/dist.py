@@ -22,6 +22,7 @@ import tarfile
 import tempfile
 from pathlib import Path
 
+PLANS = "import salver as sv; sv.report(sv.plan('panda-cube').save('cube'))"  # needs no extra
 SDIST = "import sys; from setuptools import build_meta; build_meta.build_sdist(sys.argv[1])"
 
 
@@ -76,6 +77,8 @@ def tried(wheel: Path, python: str, code: str, says: str) -> str:
             sizes.append(sum(p.lstat().st_blocks for p in Path(folder).rglob("*")))
             given = f"{wheel.resolve()}{extra}"
             subprocess.run([own, "-m", "pip", "install", "-q", "--disable-pip-version-check", given], check=True)
+            if not extra:
+                subprocess.run([own, "-I", "-c", PLANS], cwd=folder, stdout=subprocess.DEVNULL, check=True)
         done = subprocess.run([own, "-I", "-c", code], cwd=folder, capture_output=True, text=True, check=False)
         if done.stdout != says:
             sys.exit(f"{python}: the README's lines print\n{done.stdout}{done.stderr}and not\n{says}")

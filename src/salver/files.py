@@ -228,14 +228,20 @@ def provenance(scenario: Any) -> dict[str, Any]:
 def versions() -> dict[str, str]:
     """Versions of salver, Python, the platform, and the packages that can change numbers."""
     return {
-        "salver": _version("salver"),
+        "salver": metadata.version("salver"),
         "python": platform.python_version(),
         "platform": f"{platform.system()} {platform.machine()}",
-        **{name: _version(name) for name in _RECORDED},
+        **{name: found for name in _RECORDED if (found := _version(name))},
     }
 
 
-_version = cache(metadata.version)
+@cache
+def _version(name: str) -> str:
+    """The version of a package; empty if it is not installed."""
+    try:
+        return metadata.version(name)
+    except metadata.PackageNotFoundError:
+        return ""
 
 
 def _plain(obj: Any) -> Any:

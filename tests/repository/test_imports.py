@@ -146,7 +146,14 @@ def test_without_the_extras_plans_are_made_checked_shown_and_exported(tmp_path):
     """And what an extra is for says in one sentence how to install it."""
     code = f"""
 import json, sys
-for name in ("mujoco", "matplotlib", "rosbags", "arro3", "PIL", "pandas", "xarray", "casadi"):
+from importlib import metadata
+hidden, known = ("mujoco", "matplotlib", "rosbags", "arro3", "PIL", "pandas", "xarray", "casadi"), metadata.version
+def version(name):
+    if name in hidden:
+        raise metadata.PackageNotFoundError(name)
+    return known(name)
+metadata.version = version
+for name in hidden:
     sys.modules[name] = None  # as if it were not installed
 import salver as sv
 from salver.errors import MissingDependencyError
