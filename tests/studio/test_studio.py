@@ -805,6 +805,17 @@ def test_in_a_browser_two_thumbs_steer_both_arms_and_the_fall_is_shown_again_slo
         assert browser.script("return salver.state.live.gone") is False
         browser.click("#again")
         browser.wait_for(f"!({shown})")
+        browser.script(  # no gamepad can be plugged in here: what the browser would tell of one
+            "window.pad = { axes: [0.05, 0, 0, -1], buttons: [0, 0, 0].map(() => ({ pressed: false })) };"
+            "navigator.getGamepads = () => [null, window.pad]"
+        )
+        browser.wait_for("salver.state.live.tray[2] > salver.state.answer.scene.variants[0].path[0][2] - 0.05")
+        browser.script("pad.axes[3] = 0.1; pad.buttons[0].pressed = true")
+        browser.wait_for("salver.state.live.stopped && salver.state.live.doing === 'resting'")
+        time.sleep(0.3)  # a button that is held is one press
+        assert browser.script("return salver.state.live.stopped") is True
+        browser.script("pad.buttons[0].pressed = false; pad.buttons[1].pressed = true")
+        browser.wait_for("!salver.state.live.stopped && salver.state.live.names[0][1] === ''")
         assert [entry for entry in browser.log("browser") if entry["level"] == "SEVERE"] == []
 
 
