@@ -79,7 +79,7 @@ def test_replay_of_a_simulation_shows_what_was_simulated(cube_run: Path) -> None
 def test_meshes_keep_their_shape_when_decimated(monkeypatch: pytest.MonkeyPatch) -> None:
     arm = load_arm(scenario.load("panda-cube").arm, scenario.load("panda-cube").tray)  # type: ignore[arg-type]
     coarse = link_meshes(arm)
-    monkeypatch.setattr("salver.reports.pages.meshes.decimate", lambda *mesh: mesh)
+    monkeypatch.setattr("salver.reports.pages.meshes.decimate", lambda *mesh, **_: mesh)
     fine = link_meshes(arm)
     assert {m.joint for m in coarse} == set(range(8))
     for link in {m.name for m in fine}:

@@ -45,7 +45,7 @@ def link_meshes(arm: ArmModel, most: int = 2200) -> list[LinkMesh]:
     for link, parts in arm_meshes(arm).items():
         frame = arm.pin_model.frames[arm.pin_model.getFrameId(link, pin.FrameType.BODY)]
         fine = merge_vertices(*joined((part.vertices, part.faces) for part in parts))
-        vertices, triangles = decimate(*fine, most)  # all colours together, so that no seam opens
+        vertices, triangles = decimate(*fine, target=most)  # all colours together, so that no seam opens
         colours = [part.colour for part in parts]
         which = np.repeat(np.arange(len(parts)), [len(part.faces) for part in parts])
         middles = np.vstack([part.vertices[part.faces].mean(axis=1) for part in parts])
