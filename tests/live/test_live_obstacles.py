@@ -256,7 +256,7 @@ def going(cube, **given):
 
 
 def test_however_fast_planning_is_one_tick_of_an_evasion_is_taken_for_each_hand_over(cube):
-    """With several, 18 of 40 balls and posts were evaded where a tick takes 4 ms, instead of 28."""
+    """With several from the same state, fewer obstacles are evaded."""
     live, ball = going(cube, lead=TICK)
     assert live.obstacles([ball]).ok
     begins = []
