@@ -87,7 +87,7 @@ def check_plan(
     return [
         numbers,
         Check("plan", plan.ok, plan.verification.sentence if plan.ok else f"The plan is not safe: {_complaint(plan)}"),
-        *_arm(motion, arm, bodies, plan),
+        *_arm(plan.joint, arm, bodies, plan, options),
         _reference(plan, given, options.reference),
         _verdict(plan, given),
         _speeds(plan, full_speed_only),
@@ -146,10 +146,12 @@ def _complaint(plan: Plan) -> str:
     return "" if plan.arm_status is None else plan.arm_status.sentence
 
 
-def _arm(motion: JointMotion, arm: ArmModel, bodies: Sequence[Body], plan: Plan) -> list[Check]:
+def _arm(
+    joint: JointMotion, arm: ArmModel, bodies: Sequence[Body], plan: Plan, options: PreflightOptions = STANDARD
+) -> list[Check]:
     """Limits, and the arm against itself, its tray, its load and the scenario's obstacles."""
-    parts = arm_geometry(arm, bodies, plan.scenario.around)
-    status, swept = verdict(arm, motion, bodies, parts, BETWEEN), sweep(parts, motion)
+    parts, motion = arm_geometry(arm, bodies, plan.scenario.around), looked_at(joint, options)
+    status, swept = verdict(arm, joint, bodies, parts, BETWEEN, motion.t), sweep(parts, motion)
     near, touch = swept.nearest, swept.touch
     walls = dict.fromkeys(f", the {one.name}" for one in plan.scenario.around if isinstance(one, Wall))
     around = f"{''.join(walls)} and {len(plan.scenario.obstacles) or 'no'} obstacles"
@@ -288,7 +290,7 @@ def check_posture(
 
 def check_approach(joint: JointMotion, plan: Plan, arm: ArmModel) -> list[Check]:
     """The way to the start posture, with an empty tray: limits, and clear of the arm itself and of obstacles."""
-    return [Check(f"way there: {c.name}", c.ok, c.sentence) for c in _arm(looked_at(joint), arm, (), plan)]
+    return [Check(f"way there: {c.name}", c.ok, c.sentence) for c in _arm(joint, arm, (), plan)]
 
 
 def demand(checks: Sequence[Check]) -> None:

@@ -43,19 +43,20 @@ def torques(arm: ArmModel, motion: JointMotion, bodies: Sequence[Body] = ()) -> 
     return motion_terms(load.pin_model, load.tray_id, motion.q, motion.dq, motion.ddq).torque
 
 
-def peaks(arm: ArmModel, motion: JointMotion, bodies: Sequence[Body] = ()) -> list[Peak]:
+def peaks(arm: ArmModel, motion: JointMotion, bodies: Sequence[Body] = (), instants: Array | None = None) -> list[Peak]:
     """The peak relative to each kind of the scenario's limits (`arm.planning_limits`).
 
-    Position is measured from the middle of the range. The motion is checked between its samples too: at twice as many
-    instants, and at 200 at least.
+    Position is measured from the middle of the range. instants: (T,) s, increasing, at which the motion is checked, and
+    half way between them; by default at its samples, and at 200 at least. All derivatives are those of the motion: of
+    one resampled in steps far below 1 ms the jerk is mostly rounding.
     """
-    motion, limits = motion.resampled(float(np.ptp(motion.t)) / 200), arm.planning_limits
-    t = np.sort(np.concatenate([motion.t, 0.5 * (motion.t[1:] + motion.t[:-1])]))
-    torque = torques(arm, motion, bodies)
-    times = {"position": t, "torque": motion.t}
+    limits, instants = arm.planning_limits, _instants(motion) if instants is None else instants
+    t = _with_middles(instants)
+    torque = torques(arm, JointMotion(instants, *motion.sample(instants)), bodies)
+    times = {"position": t, "torque": instants}
     derivatives = {
         "position": (*motion.sample(t), motion.jerk(t)),
-        "torque": (torque, np.gradient(torque, motion.t, axis=0)),
+        "torque": (torque, np.gradient(torque, instants, axis=0)),
     }
     curves = {kind.key: derivatives[kind.of][kind.order] for kind in LIMITS}
     shares = limits.shares(curves)
@@ -70,6 +71,14 @@ def peaks(arm: ArmModel, motion: JointMotion, bodies: Sequence[Body] = ()) -> li
         unit = kind.unit_of(arm.linear[i])
         found.append(Peak(kind.name, float(abs(share[k, i])), arm.joint_names[i], time, value, bound, unit))
     return found
+
+
+def _instants(motion: JointMotion) -> Array:
+    return motion.resampled(float(np.ptp(motion.t)) / 200).t
+
+
+def _with_middles(t: Array) -> Array:
+    return np.sort(np.concatenate([t, 0.5 * (t[1:] + t[:-1])]))
 
 
 def blocked_end(parts: ArmGeometry, ends: Mapping[str, tuple[Array, Array]], whatever: str = "") -> Status | None:
@@ -121,13 +130,15 @@ def verdict(
     bodies: Sequence[Body] = (),
     parts: ArmGeometry | None = None,
     between: float = 0.0,
+    instants: Array | None = None,
 ) -> Status:
     """The verdict on the arm's limits: "within_limits", which first names what was not checked, "limit_exceeded" or
     "collision".
 
     arm: the arm. motion: of its joints. bodies: carried bodies, whose weight and shape count. parts: the arm's
     geometry, if it is known already. between: share by which the scenario's part of a limit may be exceeded (never the
-    manufacturer's limit), for checks at other instants than the planner's (`BETWEEN`).
+    manufacturer's limit), for checks at other instants than the planner's (`BETWEEN`). instants: (T,) s, at which
+    limits are checked (`peaks`).
 
     Returns:
         Status, whose `details` have the peak of each kind of limit by its key; "unchecked" (`unchecked`);
@@ -136,7 +147,8 @@ def verdict(
         parts that touch.
     """
     parts = arm_geometry(arm, bodies) if parts is None else parts
-    found = peaks(arm, motion, bodies)
+    instants = _instants(motion) if instants is None else instants
+    found = peaks(arm, motion, bodies, instants)
     details: dict[str, Any] = {peak.kind.replace(" ", "_"): vars(peak) for peak in found}
     blind = unchecked(arm, parts)
     details |= {"unchecked": blind, "limit_sources": arm.limit_sources, "pairs_left_out": parts.left_out}
@@ -149,7 +161,7 @@ def verdict(
         f"the {peak.kind} of {peak.joint} reaches {peak.value:.4g} {peak.unit} at t = {peak.time:.2f} s, {_over(peak)}"
         for peak in broken
     ]
-    driven = _driven(arm, motion, between)
+    driven = _driven(arm, motion, between, _with_middles(instants))
     sentences += driven
     swept = sweep(parts, motion)
     for key, near in (("clearance", swept.nearest), ("obstacle_clearance", swept.obstacle), (COLLISION, swept.touch)):
@@ -170,11 +182,11 @@ def verdict(
     return Status(WITHIN_LIMITS, f"{first}{arm.name} follows within its limits; {nearest}.", True, details)
 
 
-def _driven(arm: ArmModel, motion: JointMotion, between: float) -> list[str]:
+def _driven(arm: ArmModel, motion: JointMotion, between: float, t: Array) -> list[str]:
     """Where a base drives faster, along or across its heading, than it may, in words."""
     if arm.base is None:
         return []
-    t, found = np.linspace(motion.t[0], motion.t[-1], 2 * max(200, len(motion.t))), []
+    found = []
     speed = np.abs(arm.base_velocity(*motion.sample(t)[:2])[0])
     for way, v, most in zip(DRIVEN, speed.T, arm.base_limits(arm.planning_limits), strict=True):
         k = int(np.argmax(v))
