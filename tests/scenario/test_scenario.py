@@ -95,6 +95,19 @@ def test_digest_survives_being_written_out(name):
     assert again.digest == item.digest
 
 
+@pytest.mark.parametrize(
+    ("name", "digest"),
+    [
+        ("panda-cube", "c2cf9444c153"),
+        ("panda-coffee", "d93d8843dd0d"),
+        ("waiters-round", "299f93aaa58f"),
+        ("upright-cups", "bc57a6b0d223"),
+    ],
+)
+def test_a_key_that_is_new_and_not_given_leaves_the_digest_so_that_older_run_directories_are_read(name, digest):
+    assert scenario.load(name).digest == digest
+
+
 def test_changes_make_a_checked_copy():
     item = scenario.load("panda-cube")
     longer = item.with_changes(motion__duration=3.0, objects__0__mass=0.3, motion__start__rpy_deg=[5, 0, 0])

@@ -226,9 +226,14 @@ def read_campaign(directory: Path, notes: list[str]) -> tuple[dict[str, Any] | N
     summary = read_sealed(path)
     if "plans" not in summary:  # begun, not finished
         return None, {}
-    definition = summary.get("definition")
-    ran = definition.get("plans") if isinstance(definition, dict) else None
-    if not isinstance(ran, dict) or any(
+    from salver.campaigns.definition import definition_in
+
+    try:
+        ran = definition_in(summary, path).plans
+    except FileFormatError as error:
+        notes.append(f"Not shown: {error}")
+        return None, {}
+    if any(
         stem not in known_stems(directory) or plan_digest(directory, stem) != digest for stem, digest in ran.items()
     ):
         notes.append(f"Not shown: {path} is a campaign of other plans than those of {directory}.")

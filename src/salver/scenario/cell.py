@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, SerializerFunctionWrapHandler, model_serializer
 
-from salver.fields import Model, Number, Place, Whole
+from salver.fields import Model, Number, Place, Whole, leaving_out
 from salver.models.arm.tables import EachJoint
 from salver.models.arm.urdf import MOST_JOINTS
 from salver.models.described import KeepIn
@@ -26,6 +26,8 @@ class Surroundings(Model):
         default="base", description='a finite number at least -10 and at most 10, "base" or "none"'
     )
     keep_in: KeepIn | None = None
+
+    _stated = leaving_out("keep_in")
 
 
 Settling = Annotated[Number, Field(ge=0, le=60)]  # s
