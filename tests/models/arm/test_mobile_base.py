@@ -233,6 +233,22 @@ def test_no_verdict_lets_a_differential_base_slide_sideways(column):
     assert not plan_retimed(case, sideways.joint.q[::20]).ok
 
 
+def test_a_keep_in_box_may_stand_on_the_floor_that_the_base_drives_on(column):
+    """Its other faces count: the base is round, so that its distance from them is known."""
+    box = {"position": [0.5, 0.1, 1.0], "size": [3.0, 2.2, 2.0], "rpy_deg": [0.0, 0.0, 10.0]}
+    arm = load_arm(task(column).arm, task(column).tray)
+    parts = arm_geometry(arm, obstacles=task(column, surroundings={"keep_in": box}).around)
+    walls = [k for k, (i, j) in enumerate(parts.pairs) if parts.names[i] == "mobile_base" and "box" in parts.names[j]]
+    at = np.array([1.3, 0.6, 0.4])
+    off = matrix_from_rpy(np.deg2rad(box["rpy_deg"])).T @ [at[0] - 0.5, at[1] - 0.1, 0.0]
+    by_hand = 0.5 * np.array([3.0, 2.2]) - np.abs(off[:2]) - 0.25
+    assert parts.clearance(at[None])[0, walls].min() == pytest.approx(by_hand.min(), abs=1e-3)
+    with pytest.raises(ScenarioError, match="mobile_base is outside the keep-in box in every posture"):
+        arm_geometry(
+            arm, obstacles=task(column, surroundings={"keep_in": {**box, "position": [0.5, 0.1, 1.01]}}).around
+        )
+
+
 def test_rounding_of_positions_of_metres_is_no_jerk(column):
     """Pre-flight looks at pieces of 0.25 ms four times: third differences of 2.9 m in 0.06 ms are wrong by percents."""
     case = task(column)

@@ -296,8 +296,7 @@ def arm_geometry(arm: ArmModel, bodies: Sequence[Body] = (), obstacles: Sequence
         )
     links_walls = _with_pairs(compared, tuple(pair for pair in pairs if pair[0] < tray))
     left_out["floor"], left_out["sunk"] = _on_floor(links_walls)
-    _reach_inside(links_walls)
-    gone = {pair for key in ("always", "floor", "sunk") for pair in left_out[key]}
+    gone = {pair for key in ("always", "floor", "sunk") for pair in left_out[key]} | {*_along_walls(links_walls)}
     pairs = [pair for pair in pairs if pair not in gone]
     named = {
         key: list(dict.fromkeys((names[i], names[j]) for i, j in found)) for key, found in left_out.items() if found
@@ -342,16 +341,22 @@ def _on_floor(parts: ArmGeometry, same: float = 1e-6) -> tuple[list[Pair], list[
     return found[0], found[1]
 
 
-def _reach_inside(parts: ArmGeometry) -> None:
-    """Raise ScenarioError when a link is outside the keep-in box in every posture."""
+def _along_walls(parts: ArmGeometry, same: float = 1e-6) -> list[Pair]:
+    """Pairs of a face of the keep-in box and a link inside it whose distance is the same in every posture (up to
+    `same`, m), as of a base that drives over a box's bottom.
+
+    Raises ScenarioError when a link is outside the box in every posture.
+    """
     parts = parts.only(np.flatnonzero(parts._of(Wall.name)))
-    outside = parts.clearance(postures_of(parts.arm)).max(axis=0, initial=-np.inf) <= 0.0
-    for (link, _), is_outside in zip(parts.pairs, outside, strict=True):
+    distance = parts.clearance(postures_of(parts.arm))
+    nearest, still = distance.max(axis=0, initial=-np.inf), np.ptp(distance, axis=0) <= same
+    for (link, _), is_outside in zip(parts.pairs, nearest <= np.where(still, -same, 0.0), strict=True):
         if is_outside:
             raise ScenarioError(
                 f"{parts.names[link]} is outside the keep-in box in every posture; surroundings.keep_in must hold all "
                 "links that move."
             )
+    return [pair for pair, yes in zip(parts.pairs, still, strict=True) if yes]
 
 
 def _refusal(arm: ArmModel, missing: dict[str, str]) -> str:
