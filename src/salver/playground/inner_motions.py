@@ -1,5 +1,4 @@
-"""Liquids and pendulums in the playground's engine: their motion, whether they passed their limit, and whether they are
-at rest."""
+"""Liquids and pendulums in the playground's engine: their motion, and whether they passed their limit."""
 
 from __future__ import annotations
 
@@ -11,7 +10,7 @@ from salver.geometry import Array
 from salver.models.load_dynamics import Drawn
 from salver.simulation.outcome import inner_motions
 from salver.simulation.scene.scene import Scene
-from salver.simulation.trace import Recorder, Trace
+from salver.simulation.trace import Recorder
 
 
 class InnerMotions:
@@ -26,7 +25,6 @@ class InnerMotions:
         self._scene = scene
         modes = [scene.loads[swing.load].modes for swing in scene.swings]
         self._late = max((max(1, round(0.5 / (m.following * period))) for m in modes), default=0)  # samples
-        self._half_period = max((np.pi / float(m.omega.min()) for m in modes), default=0.0)  # s, of the slowest
         self._recorder = Recorder(scene, 2 * self._late + max(1, round(0.1 / period)))  # 0.1 s more of samples
         self.begin()
 
@@ -35,7 +33,6 @@ class InnerMotions:
         self._recorder.keep(0)
         self._seen = True
         self._beyond: dict[int, float] = {}  # when, of which load
-        self._rough = -np.inf  # s, when it was seen to swing last
         self._shown: list[Drawn | None] = [None] * len(self._scene.loads)
 
     def took(self, t: float, q: Array, dq: Array, tau: Array, data: Any) -> None:
@@ -60,14 +57,6 @@ class InnerMotions:
             self._look()
         return k in self._beyond
 
-    def calm(self) -> bool:
-        """Whether all liquids and pendulums have been at rest for half a period of their oscillation, so that a zero
-        crossing does not count as rest."""
-        if not self._scene.swings:
-            return True
-        self._look()
-        return float(self._recorder.t[self._recorder.count - 1]) - self._rough > self._half_period
-
     def _look(self) -> None:
         """Evaluate the samples recorded since the last call, and keep what the next call needs."""
         if self._seen:
@@ -78,19 +67,9 @@ class InnerMotions:
         whole = slice(self._late, max(self._late, len(trace.t) - self._late))  # known with all of their means
         for swing in self._scene.swings:
             k, load = swing.load, self._scene.loads[swing.load]
-            t, places, size = trace.t[whole], seen[whole, k, :2], seen[whole, k, 2]
-            over, away = size > load.edge, load.inner.away(load.inner_value, places, _slope(trace, k)[whole])
+            over = seen[whole, k, 2] > load.edge
             if over.any():
-                self._beyond.setdefault(k, float(t[np.argmax(over)]))
-            rough = away > 2e-4  # m
-            if rough.any():
-                self._rough = float(t[rough][-1])
+                self._beyond.setdefault(k, float(trace.t[whole][np.argmax(over)]))
             now = seen[[max(0, len(trace.t) - 1 - self._late)], k, :2]
             self._shown[k] = load.drawn(now, self._beyond.get(k))
         self._recorder.keep(2 * self._late)
-
-
-def _slope(trace: Trace, k: int) -> Array:
-    """(N, 2) slope f / f_z of object k at rest, as long as that has not fallen over."""
-    up_B = trace.R_XB[:, k, 2]
-    return np.asarray(up_B[:, :2] / np.maximum(up_B[:, 2:], 0.1))

@@ -42,10 +42,12 @@ class World:
         scenario: Scenario,
         parameters: Mapping[str, float] | None = None,
         *,
+        protected: bool = True,
         keep_in: Path | None = None,
         lead: float | None = None,
     ) -> None:
-        """parameters: true values by name, where not nominal. keep_in: directory for recordings. lead: see `Live`.
+        """parameters: true values by name, where not nominal. protected: whether `sv.Live` decides what the hand may
+        do; else the arm is jogged. keep_in: directory for recordings, of a protected motion. lead: see `Live`.
 
         Raises ScenarioError when there is no arm, or the load is not safe at rest where the motion begins.
         """
@@ -57,10 +59,10 @@ class World:
         self.ball = Ball(self.arm, scenario.payload, Throw())
         self._lock = threading.RLock()
         self._course = LiveCourse(self.live)
-        self._controller = controller_for(scenario, self, None, arm=self.arm, space="joint")
+        self.protected = protected
         # Unprotected, as a robot that is jogged: what limits the rate of a torque is its interface for torques.
         jogged = replace(self.arm, limits=replace(self.arm.limits, torque_rate=np.full(self.arm.n, np.inf)))
-        self._jogging = controller_for(scenario, self, None, arm=jogged, space="joint")
+        self._controller = controller_for(scenario, self, None, arm=self.arm if protected else jogged, space="joint")
         self.begin = self.live.command(0.0)[0].copy()
         self._free: Unprotected | None = None
         self._goal: Array | None = None  # p_SB
@@ -124,7 +126,7 @@ class World:
     def advance(self) -> None:
         """Advance by one control period."""
         with self._lock:
-            self.plant.step(self._controller if self.protected else self._jogging, self.t)
+            self.plant.step(self._controller, self.t)
             self.t += self.period
             seen = self.ball.step(self.t, self.plant.q)
             if seen is not None:
@@ -132,16 +134,12 @@ class World:
             if self._recorded is not None:
                 self._watch(self._recorded)
 
-    @property
-    def protected(self) -> bool:
-        return self._free is None
-
     # --- who speaks to it
 
     def say(self, message: Any) -> Status:
         """Handle a message of the page, as JSON: {"goto": [x, y, z]} of the first object, m; {"twist": [vx, vy, vz,
-        turn]}, m/s and rad/s about the vertical; {"stop": true}, which latches until {"resume": true}; {"protected":
-        bool}; {"again": true}; {"record": bool}; {"throw": true}."""
+        turn]}, m/s and rad/s about the vertical; {"stop": true}, which latches until {"resume": true}; {"again": true};
+        {"record": bool}; {"throw": true}."""
         if not isinstance(message, dict) or len(message) != 1:
             return Status("refused", "A message has one key.", False)
         ((key, value),) = message.items()
@@ -156,8 +154,6 @@ class World:
                     return self.live.stop()
                 case "resume":
                     return self.live.resume()
-                case "protected" if isinstance(value, bool):
-                    return self._protect(value)
                 case "throw" if value is True:
                     self.ball.throw(self.t, self.plant.scene.tray_pose(self.plant.data)[0])
                     return Status("accepted", "", True)
@@ -195,36 +191,8 @@ class World:
         self._hand = (self.t, v, omega)
         return self.live.twist(v, omega) if self.protected else Status("accepted", "", True)
 
-    def _protect(self, wanted: bool) -> Status:
-        if wanted == self.protected:
-            return Status("accepted", "", True)
-        if self._recorded is not None:
-            return Status("refused", RECORDED, False)
-        self._goal = None
-        if not wanted:
-            q, dq, _ = self._course.at(0, 0.0)
-            self._free = Unprotected(self.arm, q, dq)
-            self._jogging.take_over(self._controller)
-            self.live.stop("it is steered without protection", source="monitor")
-            return Status("accepted", "Without protection.", True)
-        assert self._free is not None
-        if not self._resting:
-            return Status("refused", "The arm moves; press stop first.", False)
-        if any(self._became()):
-            return Status("refused", "The load is not where it stood; begin again.", False)
-        if not self.plant.inner.calm():
-            return Status("refused", "What is inside still moves; wait until it is calm, or begin again.", False)
-        status = self.live.restart(self._free.q, calm=True)
-        if status.ok:
-            self.live.resume()
-            self._free = None
-            self._controller.take_over(self._jogging)
-        return status
-
     @property
     def _resting(self) -> bool:
-        if self._free is not None:
-            return bool(np.abs(self._free.dq).max() < 1e-3)  # rad/s
         return self.live.committed.at_rest or self.live.now >= self.live.committed.ends
 
     def _record(self, wanted: bool) -> Status:
@@ -232,8 +200,6 @@ class World:
             return Status("accepted", "", True)
         if wanted and self._keep_in is None:
             return Status("refused", "There is no directory for recordings; begin with -o DIRECTORY.", False)
-        if wanted and not self.protected:
-            return Status("refused", "Only a protected motion is recorded.", False)
         if wanted and not self._resting:
             return Status("refused", "A recording begins at rest; press stop first.", False)
         self._ending = not wanted
@@ -273,11 +239,12 @@ class World:
             self.live.command(self.t)
         status = self.live.restart(self.begin, calm=True)  # the scene begins anew
         self.live.resume()
-        self._free = self._goal = None
+        self._goal, self._hand = None, (-np.inf, np.zeros(3), np.zeros(3))
         self._placed()
         return status
 
     def _placed(self) -> None:
+        self._free = None if self.protected else Unprotected(self.arm, self.begin, np.zeros(self.arm.n))
         self.plant.place(self.begin)
         self._controller.reset()
         self._course.instant(self.t)

@@ -53,9 +53,8 @@ class LiveMode:
 
     def _beside(self, wanted: bool) -> None:
         """A new round."""
-        self.unprotected = World(self._scenario, self._true) if wanted else None
+        self.unprotected = World(self._scenario, self._true, protected=False) if wanted else None
         if self.unprotected is not None:
-            self.unprotected.say({"protected": False})
             self._later = self.world.t - self.unprotected.t  # s, the difference of their clocks
         self._moved = None
         self._lost: list[float | None] = [None, None]  # s after that
