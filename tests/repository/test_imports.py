@@ -158,6 +158,8 @@ for name in hidden:
 import salver as sv
 from salver.errors import MissingDependencyError
 from salver.export import write_export
+from salver.reports.film import write_film
+from salver.studio.server import Studio
 plan = sv.plan("panda-cube-1.2s")
 folder = plan.save({str(tmp_path / "run")!r})
 (path,) = write_export(folder, "csv")
@@ -172,15 +174,20 @@ for needed in (
     lambda: plan.to_xarray(),
     lambda: plan.to_pandas(),
     lambda: write_export(folder, "ros2"),
+    lambda: write_film(folder, folder / "film.gif"),
 ):
     try:
         needed()
     except MissingDependencyError as error:
         said.append(str(error))
+text = (folder / "scenario.toml").read_text()
+with Studio(text, folder / "mine.toml", folder) as page:
+    said += [page._say({{"do": "live", "text": text, "window": "w"}})["problem"]]
 print(json.dumps(said))
 """
     needed = [("mujoco", "engine")] * 2 + [("matplotlib", "plots"), ("xarray", "tables"), ("pandas", "tables")]
-    for sentence, (package, extra) in zip(_run(code), [*needed, ("rosbags", "bags")], strict=True):
+    needed += [("rosbags", "bags"), ("PIL", "engine"), ("mujoco", "engine")]
+    for sentence, (package, extra) in zip(_run(code), needed, strict=True):
         install = f"pip install 'salver[{extra}]'"
         assert sentence.endswith(f" needs {package}, which is not installed; install it with: {install}.")
 

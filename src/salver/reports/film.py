@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from salver.errors import MissingDependencyError, SalverError
+from salver.errors import MissingDependencyError, SalverError, needs
 from salver.files import put_in_place, write_atomic, writing
 from salver.motion_files.verdict import UNSAFE
 from salver.planning.plan import load_plan
@@ -68,6 +68,8 @@ def write_film(
         )
     if min(width, height) < 16 or max(width, height) > 4096:
         raise SalverError(f"A picture of {width} x {height} pixels was asked for; each side must be from 16 to 4096.")
+    with needs("engine", "A film"):
+        import PIL  # noqa: F401
     width, height = width - width % 2, height - height % 2  # the encoder halves both
     save = _ffmpeg(path) if path.suffix in FILMS else _pillow(path)
     scenes = _scenes(Path(directory), stem)

@@ -14,7 +14,7 @@ from itertools import count
 from pathlib import Path
 from shlex import quote
 from types import TracebackType
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 from salver.errors import SalverError, ScenarioError
 from salver.export import FORMATS, write_export
@@ -26,13 +26,15 @@ from salver.reports.pages.page import asset, fill, framed, write_report
 from salver.reports.pages.replay import replay_scene
 from salver.reports.run import ReportedRun, read_leg, read_run
 from salver.scenario import Scenario
-from salver.studio.live_mode import LiveMode
 from salver.studio.local_page import HTML, LocalPage, Shown
 from salver.studio.look import change, look
 from salver.studio.parts import LOADS, OBSTACLES
 from salver.studio.planner import PlanningProcess, motions
 from salver.studio.text import LONGEST, checked
 from salver.studio.words import PLANNING
+
+if TYPE_CHECKING:
+    from salver.studio.live_mode import LiveMode
 
 
 class Studio:
@@ -60,7 +62,7 @@ class Studio:
         self._saved, self._true, self._keep_in = saved, true, keep_in
         self._looking, self._numbers = threading.Lock(), count()
         self._planners, self._plans = dict[str, PlanningProcess](), dict[str, tuple[str, Path]]()  # of windows
-        self.lives = dict[str, LiveMode]()
+        self.lives: dict[str, LiveMode] = {}
         self._room = tempfile.TemporaryDirectory(prefix="salver-studio-")
         self._served = LocalPage(self._show, self._say, port, 2 * LONGEST)
 
@@ -253,6 +255,8 @@ class Studio:
         return {"variants": scene["variants"], "start": scene["start"], "end": scene["duration"]}
 
     def _live(self, text: str, window: str) -> dict[str, Any]:
+        from salver.studio.live_mode import LiveMode
+
         scenario = self._checked(text)
         self._close(window)
         with self._looking:
