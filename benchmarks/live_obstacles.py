@@ -259,9 +259,10 @@ def silent(run: dict[str, Any]) -> bool:
     return run["would"] and hit is not None and (announced is None or announced > hit)
 
 
-def possible(run: dict[str, Any]) -> bool:
-    """Whether it would hit and there was a way out; where nobody has looked, it is said that there was."""
-    return evaded(run) or (run["would"] and run.get("way", True))
+def missed(runs: list[dict[str, Any]]) -> tuple[int, int]:
+    """How many hits a search without time limit found a way out of, and of how many it looked for one."""
+    looked = [x["way"] for x in runs if x["would"] and not evaded(x) and "way" in x]
+    return sum(looked), len(looked)
 
 
 def delays(runs: list[dict[str, Any]]) -> np.ndarray:
@@ -279,14 +280,14 @@ def table(runs: dict[str, list[dict[str, Any]]]) -> str:
         delay = f"{np.median(late):.0f} / {np.quantile(late, 0.99):.0f} / {late.max():.0f}" if len(late) else ""
         rows.append(
             f"| {name} | {kind} | {threat} | {clear} | {threat - clear - quiet} | {quiet} | "
-            f"{clear} of {sum(map(possible, of))} | {delay} | {max((x['look'] for x in of), default=0.0):.1f} | "
+            f"{' of '.join(map(str, missed(of)))} | {delay} | {max((x['look'] for x in of), default=0.0):.1f} | "
             f"{sum(x['hit'] is not None for x in of if not x['would'])} |"
         )
     return "\n".join(rows)
 
 
 HEAD = (
-    "| load | what | would hit | evaded | hit, announced | hit in silence | evaded, of those with a way out | "
+    "| load | what | would hit | evaded | hit, announced | hit in silence | hits with a way out, of those searched | "
     "announced after, ms: median / 99 % / largest | look, ms of CPU at most | hit that would not |\n"
     "|---|---|---|---|---|---|---|---|---|---|"
 )

@@ -132,21 +132,18 @@ def machine(runs: list[dict[str, Any]]) -> str:
 
 def evasions(runs: Runs) -> str:
     """What became of balls and posts, in a sentence."""
-    from live_obstacles import delays, evaded, possible, silent
+    from live_obstacles import delays, evaded, missed, silent
 
     real, virtual = (
         [x for each in of_kind(runs, kind).values() for x in each if x["would"]] for kind in ("obstacles", "virtual")
     )
-    clear, able = (
-        {kind: sum(map(is_so, each)) for kind, each in (("real", real), ("virtual", virtual))}
-        for is_so in (evaded, possible)
-    )
     hit = sum(x["hit"] is not None for x in (*real, *virtual))
-    late = delays(real)
+    late, ways = delays(real), missed([*real, *virtual])
     return (
-        "Of the obstacles that came at the load and for which a search without time limit finds a way out, "
-        f"{clear['virtual']} of {able['virtual']} were evaded where planning takes its processor time, and "
-        f"{clear['real']} of {able['real']} in real time on {machine(real)}. {sum(map(silent, (*real, *virtual)))} of "
+        f"Of the balls and posts that came at the load, {sum(map(evaded, virtual))} of {len(virtual)} were evaded "
+        f"where planning takes its processor time, and {sum(map(evaded, real))} of {len(real)} in real time on "
+        f"{machine(real)}. Of those that hit, a search without time limit was run for {ways[1]} and found a way out of "
+        f"{ways[0]}. {sum(map(silent, (*real, *virtual)))} of "
         f"{hit} hits came unannounced; in real time 99 % of the announcements came within {np.quantile(late, 0.99):.0f}"
         f" ms after the obstacle was first seen, and each within {late.max():.0f} ms."
     )
