@@ -22,6 +22,7 @@ from salver.live.committed.commit import Finding, verified
 from salver.live.committed.motion import SAME, Committed
 from salver.live.replanning.objective import Wanted, Weights, level
 from salver.live.replanning.replan import Sought
+from salver.models.arm.arm_limits import LIMITS
 from salver.planning import qp
 from salver.planning.fastest import Block, MotionEvaluation, TransportProblem, evaluate
 from salver.planning.trajopt.curves import Grid, united
@@ -29,6 +30,8 @@ from salver.planning.trajopt.evaluation import NOTHING
 from salver.planning.trajopt.spline import RestSpline
 from salver.sensitivity.arm.terms import motion_terms
 from salver.trajectory import JointMotion
+
+LINEAR = {kind.name for kind in LIMITS if kind.of == "position"}  # names of rows that are linear in an increment
 
 
 @dataclass(frozen=True)
@@ -44,7 +47,8 @@ class SteeringOptions:
         nodes_per_span: number of nodes from each knot to the next, at which constraints are imposed. At 3, a tick takes
             0.8 of the time and 1 % more ticks are refused.
         depth: share of its limit by which a constraint may be away from its boundary and is still in the first
-            programme; others join when a trial violates them. At 1, a tick takes 1.4 times as long.
+            programme; others join when a trial violates them. At 1, a tick takes 1.4 times as long. On a base that
+            drives, all limits of the joints are in it.
         programmes: quadratic programmes in a tick at most: each but the last is followed by a trial of its solution.
             Doubled, the slowest ticks take 1.2 times as long; at 1, 9 % of the ticks are refused instead of 3 %.
         spent: share of a constraint's margin at the nodes that a trial may use up. Doubled, 4 % fewer programmes are
@@ -249,7 +253,13 @@ class Steering:
             for block, more in zip(blocks, tightened, strict=True)
         ]
         hessian, cost = self._objective(wanted, motion, begins)
-        masks = [block.near(options.depth) & np.ones(block.values.shape, dtype=bool) for block in blocks]
+        # Linear rows that join late only shorten the step, by which a base with its low jerk limits hardly moves.
+        first = LINEAR if self.problem.arm.base is not None else set()
+        depths = [np.inf if block.name in first else options.depth for block in blocks]
+        masks = [
+            block.near(depth) & np.ones(block.values.shape, dtype=bool)
+            for block, depth in zip(blocks, depths, strict=True)
+        ]
         unknowns = self._unknowns(motion) if motion.cases else None
         matrix = self._rows(blocks, masks, unknowns)
         where = [np.nonzero(mask) for mask in masks]
