@@ -11,6 +11,7 @@ from pydantic import Field, model_validator
 from salver.fields import File, Inertia, Metres, Model, Name, Number, Place, Point, Scale, Turns, leaving_out
 from salver.geometry import Array, matrix_from_rpy
 
+RoomEdge = Annotated[Number, Field(ge=1e-4, le=20)]  # m: a base drives between places from -10 to 10 m
 SIDES = {"-x": (-1, 0), "+x": (1, 0), "-y": (0, -1), "+y": (0, 1)}  # of the tray: the way out, along x and y of E
 
 
@@ -152,7 +153,7 @@ class KeepIn(Model):
 
     position: Point
     rpy_deg: Turns = (0.0, 0.0, 0.0)
-    size: tuple[Metres, Metres, Metres]
+    size: tuple[RoomEdge, RoomEdge, RoomEdge]
 
     @property
     def walls(self) -> tuple[Wall, ...]:

@@ -245,6 +245,7 @@ def test_a_keep_in_box_may_stand_on_the_floor_that_the_base_drives_on(column):
     off = matrix_from_rpy(np.deg2rad(box["rpy_deg"])).T @ [at[0] - 0.5, at[1] - 0.1, 0.0]
     by_hand = 0.5 * np.array([3.0, 2.2]) - np.abs(off[:2]) - 0.25
     assert parts.clearance(at[None])[0, walls].min() == pytest.approx(by_hand.min(), abs=1e-3)
+    assert task(column, surroundings={"keep_in": {**box, "size": [8.0, 12.0, 2.0]}}).around[0].point[0] < -3.0
     with pytest.raises(ScenarioError, match="mobile_base is outside the keep-in box in every posture"):
         arm_geometry(
             arm, obstacles=task(column, surroundings={"keep_in": {**box, "position": [0.5, 0.1, 1.01]}}).around
