@@ -250,6 +250,8 @@ def page(records: list[dict[str, Any]], ran: list[dict[str, Any]], others: list[
         "",
         *_findings(records, ran),
         "",
+        "![Tasks by how far the duration found is above the best known one](images/survey.svg)",
+        "",
         "Written by `python benchmarks/survey.py --docs`; one line for each task is in `docs/data/survey.jsonl`.",
         "",
         f"Tasks {records[0]['number']} to {records[-1]['number']} of the survey: random ends, loads and cells on",

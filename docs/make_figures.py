@@ -174,6 +174,38 @@ def stops() -> Any:
     return _bars(list(loads), {label: [x[key] for x in loads.values()] for key, label in labels.items()})
 
 
+def evasions() -> Any:
+    """Shares of the balls and posts of docs/data/live-obstacles.json that were evaded in real time, by load."""
+    runs = json.loads((DATA / "live-obstacles.json").read_text(encoding="utf-8"))
+    coming = {
+        name.partition(",")[0]: [x for x in each if x["would"]] for name, each in runs.items() if "virtual" not in name
+    }
+    series = {
+        f"{what}s": [100 * np.mean([x["hit"] is None for x in each if x["what"] == what]) for each in coming.values()]
+        for what in ("ball", "post")
+    }
+    return _bars(list(coming), series, "evaded in real time, %")
+
+
+def survey() -> Any:
+    """How far the durations of docs/data/survey.jsonl are above the best known ones, by rank."""
+    tasks = [json.loads(line) for line in (DATA / "survey.jsonl").read_text(encoding="utf-8").splitlines()]
+    above = []
+    for task in tasks:
+        duration = task["default"]["duration"]
+        if duration is not None and task["known"]:
+            above.append(100 * (duration / min(duration, *task["known"]) - 1))
+    figure = _figure(6.4, 2.6)
+    axes = figure.add_subplot()
+    axes.plot(np.arange(1, len(above) + 1), np.sort(above), ".", color=style.BLUE, label=f"each of {len(above)} tasks")
+    axes.axhline(
+        3, color=style.GREY, linewidth=1, linestyle="--", label=f"3 %: {sum(x <= 3 for x in above)} tasks are below"
+    )
+    axes.set(xlabel="tasks, by this percentage", ylabel="duration above best known, %", ylim=(-0.2, None))
+    axes.legend(loc="upper left")
+    return _tight(figure)
+
+
 def tipping() -> Any:
     """Where the force on a bottle's base acts (the zero-moment point) while a level tray accelerates."""
     scenario = scenarios.load("panda-tall-bottle")
@@ -445,6 +477,8 @@ FIGURES: dict[str, Callable[[], Any]] = {
         shaped,
         speeds,
         stops,
+        evasions,
+        survey,
         tipping,
         tilt,
         ranges,
@@ -455,8 +489,8 @@ FIGURES: dict[str, Callable[[], Any]] = {
 }
 
 
-def _bars(names: list[str], series: dict[str, list[float]]) -> Any:
-    """Durations in s: a group of bars for each name, one bar for each series."""
+def _bars(names: list[str], series: dict[str, list[float]], unit: str = "duration, s") -> Any:
+    """A group of bars for each name, one bar for each series."""
     figure = _figure(6.4, 0.6 + 0.38 * len(names))
     axes = figure.add_subplot()
     places, height = np.arange(len(names)), 0.8 / len(series)
@@ -465,7 +499,7 @@ def _bars(names: list[str], series: dict[str, list[float]]) -> Any:
         axes.barh(places + (k - (len(series) - 1) / 2) * height, values, 0.9 * height, color=colour, label=label)
     axes.set_yticks(places, names)
     axes.invert_yaxis()
-    axes.set(xlabel="duration, s")
+    axes.set(xlabel=unit)
     axes.legend(loc="upper center", bbox_to_anchor=(0.4, 1.1 if len(names) > 5 else 1.25), ncols=3, frameon=False)
     figure.tight_layout()
     return figure

@@ -144,7 +144,7 @@ class LinearFilter:
         return np.asfortranarray(bands.reshape(4, -1))
 
     def _stepped(self, state: Array) -> Array:
-        """`_solved`, node by node for all filters and drives together: faster with many drives."""
+        """As `_solved`, but node by node for all filters and drives at once, which is faster with many drives."""
         found = np.ascontiguousarray(np.moveaxis(state, -3, 0))
         for before, step, now in zip(found, np.moveaxis(self.step, -3, 0), found[1:], strict=False):
             now += step @ before

@@ -115,6 +115,7 @@ def test_what_is_not_given_is_asked_and_asked_again_until_it_can_be_read(tmp_pat
     assert done.exit_code == 0, done.output
     for sentence in (
         '"ball 3" is not a load',
+        '"tea" is not a liquid',
         '"heavy" must be a number and a percentage',
         '"tree" is not an obstacle',
         'arm.model = "nope" is not known',
@@ -131,7 +132,7 @@ def test_what_is_not_given_is_asked_and_asked_again_until_it_can_be_read(tmp_pat
         ({"path": "0 0 0"}, "write x y z to x y z"),
         ({"tray": "0.3"}, "it must be 2 numbers"),
         ({"liquid": "water 0.06 0.005"}, '--liquid: "0.06 0.005" must be a number and a percentage, as in "0.06 10%"'),
-        ({"liquid": "milk 0.05 20%"}, "objects[0].liquid.kind"),
+        ({"liquid": "milk 0.05 20%"}, '--liquid: "milk" is not a liquid; write water, coffee, oil or none'),
         ({"obstacles": "box 1 1 1"}, "is not an obstacle"),
         ({"arm": "arm.urdf"}, "the link that carries the tray"),
         ({"friction": "0.4 x%"}, "is not a percentage"),

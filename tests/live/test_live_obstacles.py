@@ -624,8 +624,10 @@ def test_a_policy_changes_only_the_obstacles_that_a_policy_put(cube):
     live.stop("the cell is changed")  # which is no request to move
     assert live.put(crate).ok
     assert live.put(post, source="policy").ok
-    assert "the operator put crate there" in live.remove("crate", source="policy").sentence
-    assert "the operator put crate there" in live.put(replace(crate, position=(2, 2, 2)), source="policy").sentence
+    assert "crate was put there by the operator" in live.remove("crate", source="policy").sentence
+    assert (
+        "crate was put there by the operator" in live.put(replace(crate, position=(2, 2, 2)), source="policy").sentence
+    )
     assert "source is 'nobody'; it must be one of" in live.put(post, source="nobody").sentence
     assert live.remove("post", source="policy").ok
     assert live.remove("crate").ok

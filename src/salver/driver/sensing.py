@@ -4,8 +4,8 @@ A reading is a position and a speed. The reading of a joint is plausible if
 
 - it is possible: finite, near the joint's range, not faster than any joint turns;
 - its speed does not jump, except to the commanded one;
-- its position follows from its speeds: from one reading to the next it changes by a value between both speeds times the
-  time. The remaining change is summed, fades over `window`, and may not exceed `drift`;
+- its position agrees with its speeds: the step from the last reading lies between the old and the new speed, each times
+  the period. The rest of the step is summed, fades over `window`, and may not exceed `drift`;
 - it is new: a reading that is repeated bit by bit is stale where the joint is commanded to move otherwise.
 
 So readings of an arm that is pushed or held are plausible. While the arm stops, a joint whose reading was not plausible

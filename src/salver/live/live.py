@@ -165,7 +165,7 @@ class Live(Requested):
         """Raises Refused where a source must not move or remove the obstacle of a name."""
         by = self._standing[name][1] if name in self._standing else source
         if PRIORITY[known(source)] < PRIORITY[by]:
-            raise Refused(f"the {by} put {name} there")
+            raise Refused(f"{name} was put there by the {by}; the {source} must not change it")
 
     def _predicted(self, seen: Moving, others: Container[str]) -> Predicted:
         """others: names that it must not have."""

@@ -184,6 +184,6 @@ def _clock(t: Array, y: Array, source: str, fewest: int = FEWEST) -> tuple[Array
     if usual < SHORTEST_STEP:
         raise FileFormatError(
             f"{source}: samples come every {usual:.3g} s; an audit reads up to {1 / SHORTEST_STEP:g} a second, so the "
-            "unit of its times is another (columns t are in s or in that of --units, t_ms, t_us and t_ns in theirs)."
+            "unit of its times is another: give it by --units, or name the column t_ms, t_us or t_ns."
         )
     return t, keep, tuple(notes)

@@ -158,7 +158,7 @@ class Studio:
         "say". Each answer has a "problem" when it could not be done."""
         try:
             if not isinstance(message, dict):
-                raise ScenarioError("A message is a table.")
+                raise ScenarioError("A message must be a JSON object.")
             do, text, window = (str(message.get(key, "")) for key in ("do", "text", "window"))
             if len(text.encode()) > LONGEST:
                 raise ScenarioError(f"The text has more than {LONGEST // 1000} kB.")

@@ -167,6 +167,10 @@ def _liquid(text: str) -> tuple[str, float, str] | None:
     kind, _, rest = text.strip().partition(" ")
     if kind in ("none", ""):
         return None
+    from salver.dynamics.liquid.liquid import FLUIDS
+
+    if kind not in FLUIDS:
+        raise ScenarioError(f'"{kind}" is not a liquid; write {", ".join(FLUIDS)} or none.')
     return kind, *_value_and_range(rest, "0.06 10%")
 
 

@@ -162,7 +162,7 @@ class SloshingResponse(LoadResponse):
         return np.concatenate([turns, np.stack(both, axis=1)], axis=1)
 
     def _leans(self, case: Indices, node: Indices) -> Array:
-        """(m, 1) 1 where `free_height` is that of the whole surface, else 0."""
+        """(m, 1) 1 where the limit on the whole surface (not that on free waves) gives `free_height`, else 0."""
         whole = LESS * (self.modes.height + self.higher)
         return np.asarray((self.free_height <= whole)[case, node, None], dtype=float)
 

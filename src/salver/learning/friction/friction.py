@@ -234,7 +234,7 @@ def friction(
 
 
 def _terms(plan: Plan, motion: tuple[Array, Array, Array]) -> MotionTerms:
-    """Terms of a plan's arm along q, dq, ddq (T, n)."""
+    """Dynamics terms of a plan's arm with its load along the motion (q, dq, ddq), each (T, n)."""
     arm = load_arm(plan.scenario.arm, plan.scenario.tray)  # type: ignore[arg-type]
     return motion_terms(with_load(arm, plan.scenario.payload.bodies).pin_model, arm.tray_id, *motion)
 

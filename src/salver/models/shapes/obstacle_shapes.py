@@ -44,7 +44,7 @@ def mesh_pieces(obstacle: Obstacle) -> list[Array]:
 
 @lru_cache(maxsize=64)
 def _pieces(file: str, most: int = 64) -> tuple[Array, ...]:
-    """Corners of each separate piece of a mesh file, at most so many pieces."""
+    """Corners of each separate piece of a mesh file. Raises ValueError for more than `most` pieces."""
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
 

@@ -88,7 +88,7 @@ def why_unreached(problem: TransportProblem) -> Status:
             continue
         q, _ = min(found, key=_missed)
         error = end.target.residual(problem.arm, q)[0]
-        by = f"{1e3 * np.linalg.norm(error[:3]):.3g} mm and {np.rad2deg(np.linalg.norm(error[3:])):.3g} deg"
+        by = f"{round(1e3 * np.linalg.norm(error[:3]), 1):g} mm and {np.rad2deg(np.linalg.norm(error[3:])):.3g} deg"
         told = f"No posture within the joint limits reaches the {name}: the nearest found misses it by {by}."
         q, missed = min(_sought(problem, replace(end.target, yaw_free=True)), key=_missed)
         if missed < REACHED and not end.target.yaw_free:

@@ -225,7 +225,7 @@ class _Found:
     pairs: list[Ends] = field(default_factory=list)
 
     def nearby(self, sought: list[tuple[float, Array, Array]], few: int | None) -> bool:
-        """Add pairs, moved out of collisions where possible, until `few` free ones are cheaper than all that follow.
+        """Add pairs by cost, moved out of collisions where possible, until `few` free ones cost no more than the next.
         Returns whether any was new."""
         problem, before = self.problem, len(self.pairs)
         for cost, start, goal in sought:

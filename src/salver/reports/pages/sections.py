@@ -1,4 +1,4 @@
-"""The page's sections: headings, tables and places for charts. What has no data is left out."""
+"""The page's sections: headings, tables and places for charts. A section without data is left out."""
 
 from __future__ import annotations
 
