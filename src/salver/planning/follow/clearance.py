@@ -97,7 +97,7 @@ def sweep(parts: ArmGeometry, motion: JointMotion) -> Sweep:
 
 
 def _first_touch(t: Array, distance: Array, pairs: Indices) -> tuple[float, int] | None:
-    """The earliest instant, s, at which a pair touches, and its index. distance: (T, len(pairs)) at the times t (T,)."""
+    """The earliest instant, s, at which a pair touches, and its index. distance: (T, len(pairs)) at times t (T,)."""
     touching = distance <= EXACT
     if not touching.any():
         return None
