@@ -38,7 +38,9 @@ def arm_status(samples: JointSamples, arm: ArmModel, scenario: Scenario, step: f
     t, q = t[keep], q[keep]
     dq = np.gradient(q, t, axis=0)
     swept = sweep(parts, JointMotion(t, q, dq, np.gradient(dq, t, axis=0)))
-    blind = listed(["how fast the joints move, and their torques", *unchecked(arm, parts)])
+    rolling = arm.base is not None and arm.base.kind == "differential"
+    slides = ["whether the base moves across its heading"] if rolling else []
+    blind = listed(["how fast the joints move, and their torques", *slides, *unchecked(arm, parts)])
     if swept.touch is not None:
         first, second, when = swept.touch.first, swept.touch.second, swept.touch.time
         return Status(COLLISION, f"{first} and {second} touch at {when:.2f} s.", False)

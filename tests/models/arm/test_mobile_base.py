@@ -11,6 +11,7 @@ import pytest
 
 from live_runs import LEAD, drive, said
 from salver import scenario
+from salver.auditing.arm import arm_status
 from salver.driver.preflight import check_approach
 from salver.errors import ScenarioError
 from salver.geometry import matrix_from_rpy
@@ -18,6 +19,7 @@ from salver.live import Live
 from salver.models.arm.arm import load_arm
 from salver.models.arm.arm_geometry import arm_geometry
 from salver.models.arm.known_arms import KNOWN_ARMS
+from salver.motion_files.samples import JointSamples
 from salver.planning.fastest import plan_fastest, transport_problem
 from salver.planning.fastest.retiming import plan_retimed
 from salver.planning.follow.limits import verdict
@@ -229,7 +231,10 @@ def test_no_verdict_lets_a_differential_base_slide_sideways(column):
     case = task({**column, "base": {**column["base"], "kind": "differential"}}, (0.0, 1.5))
     found = verify(transport_problem(case), sideways.joint)
     assert found.sentence.startswith("velocity of the base across its heading would be exceeded"), found.sentence
-    said = verdict(load_arm(case.arm, case.tray), sideways.joint).sentence
+    arm, joint = load_arm(case.arm, case.tray), sideways.joint
+    recorded = JointSamples(joint.t, arm.joint_names, joint.q, None, None, "recording")
+    assert ", whether the base moves across its heading" in arm_status(recorded, arm, case).sentence
+    said = verdict(arm, joint).sentence
     assert "the base moves across its heading at " in said
     assert ", above 0.005 m/s" in said
     assert not plan_retimed(case, sideways.joint.q[::20]).ok
