@@ -267,7 +267,7 @@ def flip(content, at):
         lambda line: b"9" * 5000,
         lambda line: line[:40] + line,
         lambda line: flip(line, line.index(b"com_x") + 12),  # a digit
-        lambda line: line.replace(b'"outcome":"holds"', b'"outcome":"slide"').replace(b"leaves cone", b"holds"),
+        lambda line: line.replace(b'"outcome":"holds"', b'"outcome":"slide"'),
     ],
 )
 def test_a_damaged_line_costs_one_run_and_a_sentence(run, damage, caplog):

@@ -21,7 +21,7 @@ LARGEST_SLIP = 5e-3  # m; a larger slip counts as a loss too
 MAGIC = b"PAR1"  # at both ends of a Parquet file
 
 # From best to worst; an outcome that is not listed is worst.
-SEVERITY = ("holds", "leaves cone", "limit", "slides", "swings", "spills", "lifts", "tips", "lost", "error")
+SEVERITY = ("holds", "limit", "slides", "swings", "spills", "lifts", "tips", "lost", "error")
 SUMMARISED = (
     "peak_slip",
     "final_slip",

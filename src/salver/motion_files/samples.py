@@ -25,7 +25,7 @@ class TraySamples(Outlined):
 
     t (N,): s from the first sample. p (N, 3): m. quat_wxyz (N, 4): continuous in sign, of norm 1 up to rounding in the
     file. frame: "E" or "B". notes: repairs on reading, as sentences. form: format of the file, one of
-    `salver.motion_files.FORMS`. verdict: the warning in the file ("UNSAFE: why"), else empty.
+    `salver.motion_files.ENDINGS` or "npz". verdict: the warning in the file ("UNSAFE: why"), else empty.
     """
 
     t: Array
