@@ -110,7 +110,7 @@ def a_joint(constraint: Constraint) -> TransportProblem:
     made: Any = SimpleNamespace(
         nodes=np.zeros(0),
         n=1,
-        arm=SimpleNamespace(n=1),
+        arm=SimpleNamespace(n=1, base=None),
         limits=None,
         constraints=(constraint,),
         cases=(),
