@@ -37,10 +37,10 @@ def found(p, t=T, noise=2e-5):
     return repaired(channels_of(seen(p, t, noise)), DEFAULT)
 
 
-def judged(p, t=T, noise=2e-5):
+def judged(p, t=T, noise=2e-5, case=CUBE):
     s = seen(p, t, noise)
     return audit({"t": t, **dict(zip("xyz", s.p.T, strict=True)), "qw": 1 + 0 * t, "qx": 0 * t, "qy": 0 * t,
-                  "qz": 0 * t}, CUBE)  # fmt: skip
+                  "qz": 0 * t}, case)  # fmt: skip
 
 
 def codes(channels):
@@ -232,6 +232,21 @@ def test_a_dead_band_is_a_resolution(band):
     verdict = judged(p, noise=0.0).nominal
     assert "noise" in verdict.details["reasons"]
     assert "no arm" not in verdict.sentence
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+@pytest.mark.parametrize(("share", "outcome"), [(0.5, "cannot_tell"), (2.2, "does_not_hold")])
+def test_a_dead_band_is_a_resolution_of_a_fast_motion_too(side, share, outcome):
+    """A transfer that needs `share` of the friction there is; the safe one seemed to need more friction than any."""
+    t = np.arange(0, 2.2, 0.002)
+    u = np.clip((t - 0.3) / 0.7, 0, 1)
+    way = side * share * 0.4 * 9.81 * 0.7**2 / (10 / 3**0.5) * u**3 * (10 - 15 * u + 6 * u**2)
+    p = np.stack([0.4 + way, 0.1 + 0.7 * way, 0.5 + 0 * t], axis=1)
+    for column in p.T:
+        for k in range(1, len(column)):
+            column[k] = column[k] if abs(column[k] - column[k - 1]) > 1e-4 else column[k - 1]
+    case = CUBE.with_changes(objects__0__friction=0.4, objects__0__uncertainty={})
+    assert judged(p, t, noise=0.0, case=case).outcome == outcome
 
 
 def test_a_column_that_ends_at_a_bound_of_the_sensors_range_is_no_jolt():

@@ -132,8 +132,9 @@ def _without_repeats(channels: Channels, options: AuditOptions) -> Channels:
     passed = np.concatenate([[0.0], np.cumsum(far)])
     low, high = np.maximum(begins - 2 * length, 0), np.minimum(begins + 3 * length, len(t) - 1)
     usual = (passed[high] - passed[low]) / np.maximum(high - low, 1)
-    # At rest the next displacement is as small as those after it; the sensor's resolution gives single steps.
-    stale = (length > 1) & (catch_up > 0.2 * length * usual) & (catch_up > 4 * channels.step)
+    # At rest the next displacement is as small as those after it; a resolution or dead band gives single steps.
+    least = 4 * max(channels.step, dead_band(channels.scaled))
+    stale = (length > 1) & (catch_up > 0.2 * length * usual) & (catch_up > least)
     if not stale.any():
         return channels
     typical = float(np.median(length[stale]))

@@ -132,19 +132,18 @@ def of_one_size(moves: Array) -> bool:
     return bool(np.quantile(moves, 0.1) > 0.3 * np.median(moves))
 
 
-def dead_band(y: Array, fewest: int = 6, still: float = 0.1) -> float:
+def dead_band(y: Array, fewest: int = 6) -> float:
     """Dead band of a logger in values (N, d), which writes a value anew once it has changed by so much: it hides
     smaller motion as a resolution does. The largest of all columns; 0 if there is none.
 
-    fewest: least number of moves that show it. still: least share of samples between moves that repeat the one before.
+    fewest: least number of moves after a repeated value that show it.
     """
     found = [0.0]
     for moves in np.abs(np.diff(y, axis=0)).T:
         changes = np.flatnonzero(moves)
-        if len(changes) < fewest or len(changes) > (1 - still) * (changes[-1] - changes[0] + 1):
-            continue
-        if of_one_size(moves[changes]):
-            found.append(float(np.quantile(moves[changes], 0.1)))
+        after = moves[changes[1:]][np.diff(changes) > 1]  # at speed a value may change by more
+        if len(after) >= fewest and of_one_size(after) and moves[changes].min() > 0.3 * np.median(after):
+            found.append(float(np.quantile(after, 0.1)))
     return max(found)
 
 

@@ -60,7 +60,10 @@ def write_film(
     """
     path = Path(path)
     if path.suffix not in (*FILMS, *STILLS):
-        raise SalverError(f"{path} ends in none of {', '.join((*FILMS, *STILLS))}; a film needs one of them.")
+        raise SalverError(
+            f"{path} ends in none of {', '.join((*FILMS, *STILLS))}; a film needs one of them (a "
+            "recording for Foxglove: .mcap)."
+        )
     if not (0.1 <= rate <= 120 and 1e-3 <= speed <= 10):
         raise SalverError(
             f"{rate:g} pictures a second at {speed:g} times the speed: it must be 0.1 to 120 pictures a second, "
