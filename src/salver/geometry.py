@@ -126,8 +126,8 @@ def matrix_from_rpy(rpy: npt.ArrayLike) -> Array:
 def adjoint(p: npt.ArrayLike, rotation: npt.ArrayLike) -> Array:
     """Ad of the pose (p_AB, R_AB): twists (v, omega) in B to twists in A, (..., 6, 6).
 
-    Its transpose takes wrenches in A to wrenches in B. Paper, eq (3), is the transpose of the
-    inverse: lower-left block hat(p_bc) R_bc.
+    Its transpose takes wrenches in A to wrenches in B. Eq (3) of the paper is the transpose
+    of this matrix's inverse: its lower-left block is hat(p_bc) R_bc.
     """
     p, r = np.asarray(p, dtype=float), np.asarray(rotation, dtype=float)
     ad = np.zeros((*p.shape[:-1], 6, 6))

@@ -98,7 +98,7 @@ def test_bags_that_do_not_weigh_are_refused(tmp_path: Path, log: Log, names: tup
     assert read_log(tmp_path / "two", 7, names, "/b").q == pytest.approx(log.q)
     with pytest.raises(FileFormatError, match="0 logs of the joints"):
         read_log(tmp_path / "two", 7, names, "/c")
-    with pytest.raises(FileFormatError, match=r"the joints were logged up to .* s from any of its stamps"):
+    with pytest.raises(FileFormatError, match=r"the joints were logged up to .* s away from its nearest sample"):
         read_log(bag(tmp_path / "late", log, names, late=0.5), 7, names)
     with pytest.raises(FileFormatError, match="has no joint panda_joint1"):
         read_log(bag(tmp_path / "names", log, tuple(f"j{k}" for k in range(7))), 7, names)

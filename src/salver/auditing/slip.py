@@ -50,8 +50,8 @@ def slide(t: Array, reserve: Array) -> float:
 
 
 def _drift(amplitude: Array | float, frequency: Array | float, reserve: Array, rest: float) -> Array:
-    """Slip to one side, and net slip, in one cycle, m (2, ...); acceleration that reduces the reserve on one side adds
-    to it on the other. rest: reserve at rest, m/s^2."""
+    """In one cycle of a vibration, m (2, ...): the slip to one side, and that slip less the slip back. The reserve of
+    acceleration on the other side is 2 rest - reserve. rest: reserve at rest, m/s^2."""
     there = per_cycle(amplitude, frequency, reserve)
     back = per_cycle(amplitude, frequency, 2 * rest - reserve)
     return np.stack([there, np.maximum(there - back, 0.0)])

@@ -233,8 +233,8 @@ def read_sensed(path: Path, topic: str | None = None) -> tuple[JointSamples, Arr
     apart = np.abs(t[np.clip(np.searchsorted(t, samples.t), 0, len(t) - 1)] - samples.t).max()
     if apart > SPARSE:
         raise FileFormatError(
-            f"{path}, topic {name}: the joints were logged up to {apart:.3g} s from any of its stamps; at most "
-            f"{SPARSE:g} is accepted."
+            f"{path}, topic {name}: the joints were logged up to {apart:.3g} s away from its nearest sample; at most "
+            f"{SPARSE:g} s is accepted."
         )
     return samples, interpolated(t, values, samples.t)
 

@@ -22,10 +22,10 @@ class ExpectedValues:
     """Values beyond which a scenario probably has a mistake.
 
     Attributes:
-        friction: about that of dry rubber on a dry tray; few materials have more.
-        mass: kg; a lighter object.
-        densities: kg/m^3, below foam and empty cartons, and above gold.
-        tilt: degrees; a smaller bound of the tilt is probably in radians.
+        friction: warn above it; about that of dry rubber on a dry tray.
+        mass: kg; warn of a lighter object.
+        densities: kg/m^3; warn outside them: they are below foam and empty cartons, and above gold.
+        tilt: degrees; warn of a smaller bound, which is probably in radians.
     """
 
     friction: float = 1.2

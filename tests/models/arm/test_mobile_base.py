@@ -152,7 +152,7 @@ def test_a_base_takes_no_torques_and_no_name_twice(column, tmp_path):
     path = tmp_path / "own.urdf"
     path.write_text(COLUMN.replace('"column"', '"mobile_base"'))
     own = task({**column, "model": str(path)})
-    with pytest.raises(ScenarioError, match=r"has the name mobile_base, which arm.base has for itself"):
+    with pytest.raises(ScenarioError, match=r"has the name mobile_base, which arm.base needs itself"):
         load_arm(own.arm, own.tray)
 
 

@@ -209,7 +209,7 @@ class Steering:
         return JointMotion(t, *states)
 
     def _ticks(self, t: Array) -> Array:
-        """Times that are multiples of a tick, but for rounding, to the last digit: so that what is cached is found."""
+        """t, with times near a multiple of a tick replaced by that multiple, so that results in the cache are found."""
         ticks = self.options.tick * np.round(t / self.options.tick)
         return np.where(np.abs(t - ticks) < self.options.same_knot, ticks, t)
 

@@ -40,7 +40,7 @@ def on_base(chain: Chain, base: MobileBase, path: Path, carriage: float = 1e-6) 
     """
     taken = sorted((chain.all_links & {*LINKS, TOP}) | (chain.all_joints & {*JOINTS}))
     if taken:
-        raise ScenarioError(f"The URDF {path} has the name {taken[0]}, which arm.base has for itself; rename it there.")
+        raise ScenarioError(f"The URDF {path} has the name {taken[0]}, which arm.base needs itself; rename it there.")
     if base.size is not None:
         solid, kind = pin.Inertia.FromBox(base.mass, *base.size), f'box size="{_numbers(base.size)}"'
     else:

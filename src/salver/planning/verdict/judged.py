@@ -126,8 +126,8 @@ class VerdictEvaluation(MotionEvaluation):
 
 @dataclass(frozen=True, eq=False)
 class Judged:
-    """A motion under a problem that begins where the arm is then, and the rest after it until the deviation has
-    settled (with load dynamics: to its end, see `MotionEvaluation.rest`). t: (N,) s, instants of its own time."""
+    """A motion, and the rest after it until the arm's deviation has settled, under a problem that begins with the arm's
+    state (with load dynamics: to its end, see `MotionEvaluation.rest`). t: (N,) s, instants of its own time."""
 
     problem: TransportProblem
     motion: JointMotion
