@@ -404,7 +404,7 @@ def _beside(
 
 
 def _with_joints(found: Audit, beside: JointSamples | str | None) -> Audit:
-    """An audit of a tray motion, completed with the joints that `_beside` found, or with its note why there are none."""
+    """An audit of a tray motion, completed with the joints that `_beside` found, or its note why there are none."""
     motion, arm = found.motion, _arm(found.scenario)
     if isinstance(beside, str):
         return replace(found, motion=replace(motion, notes=(*motion.notes, beside)))
