@@ -91,7 +91,7 @@ def test_a_bag_without_a_wrist_has_torques_only(tmp_path: Path, log: Log, names:
 @pytest.mark.slow
 def test_bags_that_do_not_weigh_are_refused(tmp_path: Path, log: Log, names: tuple[str, ...]) -> None:
     nothing = replace(log, tau=None, wrench_F=None)
-    with pytest.raises(FileFormatError, match="nothing weighs"):
+    with pytest.raises(FileFormatError, match="the load cannot be weighed"):
         read_log(bag(tmp_path / "still", nothing, names), 7, names)
     with pytest.raises(FileFormatError, match=r"2 logs of the joints .*; name one with --topic"):
         read_log(bag(tmp_path / "two", log, names, ("/a", "/b")), 7, names)
