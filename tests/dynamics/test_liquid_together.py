@@ -105,7 +105,7 @@ def test_few_and_many_drives_are_answered_alike(columns: int, moving: bool) -> N
 def test_what_is_known_of_another_motion_is_refused(glasses: TransportProblem) -> None:
     """Its waves are the same only if what the tray feels is."""
     motion = moved(glasses)
-    with pytest.raises(ValueError, match="another motion's"):
+    with pytest.raises(ValueError, match="belong to another motion"):
         moved(glasses, swing=0.2).knowing(terms=motion.terms)
     half = motion.knowing(terms=motion.terms, response=motion.response, sag=motion.sag).at_factor(0.5)
     assert half.terms.twist == pytest.approx(0.5 * motion.terms.twist)
