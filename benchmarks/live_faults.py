@@ -66,7 +66,7 @@ class Faulty:
         out = np.stack(live.command(said))
         self.clock = said if np.isfinite(said) else self.clock
         if self.t and live.now <= before:
-            if not np.array_equal(out, self.rows[-1]):
+            if not np.allclose(out, self.rows[-1], rtol=0.0, atol=1e-9):  # a hand-over is another spline there
                 self.failed.append("the command changed though no time passed")
         else:
             self.rows.append(out)

@@ -185,6 +185,28 @@ def test_a_slow_motion_stops_on_its_path_at_once(cube, full, factor):
     check(live, told)
 
 
+def test_a_slow_motion_that_was_steered_stops_at_once():
+    """It ends 6 s later, so the search for a stop from there finds none; the arm went on for all of them."""
+    live = Live("ur10-bottle", lead=0.1)
+    live.override(0.1)
+
+    def commanded(since, until):
+        for k in range(round(1e3 * since), round(1e3 * until)):
+            state = np.stack(live.command(1e-3 * k))
+            if k % 20 == 0:
+                live.plan(60.0)
+        return state
+
+    commanded(0.0, 0.13)
+    assert live.goto([0.85, -0.09, 0.555]).ok
+    commanded(0.13, 0.33)
+    assert live.jog(np.array([-0.2, 0.6, 0.1, 0.2, -0.6, 0.8])).ok
+    commanded(0.33, 0.53)
+    assert live.committed.ends > 5.0
+    live.stop("now")
+    np.testing.assert_array_equal(commanded(0.53, 1.1)[1], 0.0)
+
+
 def test_a_policy_neither_releases_nor_hurries_what_the_operator_slowed(cube):
     live = Live(cube, lead=LEAD)
     assert live.override(0.5).ok

@@ -129,6 +129,9 @@ class Planner:
                 if found is not None and found.ends < base.ends:
                     return Answer(found, status)
             found, status = replanner.to(Anywhere(), base, begins, job.budget)
+            if found is None and base.profile is None:  # a slow motion far from its end may brake on its own path
+                found, braking = self._retimed(job, 0.0, problem, self.speed.braking)
+                status = status if found is None else braking
             late = found is not None and found.ends >= base.ends  # it is at rest no later as it is
             return Answer(None if late else found, status, late)
         if begins >= base.ends and self._there(wish, base):
