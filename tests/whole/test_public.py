@@ -186,5 +186,5 @@ def test_a_campaign_as_a_table(directory):
 def test_without_pandas_one_sentence_says_how_to_get_it(run, monkeypatch):
     for package in ("pandas", "xarray"):
         monkeypatch.setitem(sys.modules, package, None)
-        with pytest.raises(SalverError, match=rf"{package} is not installed; .*salver\[tables\]"):
+        with pytest.raises(SalverError, match=rf"needs {package}, which is not installed; .*salver\[tables\]"):
             getattr(run, f"to_{package}")()
