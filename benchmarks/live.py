@@ -25,7 +25,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import pickle
 import sys
 import time
 from argparse import Namespace
@@ -43,7 +42,7 @@ import salver as sv
 from lines import Line, read, taken, write
 from live_arrivals import HIGHEST, LOWEST, arrival
 from live_faults import faulty
-from live_obstacles import encounters, way_out
+from live_obstacles import encounters, way_out, write_situation
 from live_page import told_of
 from live_runs import EVERY, drive, executed, halted, in_turn, rows_of
 from live_speed import session, ways_to_rest
@@ -212,14 +211,9 @@ REAL = ("obstacles", "loop")  # what runs in real time
 WAYS = {"obstacles": "ways", "virtual": "virtual ways"}  # searches where something hits
 
 
-def _situation(path: Path, name: str, kind: str, k: int, found: Any = None) -> Any:
-    """The situation in which an obstacle was seen first; kept beside the lines."""
-    at = path.parent / "situations" / f"{name}-{kind}-{k}.pickle"
-    if found is None:
-        return pickle.loads(at.read_bytes())  # noqa: S301  made here
-    at.parent.mkdir(exist_ok=True)
-    at.write_bytes(pickle.dumps(found))
-    return found
+def _situation(path: Path, name: str, kind: str, k: int) -> Path:
+    """Where the situation in which an obstacle was seen first is kept: beside the lines."""
+    return path.parent / "situations" / f"{name}-{kind}-{k}.npz"
 
 
 def work(job: Job) -> list[Line]:
@@ -228,7 +222,7 @@ def work(job: Job) -> list[Line]:
     lines = []
     if kind in WAYS:
         for k, found, situation in encounters(name, numbers, kind == "virtual", until):
-            _situation(asked.path, name, kind, k, situation)
+            write_situation(_situation(asked.path, name, kind, k), situation)
             lines.append(write(asked.path, {"name": name, "kind": kind, "number": k} | found))
     elif time.time() < until:
         for k in numbers:

@@ -15,8 +15,9 @@ import os
 import threading
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import replace
+from dataclasses import asdict, replace
 from itertools import product
+from pathlib import Path
 from typing import Any
 from zlib import crc32
 
@@ -24,6 +25,7 @@ import numpy as np
 
 from live_arrivals import Region, region
 from live_loop import PERIOD, prompt
+from salver.files import read_result, save_result
 from salver.geometry import GRAVITY_S
 from salver.live import Live, Moving, Worker
 from salver.live.committed.motion import Committed
@@ -33,12 +35,15 @@ from salver.live.replanning.replan import Replanner
 from salver.live.replanning.steer import TICK
 from salver.live.replanning.wishes import Refused, pose_goal
 from salver.planning.fastest import TransportProblem
+from salver.planning.verdict.margins import ConstraintMargins
+from salver.trajectory import JointMotion
 
 CAMERA = 1 / 30  # s between reports
 SIGHT = 0.3, 1.5  # s before it would be there, from which on it is seen
 ROOM = 0.1  # m that it is away at least when it is seen first
 AFTER = 0.7  # s, until it has passed
 KINDS = ("ball", "post")
+MOTION = ("t", "q", "dq", "ddq")
 FAR, AROUND = (0.25, 0.12, 0.4), 8  # m to the goals of the search without time limit, and directions of them
 PATIENCE = 5.0  # s of it for each
 
@@ -243,10 +248,25 @@ def encounters(
             robot.rows.clear() if virtual else None
 
 
-def way_out(name: str, situation: Situation) -> bool:
-    """Whether a search without time limit finds a way out of a situation."""
+def write_situation(path: Path, situation: Situation) -> None:
+    base, now, seen = situation
+    knots = {key: getattr(base.motion, key) for key in MOTION}
+    summary = {"begins": base.begins, "now": now, "seen": asdict(seen)}
+    save_result(path, {**knots, "nodes": base.nodes, "deviation": base.deviation}, summary)
+
+
+def read_situation(path: Path) -> Situation:
+    """A situation as far as a way out depends on it: without the margins of what was committed."""
+    arrays, found = read_result(path)
+    motion, t = JointMotion(*(arrays[key] for key in MOTION)), arrays["nodes"]
+    nothing = ConstraintMargins.of((), t, None)
+    return Committed(found["begins"], motion, t, arrays["deviation"], nothing), found["now"], Moving(**found["seen"])
+
+
+def way_out(name: str, path: Path) -> bool:
+    """Whether a search without time limit finds a way out of the situation that is kept in a file."""
     problem = Live(name).problem
-    return way(problem, Movable(Live(name).problem.keep_out.parts), *situation)
+    return way(problem, Movable(Live(name).problem.keep_out.parts), *read_situation(path))
 
 
 def evaded(run: dict[str, Any]) -> bool:

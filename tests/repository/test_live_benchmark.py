@@ -4,12 +4,16 @@ import sys
 from argparse import Namespace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 
 import live
 from lines import write
+from live_obstacles import read_situation, way_out, write_situation
+from salver.live import Live, Moving
+from salver.live.replanning.obstacles import predicted
 
 HIT = {"what": "ball", "would": True, "hit": 0.4, "announced": 0.003, "look": 1.0, "load": 0.5, "cores": 2}
 
@@ -54,3 +58,25 @@ def test_hits_with_a_way_out_are_counted_among_those_that_were_searched(asked):
     told(asked, "obstacles", 4, **HIT | {"hit": None})
     runs = live.gathered(live.read(asked.path))["live-obstacles"]
     assert "| 1 of 2 |" in live.told_of("live-obstacles", runs)
+
+
+def test_a_kept_situation_is_that_of_the_encounter(tmp_path):
+    """A ball that flies away from the arm, which is on its way; the search that reads it finds a way out."""
+    live = Live("ur3-cup")
+    live.command(0.0)
+    body = live.problem.items[0]
+    p, _ = live.problem.arm.object_pose(live.committed.motion.q[0], body.p_EB, body.R_EB)
+    assert live.goto(p + np.array([0.0, 0.1, 0.05])).ok
+    live.plan(60.0)
+    for k in range(400):
+        live.command(1e-3 * k)
+    base, now = live.committed, live.now
+    assert now < base.ends
+    ball = Moving("ball", "sphere", p + np.array([0.4, 0.1, 0.3]), [1.0, 0.0, 0.0], radius=0.05)
+    write_situation(tmp_path / "seen.npz", (base, now, ball))
+    again, when, seen = read_situation(tmp_path / "seen.npz")
+    t = now + 0.1
+    np.testing.assert_array_equal(again.state(t), base.state(t))
+    np.testing.assert_array_equal(again.deviation_at(t, live.problem), base.deviation_at(t, live.problem))
+    np.testing.assert_array_equal(predicted(seen, when).at(np.array([t])), predicted(ball, now).at(np.array([t])))
+    assert way_out("ur3-cup", tmp_path / "seen.npz")
