@@ -265,8 +265,8 @@ def ranges() -> Any:
         look = {"color": style.ROLE_COLOURS[role], "linestyle": ROLE_DASHES[role], "label": label}
         samples = plan.evaluation.samples
         speeding.plot(samples.t, samples.a_S @ way / np.linalg.norm(way), **look)
-        worst = 100 * plan.margins.exact_worst
-        left.plot(plan.margins.t, worst, **{**look, "label": f"least {worst.min():.1f} %"})
+        worst = 100 * plan.evaluation.contacts.min(axis=1)
+        left.plot(samples.t, worst, **{**look, "label": f"least {worst.min():.1f} %"})
     for axes in (speeding, left):
         axes.axhline(0, color=style.BLACK, linewidth=0.6)
     speeding.set(ylabel="acceleration along\nthe path, m/s²")

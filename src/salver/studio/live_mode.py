@@ -45,9 +45,11 @@ class LiveMode:
                 return status
             if status.ok and "again" in message:
                 self._beside(True)
-            elif message.keys() & {"goto", "twist", "stop"}:
+            elif "stop" in message:
+                self.unprotected.say(message)
+            elif message.keys() & {"goto", "twist"} and not self.world.live.stopped:
                 self.unprotected.say(message)  # also what the planner refuses
-                if self._moved is None and "stop" not in message:
+                if self._moved is None:
                     self._moved = self.world.t
             return status
 

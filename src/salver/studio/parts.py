@@ -135,6 +135,7 @@ def _object(item: CarriedObject, k: int, several: bool, here: bool) -> Part:
     return {
         "name": item.name,
         "key": key,
+        "at": list(item.at),
         **({"handle": {"key": [*key, "at"], "at": list(item.at), "of": "tray"}} if here else {}),
         "fields": fields,
         "removable": several,

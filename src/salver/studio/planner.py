@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from salver.models.uncertain.parameters import UncertainSet
 
 NAMES = {"plan": "the plan", "baseline": "the straight line"}
+EARLIER = "Runs from before are of the plan without stops, and are not counted."
 
 
 def motions(directory: Path) -> dict[str, str]:
@@ -150,11 +151,12 @@ def _stops(directory: Path) -> dict[str, Any]:
         whole = load_round(directory)
         legs = tuple(with_stops(leg) for leg in whole.legs)
         replace(whole, legs=legs).save(directory)
-        return {"sentence": " ".join(f"Leg {k}: {leg.stops.sentence}" for k, leg in enumerate(legs, 1) if leg.stops)}
+        said = " ".join(f"Leg {k}: {leg.stops.sentence}" for k, leg in enumerate(legs, 1) if leg.stops)
+        return {"sentence": f"{said} {EARLIER}"}
     plan, baseline = with_stops(load_plan(directory)), load_plan(directory, "baseline")
     plan.save(directory)
     baseline.save(directory, "baseline")
-    return {"sentence": plan.stops.sentence if plan.stops else ""}
+    return {"sentence": f"{plan.stops.sentence} {EARLIER}" if plan.stops else ""}
 
 
 def _campaign(directory: Path, n: int = 100) -> dict[str, Any]:

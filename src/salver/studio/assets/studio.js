@@ -354,7 +354,7 @@ byId("add").addEventListener("change", (event) => {
   const names = new Set(state.answer.parts.map((part) => part.name));
   let called = name.split(" ")[name.startsWith("obstacle") ? 1 : 0], k = 2;
   while (names.has(called)) called = called.replace(/\d*$/, "") + k++;
-  const place = key === "objects" ? { at: freest(there.map((part) => part.handle.at)) } : {};
+  const place = key === "objects" ? { at: freest(there.map((part) => part.at)) } : {};
   edit({}, { changes: [[[key, there.length], { name: called, ...value, ...place }]] });
   state.chosen = called;
 });
