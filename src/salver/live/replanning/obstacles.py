@@ -22,7 +22,7 @@ from salver.live.replanning import wishes
 from salver.live.replanning.wishes import Refused
 from salver.models.arm.arm_geometry import ArmGeometry
 from salver.planning.fastest import Block, Constraint, MotionEvaluation, padded
-from salver.planning.trajopt.constraints.constraints import PER_METRE, strayed
+from salver.planning.trajopt.constraints.constraints import PER_METRE, mm_of_distance, strayed
 from salver.planning.trajopt.constraints.obstacles import CLEARANCE
 
 
@@ -386,5 +386,5 @@ class MovingClearance(Constraint):
         return Block(
             f"clearance of {obstacle.name}{when}", -PER_METRE * free, gradient, nodes,
             (PER_METRE * self.at_nodes, 0.0), scales=False, by_duration=by_duration,
-            reach=PER_METRE * 0.5 * movable.far, most=2, kinked=True, inherits=False,
+            reach=PER_METRE * 0.5 * movable.far, most=2, kinked=True, inherits=False, in_words=mm_of_distance,
         )  # fmt: skip

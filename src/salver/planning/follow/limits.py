@@ -188,11 +188,12 @@ def _driven(arm: ArmModel, motion: JointMotion, between: float, t: Array) -> lis
         return []
     found = []
     speed = np.abs(arm.base_velocity(*motion.sample(t)[:2])[0])
-    for way, v, most in zip(DRIVEN, speed.T, arm.base_limits(arm.planning_limits), strict=True):
+    part, whole = (arm.base_limits(limits) for limits in (arm.planning_limits, arm.limits))
+    for way, v, most, own in zip(DRIVEN, speed.T, part, whole, strict=True):
         k = int(np.argmax(v))
-        if v[k] > most * (1 + between) + 1e-9:
+        if v[k] > min(most * (1 + between), own) + 1e-9:
             found.append(
-                f"the base moves {way} its heading at {v[k]:.3g} m/s at t = {t[k]:.2f} s, above {most:.3g} m/s"
+                f"the base moves {way} its heading at {v[k]:.4g} m/s at t = {t[k]:.2f} s, above {most:.4g} m/s"
             )
     return found
 

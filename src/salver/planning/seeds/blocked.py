@@ -15,7 +15,7 @@ from salver.models.described import Floor, Wall
 from salver.models.tray_motion import N_MOTION
 from salver.models.uncertain.worst_case import WorstCase
 from salver.planning.follow.limits import COLLISION, blocked_end
-from salver.planning.postures import REACHED, PoseTarget, posture_at
+from salver.planning.postures import REACHED, START_DISTANCE, PoseTarget, posture_at
 from salver.planning.seeds.starts import Ends, guess, room
 from salver.planning.trajopt.ends import AtPose, AtPosture, End
 from salver.planning.trajopt.problem import TransportProblem
@@ -88,8 +88,12 @@ def why_unreached(problem: TransportProblem) -> Status:
             continue
         q, _ = min(found, key=_missed)
         error = end.target.residual(problem.arm, q)[0]
-        by = f"{round(1e3 * np.linalg.norm(error[:3]), 1):g} mm and {np.rad2deg(np.linalg.norm(error[3:])):.3g} deg"
+        distance, turn = np.linalg.norm(error[:3]), np.linalg.norm(error[3:])
+        mm = np.format_float_positional(1e3 * distance, 4, fractional=False, trim="-")
+        by = f"{mm} mm and {np.rad2deg(turn):.3g} deg"
         told = f"No posture within the joint limits reaches the {name}: the nearest found misses it by {by}."
+        if turn < REACHED < distance < START_DISTANCE:  # such as the height of a tray that nothing lifts
+            told += f" Position {np.round(end.target.p_SB - error[:3], 12).tolist()} is reached."
         q, missed = min(_sought(problem, replace(end.target, yaw_free=True)), key=_missed)
         if missed < REACHED and not end.target.yaw_free:
             turn = np.rad2deg(end.target.residual(problem.arm, q)[0][5])

@@ -241,8 +241,8 @@ def _refused(blocks: Sequence[Block], judged: Judged) -> Verdict:
     margins = ConstraintMargins.of(blocks, judged.t, judged.problem)
     worst = int(np.argmax(margins.row))
     excess, name = float(margins.row[worst]), margins.names[int(margins.what[worst])]
-    far = name.startswith("clearance of ")  # in m, not a share of a limit
-    beyond = f"{1e3 * excess / PER_METRE:.2g} mm too small" if far else f"exceeded by {100 * excess:.2g} %"
+    amount = max(blocks, key=lambda block: float(block.values.max())).in_words(excess)
+    beyond = f"{amount} too small" if name.startswith("clearance of ") else f"exceeded by {amount}"
     sentence = f"{name} would be {beyond} {judged.t[worst]:.2f} s after it begins"
     by_time = all(block.by_time and np.isfinite(block.values.max()) for block in blocks)
     slower = max(block.slows * float(block.values.max()) for block in blocks) if by_time else np.inf

@@ -420,6 +420,11 @@ def strayed(position: Array, turn: Array) -> Array:
     return np.asarray(np.linalg.norm(position, axis=-1) + REACH_BEYOND_TRAY * np.linalg.norm(turn, axis=-1))
 
 
+def mm_of_distance(excess: float) -> str:
+    """The violation of a constraint on distances, in words."""
+    return f"{1e3 * excess / PER_METRE:.3g} mm"
+
+
 @dataclass(frozen=True, eq=False)
 class Clearance(Constraint):
     """Distances of all pairs of `keep_out` minus the tracking error, in units of 0.1 m."""
@@ -447,7 +452,7 @@ class Clearance(Constraint):
             scales=False,
             reach=PER_METRE * CLEARANCE.reach,
             kinked=True,
-            in_words=lambda excess: f"{1e3 * excess / PER_METRE:.3g} mm",
+            in_words=mm_of_distance,
         )
 
 
