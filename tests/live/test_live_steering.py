@@ -249,6 +249,22 @@ def test_a_hand_that_becomes_gentle_is_followed_soon_after(cube):
     assert np.abs(np.array(speeds) - [0.0, 0.1, 0.0]).max() < 0.01
 
 
+def test_a_level_tray_that_leaned_in_a_trial_is_steered_on(cube):
+    """An overshoot by more than the tolerance of level, 0.06 deg, tightened it until no step was left, for ever."""
+    live, begins = Live(cube, lead=TICK), 0.0
+    for v, omega, seconds in (
+        ((0.0, 0.1, 0.0), (0.0, 0.0, -1.5), 0.4),
+        ((0.0, -0.03, 0.0), np.zeros(3), 0.4),
+        ((2.0, 0.0, 0.0), np.zeros(3), 0.6),
+        ((0.0, 0.1, 0.0), np.zeros(3), 0.6),
+        ((-0.1, 0.0, 0.0), np.zeros(3), 0.6),
+    ):
+        times = np.arange(0.0, seconds, TICK)
+        drive(live, seconds, [(t, lambda live, v=v, w=omega: live.twist(v, w)) for t in times], EVERY, begins=begins)
+        begins += seconds
+    assert live.state.granted > 0.95
+
+
 def test_the_state_says_what_share_of_a_twist_is_executed_and_why_no_more(cube):
     live = Live(cube, lead=TICK)
     assert live.state.granted == 1.0  # nothing is requested
@@ -263,6 +279,11 @@ def test_the_state_says_what_share_of_a_twist_is_executed_and_why_no_more(cube):
     drive(live, 0.6, [(t, lambda live: live.twist(asked)) for t in np.arange(0.0, 0.6, 0.01)], EVERY, begins=0.2)
     assert live.state.granted == 0.0
     assert live.state.withheld == "0 % of the requested velocity: Held by the operator."
+    live.release()
+    drive(live, 0.3, [(t, lambda live: live.twist(0.05 * asked)) for t in np.arange(0.0, 0.3, 0.01)], EVERY, begins=0.8)
+    live.stop()
+    drive(live, 0.08, every=EVERY, begins=1.1)
+    assert live.state.granted == 1.0  # a stop drops what was requested
 
 
 def test_the_share_of_joint_velocities_is_theirs(cube):

@@ -374,7 +374,7 @@ class Live(Requested):
     @property
     def _granted(self) -> float:
         """Share of the requested velocities that the arm has now; 1 where none are requested."""
-        wish, reader = self._wish, self._reader
+        wish, reader = self._wish if self._stopped is None else None, self._reader
         if not (isinstance(wish, Follow) and isinstance(wish.wanted, JointsWanted) and self._now <= wish.until):
             return 1.0
         weights = self.options.planner.weights

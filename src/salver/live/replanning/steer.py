@@ -61,8 +61,9 @@ class SteeringOptions:
         passed, refused: factors of the damping after an increment that passed the verdict, and one that did not. With
             0.9, hostile twists are followed at 0.87 of the speed; with 0.5, 6 % of the ticks are refused.
         step_length: share of an increment that is judged when the verdict refused all of it; 0.3 is as good.
-        loosened: a constraint that the verdict found violated is tightened by its excess, at most by `depth`; after
-            each increment that passed, by this share of that. Without tightening, 6 % of the ticks are refused.
+        loosened: a constraint that the verdict found violated is tightened by its excess, at most by the share `depth`
+            of its largest distance from its boundary; after each increment that passed, by this share of that. Without
+            tightening, 6 % of the ticks are refused.
         tolerance: of the solution of a quadratic programme.
         same_knot: s; knots that are closer together count as one, because of rounding.
     """
@@ -133,7 +134,8 @@ class StepControl:
         """The tightening of the constraints of a block; a name such as `"acceleration of panda_joint1"` belongs to the
         block of all joints."""
         of = f"{block.name} of "
-        return max((x for what, x in self.tightened.items() if what == block.name or what.startswith(of)), default=0.0)
+        found = max((x for what, x in self.tightened.items() if what == block.name or what.startswith(of)), default=0.0)
+        return min(found, self.options.depth * -float(block.values.min(initial=0.0)))
 
 
 @dataclass(frozen=True, eq=False)
