@@ -24,6 +24,7 @@ from salver.motion_files.samples import JointSamples
 from salver.planning.fastest import plan_fastest, transport_problem
 from salver.planning.fastest.retiming import plan_retimed
 from salver.planning.follow.limits import BETWEEN, verdict
+from salver.planning.seeds.starts import Ends, straight
 from salver.planning.trajopt.constraints.constraints import Driving
 from salver.planning.verdict.verify import verify
 from salver.simulation.physics import simulate
@@ -283,22 +284,34 @@ def test_rounding_of_positions_of_metres_is_no_jerk(column):
     assert [check.sentence for check in checks if not check.ok] == []
 
 
-def test_no_verdict_lets_a_base_drive_faster_than_its_maker_says(column):
-    """Slantwise, where no fixed axis is at its limit: motions from elsewhere may exceed a plan's share of a limit by
-    0.5 %, never the limit itself."""
-    limits = {"velocity": [1.0, 1.2, 2.0], "acceleration": 10.0, "jerk": JERK}
-    t = np.linspace(0.0, 4.0, 401)
-    q, dq, ddq = np.zeros((3, 401, 3))
-    for fraction, refused in ((1.004, True), (0.999, False)):
-        v = fraction * np.sin(np.pi * t / 4.0) ** 2
-        q[:, :2] = (fraction * (0.5 * t - np.sin(np.pi * t / 2.0) / np.pi))[:, None] * [0.8, 0.6]
-        dq[:, :2] = v[:, None] * [0.8, 0.6]
-        ddq[:, :2] = (fraction * 0.25 * np.pi * np.sin(np.pi * t / 2.0))[:, None] * [0.8, 0.6]
-        q[:, 2] = math.atan2(0.6, 0.8)
-        case = task({**column, "base": {**column["base"], "limits": limits}, "velocity_scale": 1.0})
-        found = verdict(load_arm(case.arm, case.tray), JointMotion(t, q, dq, ddq), between=BETWEEN)
+@pytest.mark.parametrize(
+    ("heading", "way", "most"), [(0.0, "along", 1.0), (180.0, "along", 1.0), (90.0, "across", 1.2)]
+)
+def test_no_verdict_lets_a_base_drive_faster_than_its_maker_says(column, heading, way, most):
+    """Forwards, backwards and sideways, where no fixed axis is at its limit: motions from elsewhere may exceed a plan's
+    share of a limit by 0.5 %, never the limit itself."""
+    limits = {"velocity": [1.0, 1.2, 4.0], "acceleration": 10.0, "jerk": JERK}
+    base = {**column["base"], "limits": limits, "yaw_deg": [-300.0, 300.0]}
+    case = task({**column, "base": base, "velocity_scale": 1.0})
+    arm, t, towards = load_arm(case.arm, case.tray), np.linspace(0.0, 4.0, 401), np.array([0.8, 0.6])
+    for v, refused in ((1.004 * most, True), (0.999 * most, False)):
+        q, dq, ddq = np.zeros((3, len(t), 3))
+        q[:, :2] = v * np.outer(0.5 * t - np.sin(np.pi * t / 2.0) / np.pi, towards)
+        dq[:, :2] = v * np.outer(np.sin(np.pi * t / 4.0) ** 2, towards)
+        ddq[:, :2] = v * np.outer(0.25 * np.pi * np.sin(np.pi * t / 2.0), towards)
+        q[:, 2] = math.atan2(0.6, 0.8) + np.deg2rad(heading)
+        found = verdict(arm, JointMotion(t, q, dq, ddq), between=BETWEEN)
         assert found.ok != refused, found.sentence
-        assert not refused or "the base moves along its heading at 1.004 m/s" in found.sentence
+        assert not refused or f"the base moves {way} its heading at {v:.4g} m/s" in found.sentence
+
+
+def test_a_differential_base_begins_with_the_heading_that_is_nearer_forwards_or_backwards():
+    """Its goal is behind it, a little to the right: it turns by 0.09 rad, drives backwards, and turns on."""
+    arm = SimpleNamespace(base=SimpleNamespace(kind="differential"))
+    pair = Ends(np.array([0.5, 0.2, 0.2, 1.0]), np.array([-0.5, -0.1, 0.4, 2.0]), 0.0, True)
+    heading = math.atan2(0.3, 1.0)
+    turned, arrived = [0.5, 0.2, heading, 1.0], [-0.5, -0.1, heading, 2.0]
+    assert straight(pair, arm).postures == pytest.approx(np.array([pair.start, turned, arrived, pair.goal]))
 
 
 def test_a_height_that_a_base_cannot_lift_its_tray_to_is_said_with_the_one_that_it_has(column):
