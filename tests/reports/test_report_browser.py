@@ -114,6 +114,8 @@ def test_in_a_browser_it_begins_to_play_and_says_what_is_seen(browser: Browser, 
     least, most = browser.script(legend).strip("( N)").replace("−", "-").split(" to ")
     floor = read_run(cube_run).plan.cone_floor.min(axis=1)
     assert [float(least), float(most)] == pytest.approx([floor.min(), floor.max()], rel=6e-3)
+    said = browser.script("return [999.9, -3141.6, 0.01234, 2e4].map(shown)")
+    assert said == ["1000", "−3142", "0.0123", "2.00e+4"]
 
 
 @pytest.mark.parametrize(("sides", "corners"), [(6, 36), (48, 192)])

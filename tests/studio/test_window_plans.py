@@ -6,6 +6,7 @@ import threading
 import time
 import zipfile
 from pathlib import Path
+from types import SimpleNamespace
 from urllib.parse import urlsplit
 
 import numpy as np
@@ -20,6 +21,7 @@ from salver.studio.look import change
 from salver.studio.planner import MORE
 from salver.studio.server import Studio
 from salver.studio.text import changed
+from salver.studio.words import planned
 from studio_windows import CUBE, ROUND, asked, say, shown
 
 
@@ -178,3 +180,11 @@ def test_a_process_that_plans_may_die_and_another_one_goes_on(tmp_path):
         studio._planners["one"]._running[0].kill()
         slow.join(60)
         assert "died" in found[0]["sentence"]
+
+
+@pytest.mark.parametrize(("every", "kept"), [((True, True), ""), ((True, False), " at full speed")])
+def test_legs_of_which_one_holds_at_full_speed_only_are_said_to_hold_at_full_speed(every, kept):
+    legs = [SimpleNamespace(arm_status=None, speeds=SimpleNamespace(every=one)) for one in every]
+    status = SimpleNamespace(sentence="Found.")
+    plan = SimpleNamespace(ok=True, duration=1.25, unchecked=(), status=status, legs=legs)
+    assert planned(plan, []) == ("", f"1.250 s, safe in the worst case{kept}.", "Found.")

@@ -30,7 +30,7 @@ function tickLabels(values) {
 function shown(value) {
   if (!Number.isFinite(value)) return "–";
   const size = Math.abs(value);
-  const text = size < 1e-9 ? "0" : size >= 1e4 || size < 1e-3 ? value.toExponential(2) : value.toPrecision(3);
+  const text = size < 1e-9 ? "0" : size >= 1e4 || size < 1e-3 ? value.toExponential(2) : size >= 999.5 ? value.toFixed(0) : value.toPrecision(3);
   return text.replace("-", "−");
 }
 
