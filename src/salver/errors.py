@@ -36,7 +36,7 @@ def needs(extra: str, what: str) -> Iterator[None]:
     MissingDependencyError, whose sentence says that `what` needs it and how to install it."""
     try:
         yield
-    except ImportError as error:
+    except ModuleNotFoundError as error:  # other errors of an import are no missing package
         package = (error.name or str(error)).split(".")[0]
         raise MissingDependencyError(
             f"{what} needs {package}, which is not installed; install it with: pip install 'salver[{extra}]'."

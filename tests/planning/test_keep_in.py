@@ -69,6 +69,14 @@ def test_the_fastest_motion_stays_inside(cube, room):
     assert "the keep-in box and the floor" in kept.verdict
 
 
+def test_a_plan_without_the_arm_says_that_it_did_not_look_at_the_box(cube):
+    said = [
+        sv.plan(cube.with_changes(surroundings=around), arm=False).unchecked
+        for around in ({"floor": "none"}, {"floor": "none", "keep_in": ROOM})
+    ]
+    assert [any("hits an obstacle" in each for each in one) for one in said] == [False, True]
+
+
 def test_live_motions_stay_inside(cube, room):
     up = said(lambda t: np.array([0.0, 0.1, 0.5]), 0.8)
     reached = {}

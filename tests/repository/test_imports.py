@@ -2,6 +2,7 @@
 
 import ast
 import graphlib
+import importlib
 import json
 import platform
 import re
@@ -13,6 +14,7 @@ from pathlib import Path
 import pytest
 
 import salver
+from salver.errors import MissingDependencyError, needs
 
 HEAVY = (
     "arro3",
@@ -139,6 +141,15 @@ except MissingDependencyError as error:
     print(json.dumps(str(error)))
 """
     assert "pip install 'salver[own-loop]'" in _run(code)
+
+
+def test_what_a_machine_lacks_is_not_a_missing_package():
+    """The command line then names the library (test_what_the_machine_refuses_is_no_defect)."""
+    lacks = pytest.raises(MissingDependencyError, match="A film needs nowhere, which is not installed")
+    with lacks, needs("engine", "A film"):
+        importlib.import_module("nowhere.inside")
+    with pytest.raises(ImportError, match=r"^libGL"), needs("engine", "A film"):
+        raise ImportError("libGL.so.1: cannot open shared object file: No such file or directory")
 
 
 @pytest.mark.slow
