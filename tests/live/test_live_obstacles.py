@@ -453,6 +453,21 @@ def test_while_a_stop_is_latched_what_comes_is_announced_and_not_evaded(cube):
     assert jobs == ["Evade"]
 
 
+def test_a_stop_is_made_where_neither_it_nor_going_on_keeps_clear_of_an_obstacle(cube):
+    """A ball hangs above the load, on its way; the stop was refused, and the arm went on for 7 s."""
+    live = Live(cube, lead=0.1)
+    live.override(0.1)
+    drive(live, 0.4, [(0.0, lambda live: live.goto((0.45, 0.15, 0.45)))])
+    p = live.problem.arm.tray_pose(live.committed.state(live.now)[0])[0]
+    live.obstacles([Moving("ball", "sphere", np.add(p, [0.0, 0.0, 0.1]), radius=0.08)])
+    assert live.committed.ends > live.now + 5.0
+    live.stop("it hangs there")
+    states = drive(live, 0.5, begins=0.4)
+    assert not np.any(states.dq[-1])
+    assert max(rows_of(live.problem, states).values()) <= 0.0  # the load stays
+    assert live.state.passing.startswith("ball comes too near")
+
+
 @pytest.mark.slow
 def test_after_an_evasion_on_its_way_the_arm_goes_on_to_its_goal(cube):
     live = Live(cube, lead=0.1)

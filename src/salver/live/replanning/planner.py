@@ -114,7 +114,6 @@ class Planner:
         problem = self._among(job)
         if isinstance(wish, Retime):
             return Answer(*self._retimed(job, wish.factor, problem, self.speed.latest))
-        replanner = self._replanner if problem is self.problem else Replanner.of(problem, self.options.replan)
         if isinstance(wish, Follow):
             wanted = wish.wanted if job.now <= wish.until else wish.then
             steering = self._steering
@@ -124,22 +123,33 @@ class Planner:
         if isinstance(wish, Halt):
             if base.ends - begins < self._replanner.options.soon:
                 return Answer(None, Status("optimal", "", True), True)
-            if base.profile is not None:  # it is run slowly
-                found, status = self._retimed(job, 0.0, problem, self.speed.braking)
-                if found is not None and found.ends < base.ends:
-                    return Answer(found, status)
-            found, status = replanner.to(Anywhere(), base, begins, job.budget)
-            if found is None and base.profile is None:  # a slow motion far from its end may brake on its own path
-                found, braking = self._retimed(job, 0.0, problem, self.speed.braking)
-                status = status if found is None else braking
-            late = found is not None and found.ends >= base.ends  # it is at rest no later as it is
-            return Answer(None if late else found, status, late)
+            stop = self._stop(job, problem)
+            if job.threats and stop.found is None and not stop.done:  # to go on would not keep clear either
+                stop = self._stop(job, self.problem)
+            return stop
         if begins >= base.ends and self._there(wish, base):
             return Answer(None, Status("optimal", "", True), True)
         blocked = self._blocked(wish)
         if blocked is not None:
             return Answer(None, replace(blocked, code="unreachable"))
-        return Answer(*replace(replanner, factor=job.factor).to(wish.end, base, begins, job.budget))
+        return Answer(*replace(self._searching(problem), factor=job.factor).to(wish.end, base, begins, job.budget))
+
+    def _searching(self, problem: TransportProblem) -> Replanner:
+        return self._replanner if problem is self.problem else Replanner.of(problem, self.options.replan)
+
+    def _stop(self, job: Job, problem: TransportProblem) -> Answer:
+        """A stop that ends sooner than the committed motion."""
+        base = job.base
+        if base.profile is not None:  # it is run slowly
+            found, status = self._retimed(job, 0.0, problem, self.speed.braking)
+            if found is not None and found.ends < base.ends:
+                return Answer(found, status)
+        found, status = self._searching(problem).to(Anywhere(), base, job.begins, job.budget)
+        if found is None and base.profile is None:  # a slow motion far from its end may brake on its own path
+            found, braking = self._retimed(job, 0.0, problem, self.speed.braking)
+            status = status if found is None else braking
+        late = found is not None and found.ends >= base.ends  # it is at rest no later as it is
+        return Answer(None if late else found, status, late)
 
     def _retimed(
         self, job: Job, factor: float, problem: TransportProblem, latest: float
