@@ -129,5 +129,5 @@ class SensitivityWeighting(Model):
     @classmethod
     def _counts(cls, given: str | tuple[float, ...]) -> str | tuple[float, ...]:
         if not isinstance(given, str) and (len(given) not in (4, 12) or not any(given)):
-            raise ValueError(f"it has {len(given)} weights; write four or twelve, of which one is positive")
+            raise ValueError(f"it has {len(given)} weights; write four or twelve, at least one of them positive")
         return given

@@ -215,7 +215,7 @@ def test_own_weights_of_one_axis_lessen_the_deviation_along_it():
 
 
 @pytest.mark.parametrize(
-    ("given", "said"), [([1, 1, 1], "it has 3 weights"), ([0, 0, 0, 0], "of which one is positive")]
+    ("given", "said"), [([1, 1, 1], "it has 3 weights"), ([0, 0, 0, 0], "at least one of them positive")]
 )
 def test_own_weights_are_four_or_twelve_not_all_zero(given, said):
     with pytest.raises(ScenarioError, match=said):
