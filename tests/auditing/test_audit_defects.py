@@ -234,6 +234,14 @@ def test_a_dead_band_is_a_resolution(band):
     assert "no arm" not in verdict.sentence
 
 
+def test_samples_that_repeat_at_top_speed_are_no_dead_band():
+    """The moves after them are of one size; the recording has smaller ones where it turns."""
+    sway = 0.1 * np.sin(2 * np.pi * 2 * T + 0.3)
+    for k in range(8):
+        sway[k * 125 + 114] = sway[k * 125 + 113]  # it passes the middle there
+    assert dead_band(sway[:, None]) == 0.0
+
+
 @pytest.mark.parametrize("side", [1.0, -1.0])
 @pytest.mark.parametrize(("share", "outcome"), [(0.5, "cannot_tell"), (2.2, "does_not_hold")])
 def test_a_dead_band_is_a_resolution_of_a_fast_motion_too(side, share, outcome):

@@ -16,7 +16,7 @@ from salver.live.replanning.lookout import Lookout, Sighting
 from salver.live.replanning.obstacles import Movable, MovingClearance, predicted
 from salver.live.replanning.planner import Job
 from salver.live.replanning.steer import TICK
-from salver.live.replanning.wishes import Evade
+from salver.live.replanning.wishes import Evade, Halt
 from salver.models.arm.arm_geometry import arm_geometry
 from salver.planning.fastest import evaluate, transport_problem
 from salver.planning.trajopt.constraints.constraints import strayed
@@ -461,6 +461,8 @@ def test_a_stop_is_made_where_neither_it_nor_going_on_keeps_clear_of_an_obstacle
     p = live.problem.arm.tray_pose(live.committed.state(live.now)[0])[0]
     live.obstacles([Moving("ball", "sphere", np.add(p, [0.0, 0.0, 0.1]), radius=0.08)])
     assert live.committed.ends > live.now + 5.0
+    keeps_clear = Job(Halt(), live.committed, live.now + 0.1, 60.0, live._sighting.obstacles)
+    assert live._planner.answer(keeps_clear).found is None  # then going on is better
     live.stop("it hangs there")
     states = drive(live, 0.5, begins=0.4)
     assert not np.any(states.dq[-1])
