@@ -298,11 +298,13 @@ def test_an_increment_that_is_refused_is_shortened_and_the_next_one_more_damped_
 
 
 def test_what_is_learnt_is_forgotten_while_increments_pass():
-    def block(name):
-        return Block(name, np.zeros((3, 1)), lambda node, row: np.zeros((len(node), 28)), np.arange(3))
+    def block(name, room=1.0):
+        values = np.array([[-0.5], [-room], [-0.1]])
+        return Block(name, values, lambda node, row: np.zeros((len(node), 28)), np.arange(3))
 
     control = StepControl(STANDARD, 40.0)
     control.refused("acceleration of panda_joint1", 0.2)
+    assert control.margin(block("acceleration", room=0.0)) == pytest.approx(0.5 * STANDARD.depth)  # some room is left
     assert control.margin(block("acceleration")) == pytest.approx(0.2)
     assert control.margin(block("acceler")) == control.margin(block("jerk")) == 0.0
     control.passed()
