@@ -1,6 +1,6 @@
 """What a recording does not say of waves, and what an audit then says."""
 
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -243,6 +243,22 @@ def test_what_a_liquid_does_after_a_recording_that_ends_moving_is_not_known(cup)
     assert told[:-1].min() > 0
     assert found.outcome == "cannot_tell"
     assert "ended" in found.worst.details["reasons"]
+
+
+@pytest.mark.parametrize("which", ["v_S", "omega_B"])
+@pytest.mark.parametrize(
+    ("moving", "rests"), [(0, [False, True]), (1, [True, True]), (-2, [True, True]), (-1, [True, False])]
+)
+def test_whether_the_tray_rests_at_an_end_is_told_by_its_outermost_sample(cup, which, moving, rests):
+    t = np.linspace(0.0, 1.0, 101)
+    found = audit(
+        {"t": t, "x": 0 * t, "y": 0 * t, "z": 0.4 + 0 * t, "qw": 1 + 0 * t} | dict.fromkeys(("qx", "qy", "qz"), 0 * t),
+        cup,
+    )
+    speed = np.zeros((len(found.motion.samples.t), 3))
+    speed[moving, 1] = -2e-3
+    motion = replace(found.motion, samples=replace(found.motion.samples, **{which: speed}))
+    assert list(replace(found, motion=motion)._resting()) == rests
 
 
 @pytest.mark.slow

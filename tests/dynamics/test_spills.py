@@ -18,7 +18,29 @@ from salver.models.tray_motion import at_rest
 from salver.models.uncertain.parameters import NOTHING
 from salver.planning.trajopt.constraints.load_limits import LoadConstraint
 from salver.planning.trajopt.problem import transport_problem, with_missed_cases
-from shaken_loads import shaken
+from shaken_loads import BOX, shaken
+
+
+@pytest.mark.parametrize("changes", [{}, BOX], ids=["cylinder", "box"])
+def test_what_a_recording_leaves_open_of_each_mode_is_added_to_waves(coffee, changes):
+    """Masses that are away by at most so much: the highest surface of all their signs, in a cylinder in one
+    direction. A tray that leans by more than is known raises the surface at rest too, and at the wall the free wave."""
+    case = LoadCase(coffee.with_changes(**changes).payload.first, 0.05, 0.01)
+    waves = SurfaceMotion.along((case,), np.linspace(0, 0.9, 7), shaken(np.linspace(0, 0.9, 7)))
+    which, modes = waves.cases, waves.r.shape[2]
+    rng = np.random.default_rng(5)
+    away = rng.uniform(1e-4, 1e-3, (1, 7, modes, 1 if which.round else 2)) * np.ones(2)
+    inclined = rng.uniform(0.0, 1e-2, (1, 7, 1)) * np.ones(2)
+    found = SloshingResponse.of(waves).unsure(away, inclined)
+    signs = np.array(np.meshgrid(*[[-1, 1]] * (2 * modes + 1))).reshape(2 * modes + 1, -1).T
+    if which.round:
+        signs = signs * np.append(np.tile([1, 0], modes), 1)  # along x alone
+    tilted = signs[:, -1, None, None] * which.rest_rise[0] * inclined * (np.array([1, 0]) if which.round else 1)
+    moved = np.einsum("sna,na,tna->sta", signs[:, :-1].reshape(-1, modes, 2), which.gain[0], away[0])
+    np.testing.assert_allclose(found.higher[0], which.highest(np.abs(moved) + np.abs(tilted)).max(axis=0))
+    np.testing.assert_allclose(found.more_left[0], which.highest(moved[:, -1]).max())
+    wall = np.abs(moved).max(axis=0) + np.abs(which.half - which.rest_rise)[0] * inclined[0]
+    np.testing.assert_allclose(found.freer[0], wall if not which.round else wall[:, :1] * np.ones(2))
 
 
 @pytest.mark.parametrize(("push", "known"), [(4.3, True), (4.55, False)])

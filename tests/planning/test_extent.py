@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -84,6 +85,9 @@ def test_an_open_cup_needs_the_room_that_a_still_surface_takes_on_the_leaning_ac
     )
     assert extent(leaning, AT_B, None, 0.04).brim == pytest.approx(0.0, abs=1e-12)
     assert extent(leaning, AT_B, None).brim is None
+
+    drops = replace(samples, a_S=np.array([acceleration, [0.0, 0.0, -12.0]]))  # nothing holds a liquid in it then
+    assert extent(drops, AT_B, None, 0.04).brim is None
 
 
 def test_the_widest_cylinder_without_a_liquid_is_the_cup() -> None:

@@ -8,6 +8,7 @@ import platform
 import re
 import subprocess
 import sys
+import tomllib
 from importlib import metadata
 from pathlib import Path
 
@@ -16,6 +17,7 @@ import pytest
 import salver
 from salver.errors import MissingDependencyError, needs
 
+ROOT = Path(__file__).parents[2]
 HEAVY = (
     "arro3",
     "casadi",
@@ -141,6 +143,27 @@ except MissingDependencyError as error:
     print(json.dumps(str(error)))
 """
     assert "pip install 'salver[own-loop]'" in _run(code)
+
+
+def test_each_extra_has_what_is_said_to_need_it():
+    """What is imported within `with needs(extra, ...)` is among the packages of that extra."""
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["optional-dependencies"]
+    packages, seen = metadata.packages_distributions(), set()
+    texts = {path: path.read_text(encoding="utf-8") for path in (ROOT / "src" / "salver").rglob("*.py")}
+    for path in (path for path, text in texts.items() if "with needs(" in text):
+        for block in ast.walk(ast.parse(texts[path])):
+            call = block.items[0].context_expr if isinstance(block, ast.With) else None
+            if not isinstance(call, ast.Call) or ast.unparse(call.func) != "needs":
+                continue
+            extra = call.args[0].value
+            here = extras[extra] + [x for other in extras if f"salver[{other}]" in extras[extra] for x in extras[other]]
+            imports = [node for node in ast.walk(block) if isinstance(node, ast.Import | ast.ImportFrom)]
+            names = {getattr(node, "module", None) or node.names[0].name for node in imports}
+            for name in {name.split(".")[0] for name in names}:
+                provided = packages.get(name, [name])
+                assert any(re.match(rf"{p}[>=]", one, re.I) for p in provided for one in here), f"{path.name}: {name}"
+            seen.add(extra)
+    assert seen == {"bags", "engine", "gym", "own-loop", "plots", "robot", "tables"}
 
 
 def test_what_a_machine_lacks_is_not_a_missing_package():

@@ -336,6 +336,8 @@ def test_common_part_of_two_polygons_by_hand():
         ({"mass": "x"}, ["mass", "'x'", "finite"]),
         ({"friction": 0.0}, ["friction", "positive"]),
         ({"inertia_xx": 1.0}, ["inertia", "sum of the other two"]),
+        ({"inertia_xx": 1e-4, "inertia_yy": 4.5e-4, "inertia_zz": 3e-4}, ["inertia", "sum of the other two"]),
+        ({"inertia_xx": 0.0, "inertia_yy": 5e-12, "inertia_zz": 5e-12}, ["inertia", "at least"]),
         ({"inertia_xx": 1e-16, "inertia_yy": 1e-16, "inertia_zz": 1e-16}, ["inertia", "at least"]),
         ({"position_x": 0.5}, ["overlap", "tray"]),
     ],

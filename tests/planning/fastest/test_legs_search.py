@@ -117,7 +117,7 @@ def test_where_a_leg_that_chose_its_end_leads_nowhere_legs_are_planned_along_cha
         tried.append(begin)
         found = outcomes[begin]
         if found is None:
-            raise UnreachableError("out of reach")
+            raise UnreachableError(f"out of reach by {begin}")
         return found
 
     safe, unsafe = (
@@ -147,7 +147,7 @@ def test_where_a_leg_that_chose_its_end_leads_nowhere_legs_are_planned_along_cha
         assert len(tried) == count
     for later in (None, [unsafe]):
         outcomes = {None: None, "first": later, "second": later}
-        with pytest.raises(UnreachableError, match="out of reach"):
+        with pytest.raises(UnreachableError, match="out of reach by None"):
             plan_legs(case)  # type: ignore[arg-type]
 
 

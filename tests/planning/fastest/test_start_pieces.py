@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -211,6 +211,8 @@ def test_another_start_has_to_be_a_hundredth_shorter_than_those_that_are_refined
     assert one._beat(roughs) == pytest.approx((1 - FastestOptions.rough_gain) * 1.2)  # what breaks a row does not count
     assert one._beat(roughs[:3]) == pytest.approx((1 - FastestOptions.rough_gain) * 1.5)
     assert one._beat(roughs[:2]) == np.inf
+    best = cast(Any, SimpleNamespace(duration=1.0, status=Status("optimal", "", True)))
+    assert [one._hopeful((plain, a_rough(x)), best) for x in (0.98, 0.995)] == [True, False]
 
 
 def test_a_path_promises_the_less_the_deeper_it_is_in_something(behind_a_post, pair) -> None:

@@ -265,6 +265,11 @@ def test_a_search_is_beaten_where_what_it_can_still_hope_for_is_not_enough():
     assert not SqpOptions(beat=0.5).beaten(path, 0.2)  # a long step: no telling
     # What it takes to keep its rows makes it longer; from afar that is said to be too much, so half of it counts.
     assert [SqpOptions(beat=beat).beaten(path, -0.1) for beat in (1.04, 1.06)] == [True, False]
+    # A row is still violated by a little: what ended the search is said, so that it may be taken up again.
+    outside = programme(to(1.0, 0.0), disc(0, 0, 0.99))
+    path = outside.begin(np.array([[1.0, 0.0]]), 1.0)
+    assert 5e-4 < path.violation < 0.05
+    assert minimise(outside, replace(path, cost=1.0), SqpOptions(beat=0.5)).status.code == "beaten"
 
 
 @pytest.mark.parametrize(("hoped", "steps"), [(0.005, 1), (0.007, 3)])
