@@ -7,9 +7,10 @@ from typer.testing import CliRunner
 import salver as sv
 from live_runs import LEAD, PATIENCE, drive, place
 from salver.cli import app
-from salver.errors import SalverError
+from salver.errors import SalverError, Status
 from salver.live import Live, LiveOptions
 from salver.live.history import CommandHistory
+from salver.live.replanning.planner import Answer
 from salver.live.requests import KEPT, Requests
 from salver.motion_files import read
 from salver.trajectory import JointMotion
@@ -61,6 +62,46 @@ def test_what_became_of_requests_is_told_once_each_time(cube):
     drive(live, 0.3, begins=3.2)
     drive(live, 2.0, every=None, begins=3.5)  # nobody plans any more
     assert [(one.id, one.outcome) for one in next(news)] == [(3, "reached")]
+
+
+def finding_nothing(job):
+    return Answer(None, Status("refused", "nothing was found", False))
+
+
+def test_a_goal_that_was_dropped_is_not_gone_to_after_a_hold(cube):
+    live = Live(cube, lead=LEAD)
+    live.command(0.0)
+    live.goto((0.45, 0.2, 0.5))
+    live.plan(PATIENCE, finding_nothing)
+    assert live.state.requests[0].outcome == "dropped"
+    told = drive(live, 0.5, [(0.0, lambda live: live.hold()), (0.1, lambda live: live.release())])
+    assert not np.any(told.dq)
+    assert live.settled
+
+
+def test_each_goal_has_all_its_attempts(cube):
+    live = Live(cube, lead=LEAD)
+    drive(live, 0.2, [(0.0, place(0.45, 0.25, 0.5)), (0.0, lambda live: live.override(0.3))])
+    for _ in range(2):
+        live.goto((0.5, -0.2, 0.45))
+        for _ in range(LiveOptions().attempts - 1):
+            live.plan(PATIENCE, finding_nothing)
+    assert outcomes(live) == [(1, "dropped"), (2, "dropped"), (3, "accepted")]
+    assert live.state.requests[1].why == "request 3 came instead"
+    live.plan(PATIENCE, finding_nothing)
+    assert live.state.requests[2].why == "nothing was found"
+
+
+def test_a_policy_does_not_drop_what_an_operator_queued(cube):
+    live = Live(cube, lead=LEAD)
+    live.goto((0.45, 0.1, 0.45), source="policy")
+    live.goto((0.5, -0.2, 0.45), queued=True)
+    drive(live, 0.2)
+    sentence = live.twist((0.1, 0.0, 0.0), source="policy").sentence
+    assert sentence == "The twist is refused: a request of the operator is carried out first."
+    drive(live, 3.0, begins=0.2)
+    assert outcomes(live) == [(1, "reached"), (2, "reached")]
+    assert live.twist((0.1, 0.0, 0.0), source="policy").ok
 
 
 def test_a_motion_that_comes_too_late_is_said_to_be_late_until_another_is_followed(cube):

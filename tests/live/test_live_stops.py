@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from live_runs import LEAD, check, drive, in_turn, place
-from salver.live import Live
+from live_runs import LEAD, PATIENCE, check, drive, in_turn, place
+from salver.live import Live, LiveOptions, Moving
+from salver.live.ready import ReadyOptions
 
 TWIST = (0.2, 0.1, 0.0)
 
@@ -150,3 +151,83 @@ def test_a_short_stop_keeps_its_limits_between_the_instants_of_the_verdict_too(b
     told = drive(live, 1.2, [(0.0, place(*goal)), (at, lambda live: live.stop())])
     assert live.committed.ends - live.committed.begins < 0.4
     check(live, told)
+
+
+def test_a_stop_is_not_refused_whatever_its_reason_is(cube):
+    live = Live(cube, lead=LEAD)
+    live.command(0.0)
+    assert live.stop(10**5000).ok  # no text can be made of it
+    assert live.stopped == "Stopped by the operator: a value of type int that is no text."
+
+
+def slow(cube, **options):
+    """An arm on its way for 7 s more, at a tenth of full speed, with stops ready."""
+    live = Live(cube, lead=LEAD, options=LiveOptions(**options))
+    drive(live, 0.6, [(0.0, lambda live: live.override(0.1)), (0.0, place(0.45, 0.25, 0.5))])
+    assert live.committed.ends - live.now > 4.0
+    return live
+
+
+def test_a_ready_stop_that_comes_too_late_is_planned_instead(cube):
+    live = slow(cube, ready=ReadyOptions(early=-1.0))
+    for _ in range(3):
+        assert live.prepare(PATIENCE)
+    drive(live, 0.25, every=None, begins=0.6)  # beyond the first of them
+    assert live.stop().ok
+    assert live._halt.committed.begins < live.now
+    live.plan(PATIENCE)
+    assert at_rest(drive(live, 0.8, begins=0.85))
+
+
+def test_a_stop_is_planned_again_after_the_planner_failed(cube):
+    live, calls = slow(cube), []
+
+    def failing_once(job):
+        calls.append(job.wish)
+        if len(calls) == 1:
+            raise MemoryError
+        return live._planner.answer(job)
+
+    live.stop()
+    live.plan(PATIENCE, failing_once)
+    assert "The planner failed (MemoryError" in live.refused
+    live.plan(PATIENCE, failing_once)
+    assert calls == [live._stopped.halt] * 2
+    assert at_rest(drive(live, 0.8, begins=0.6))
+
+
+def test_a_planner_that_fails_for_one_request_drops_no_other(cube):
+    live = Live(cube, lead=LEAD)
+    drive(live, 0.05, every=None)
+    live.goto((0.45, 0.1, 0.45))
+
+    def failing(job):
+        live.goto((0.5, -0.2, 0.45))
+        raise MemoryError
+
+    live.plan(PATIENCE, failing)
+    assert [request.outcome for request in live.state.requests] == ["dropped", "accepted"]
+    drive(live, 2.0, begins=0.05)
+    assert live.state.requests[1].outcome == "reached"
+
+
+def test_a_ready_stop_is_not_taken_when_something_came_into_sight_since(cube):
+    """It would rest where a ball comes by, and the motion that it ends goes on before that."""
+    live = Live(cube, lead=LEAD)
+    drive(live, 0.2, [(0.0, place(0.45, 0.25, 0.5))])
+    while live.prepare(PATIENCE):
+        pass
+    live.command(0.2)
+    ready = live._ready.soonest(live.committed, live.now, live._sighting)
+    arm = live.problem.arm
+    p = arm.tray_pose(ready.committed.motion.q[-1])[0]
+    assert np.linalg.norm(arm.tray_pose(live.committed.motion.q[-1])[0] - p) > 0.15
+    comes = ready.committed.ends - live.now + 0.3  # s
+    path = [comes - 0.1, comes, comes + 0.1], p + np.outer([-1.0, 0.0, -1.0], [0.0, 0.0, 1.0])
+    ball = Moving("ball", "sphere", radius=0.03, samples=path, growth=0.0)
+    assert live.obstacles([ball]).ok
+    assert not live.state.passing
+    live.stop()
+    drive(live, 1.5, begins=0.201)
+    assert not live.state.passing
+    assert not np.any(live.command(1.702)[1])

@@ -100,7 +100,7 @@ class Live(Requested):
         self._robust, self._permit = robust, permit
         self._given_lead, self._planning = lead, threading.Lock()
         self._tried = -np.inf  # live time, s, when it was tried last to run what is committed at another factor
-        self._attempts = 0
+        self._failed: tuple[Wish | None, int] = (None, 0)  # whose motion was not found the last times, and how often
         self._anew = threading.Lock()  # of whoever reports obstacles, another load or another posture
         self._seen: list[Predicted] = []  # as it was reported last
         self._standing: dict[str, tuple[Predicted, Source]] = {}  # and who put it there
@@ -216,7 +216,7 @@ class Live(Requested):
     def _begin(self, rest: Committed, why: str) -> None:
         """Rest, with nothing requested any more but a stop or a hold."""
         self._drop(why)
-        self._wish, self._done, self._refused, self._attempts = None, None, "", 0
+        self._wish, self._done, self._refused = None, None, ""
         self._unknown, self._astray = False, ""
         if isinstance(self._asked, Halt):  # the stop or the hold that is latched
             self._done = self._asked
@@ -283,14 +283,19 @@ class Live(Requested):
                 it carries a valid seal (`salver.live.committed.seal`).
         """
         if self._planning.acquire(blocking=False):
+            wish = None
             try:
                 self._look(self._running)
                 self._history.fold()
-                self._step(budget, answer or self._planner.answer)
+                wish = self._due()
+                if wish is not None and self._offer is None:
+                    self._step(wish, budget, answer or self._planner.answer)
             except Exception as error:  # the committed motion does not depend on it
                 self._refused = f"The planner failed ({type(error).__name__}: {error}); what was committed goes on."
-                self._done = self._asked
-                self._requests.becomes(id_of(self._done), "dropped", f"the planner failed ({type(error).__name__})")
+                if isinstance(wish, Evade):
+                    self._resigned = (self._running, self._sighting.news)
+                elif isinstance(wish, Goal | Follow):  # a stop is tried again
+                    self._give_up(wish, f"the planner failed ({type(error).__name__})")
             finally:
                 self._planning.release()
         return self.state
@@ -393,12 +398,14 @@ class Live(Requested):
     def _due(self) -> Wish | None:
         """The request that is to be planned for now."""
         wish, offered = self._asked, self._offered
-        if isinstance(wish, Halt) and (self._halt is not None or isinstance(self._running.wish, Halt)):
+        if self._halt is not None:  # whether it comes in time the loop decides
+            return None
+        if isinstance(wish, Halt) and isinstance(self._running.wish, Halt):
             self._done = wish  # by a stop that was ready
         if offered is not None and self._offer is None:
             self._offered = None
             if self._running is offered and not isinstance(offered.wish, Follow | Evade):
-                self._done, self._attempts = offered.wish, 0
+                self._done = offered.wish
         running = self._running
         resigned = self._resigned == (running, self._sighting.news)
         free = self._stopped is None and self._held is None
@@ -422,10 +429,7 @@ class Live(Requested):
                 return self._wish
         return None
 
-    def _step(self, budget: float, answer: Callable[[Job], Answer]) -> None:
-        wish = self._due()
-        if wish is None or self._offer is not None:
-            return
+    def _step(self, wish: Wish, budget: float, answer: Callable[[Job], Answer]) -> None:
         running, began, kind = self._running, time.perf_counter(), _kind(wish)
         base, begins = running.committed, self._hand_over(running.committed, kind)
         if isinstance(wish, Goal):
@@ -483,14 +487,19 @@ class Live(Requested):
                 self._refused = ""
             self._offered = self._offer = offered
         elif wish is not self._done and kind == "motion":
-            self._attempts += 1
+            failed, times = self._failed
+            self._failed = wish, times + 1 if failed is wish else 1
             resting = begins >= base.ends and not late
-            last = status.code == "unreachable" or resting or self._attempts >= self.options.attempts
-            if last:
-                self._done, self._attempts = wish, 0
-                what = f"The goal {wish.what}" if isinstance(wish, Goal) else "The stop"
-                self._requests.becomes(id_of(wish), "dropped", status.sentence.rstrip("."))
-                self._refuse(status.sentence, what)
+            if status.code == "unreachable" or resting or self._failed[1] >= self.options.attempts:
+                self._give_up(wish, status.sentence.rstrip("."))
+                self._refuse(status.sentence, f"The goal {wish.what}" if isinstance(wish, Goal) else "The stop")
+
+    def _give_up(self, wish: Wish, why: str) -> None:
+        """Drop a request, which neither a release nor an evasion brings back."""
+        self._done = wish
+        self._requests.becomes(id_of(wish), "dropped", why)
+        if self._wish is wish:
+            self._wish = None
 
     def _fits(self, base: Committed) -> float:
         """Live time, s, from which on the committed motion is no faster than the requested speed factor for goals."""

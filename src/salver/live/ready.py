@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from salver.live.committed.motion import Committed
+from salver.live.replanning.lookout import Sighting
 from salver.live.running import Running
 
 
@@ -46,7 +47,14 @@ class Ready:
         if self._after is after:
             self._stops += (stop,)
 
-    def soonest(self, after: Committed, now: float) -> Running | None:
-        """The stop that is at rest first, of those that can still be taken; None if there is none."""
-        left = [x for x in self._stops if x.after is after and x.committed.begins > now + self.options.early]
+    def soonest(self, after: Committed, now: float, sighting: Sighting) -> Running | None:
+        """The stop that is at rest first, of those that can still be taken and knew of all that was seen since; None if
+        there is none."""
+        left = [
+            x
+            for x in self._stops
+            if x.after is after
+            and x.committed.begins > now + self.options.early
+            and x.outlook.sighting.news == sighting.news
+        ]
         return min(left, key=lambda x: x.committed.ends, default=None)

@@ -122,9 +122,12 @@ class Requested(Commanded):
         if stopped is not None:
             why = f" ({stopped.reason.rstrip('.')})" if stopped.reason else ""
             raise Refused(f"the arm was stopped by the {stopped.source}{why}; call resume() first")
-        over = wish is self._done and not self._queue and self._now >= self.committed.ends
-        if wish is not None and PRIORITY[source] < PRIORITY[wish.source] and not over:
-            raise Refused(f"a request of the {wish.source} is carried out first")
+        pending: list[Wish] = list(self._queue)
+        if wish is not None and not (wish is self._done and self._now >= self.committed.ends):
+            pending.append(wish)
+        for one in pending:
+            if PRIORITY[source] < PRIORITY[one.source]:
+                raise Refused(f"a request of the {one.source} is carried out first")
 
     @answers("The goal")
     def goto(
@@ -171,14 +174,15 @@ class Requested(Commanded):
         rest in any case. A stop is never refused; an unknown source counts as the operator.
         """
         source = source if is_source(source) else OPERATOR
+        reason = reason if isinstance(reason, str) else shown(reason)
         stopped, halt = self._stopped, Halt(source)
         if stopped is None:
-            self._stopped = Stopped(str(reason), source, self._now, halt)
+            self._stopped = Stopped(reason, source, self._now, halt)
         else:
             pending = stopped.halt is not self._done
-            self._stopped = stopped.again(str(reason), source, stopped.halt if pending else halt)
+            self._stopped = stopped.again(reason, source, stopped.halt if pending else halt)
         self._drop(f"the {source} stopped the arm")
-        self._halt = self._ready.soonest(self.committed, self._now)
+        self._halt = self._ready.soonest(self.committed, self._now, self._sighting)
         return ACCEPTED
 
     @answers("To resume")
@@ -212,9 +216,9 @@ class Requested(Commanded):
                 self._held = Hold(replace(held.halt, source=source), held.at)
             return ACCEPTED
         self._held = Hold(Halt(source), self._now)
-        self._halt = self._ready.soonest(self.committed, self._now)
+        self._halt = self._ready.soonest(self.committed, self._now, self._sighting)
         if self._halt is not None:  # what was requested is to be planned anew, however soon it is released
-            self._done = self._held.halt
+            self._done = None
         return ACCEPTED
 
     @answers("To release")

@@ -131,7 +131,7 @@ def shown(value: object) -> str:
     try:
         return repr(str(value)[:40])
     except Exception:  # a number of thousands of digits
-        return f"a {type(value).__name__} that is no text"
+        return f"a value of type {type(value).__name__} that is no text"
 
 
 def is_source(value: object) -> bool:
