@@ -421,7 +421,7 @@ def test_lines_that_come_are_not_kept_without_end():
 
 @pytest.mark.slow
 def test_a_run_of_which_all_was_refused_does_not_end_well(cube, tmp_path, monkeypatch):
-    """And one of whose lines some were granted does; so does one that was told nothing, planned for every 20 periods."""
+    """And one of whose lines some were granted does; so does one told nothing, planned for every 20 periods."""
     refused = lines({"goto": [9.0, 0.0, 900.0]}, {"twist": [99.0, 0.0, 0.0]})
     result = run_live(cube, refused, tmp_path / "a", realtime=False)
     assert result.summary["requests"] == {"accepted": 0, "refused": 2, "dropped": 0}
