@@ -19,7 +19,7 @@ from salver.campaigns.definition import instant_of_run
 from salver.campaigns.engine import TABLE
 from salver.campaigns.summary import read_table
 from salver.cli import main
-from salver.errors import FileFormatError, SalverError, ScenarioError, Status
+from salver.errors import FileFormatError, SalverError, ScenarioError, Status, UnreachableError
 from salver.export import write_export
 from salver.export.motion import read_motion
 from salver.files import load_npz
@@ -28,7 +28,7 @@ from salver.models.arm.arm import load_arm
 from salver.motion_files import JointSamples, read
 from salver.motion_files.samples import cut_at_rests
 from salver.planning.fastest import transport_problem
-from salver.planning.fastest.legs import _end_of, _merit, _status, chains
+from salver.planning.fastest.legs import _end_of, _merit, _status, chains, plan_legs
 from salver.planning.fastest.retiming import plan_retimed_legs
 from salver.planning.plan import load_plan
 from salver.planning.postures import PoseTarget
@@ -135,6 +135,23 @@ def test_what_cannot_be_taken_or_put_is_one_sentence(legs, words):
 def test_what_is_not_known_of_several_legs_is_refused(changes, words):
     with pytest.raises(ScenarioError, match=words):
         parsed(**changes)
+
+
+@pytest.mark.parametrize(
+    ("later", "obstacles", "words"),
+    [
+        ({}, [{"type": "sphere", "name": "lamp", "radius": 0.05, "position": [0.52, 0.15, 0.45]}], "the obstacle lamp"),
+        ({"goal": {"position": [1.5, 0.2, 0.45]}}, [], "No posture within the joint limits reaches the goal"),
+    ],
+)
+def test_an_end_of_a_later_leg_that_is_impossible_is_named_before_any_leg_is_planned(later, obstacles, words):
+    legs = [leg(), {"goal": {"position": [0.5, 0.2, 0.45]}, **later}]
+    searched = []
+    with pytest.raises(UnreachableError) as error:
+        plan_legs(parsed(legs=legs, obstacles=obstacles), watch=Watch(tell=searched.append))
+    assert str(error.value).startswith("round-leg2: ")
+    assert words in str(error.value)
+    assert not searched
 
 
 @settings(max_examples=30)

@@ -18,6 +18,7 @@ from salver.geometry import Array, quat_wxyz_from_matrix
 from salver.planning.fastest.optimum import few_pieces, refitted
 from salver.planning.fastest.options import FastestOptions
 from salver.planning.fastest.planned import plan_problem
+from salver.planning.fastest.search import possible_ends
 from salver.planning.plan import Plan
 from salver.planning.plan_files import begun_at
 from salver.planning.round import MultiLegPlan
@@ -47,6 +48,10 @@ def plan_legs(scenario: Scenario, *, options: FastestOptions | None = None, watc
     options = options or FastestOptions()
     watch = watch or Watch(options.time_limit)
     problems = [transport_problem(leg, passing=True) for leg in scenario.each_leg]
+    for before, later in pairwise(problems):  # known at once; planning the legs before may take minutes
+        _, blocked = possible_ends(replace(later, start=before.goal), options, np.random.default_rng(options.seed))
+        if blocked is not None:
+            raise UnreachableError(f"{later.scenario.name}: {blocked.sentence}")
     legs: list[Plan] = []
     unreached: UnreachableError | None = None
     for begin in _begins(problems, options):

@@ -60,16 +60,24 @@ def fastest(
         if found.status.ok:
             return found
     watch.trying = "postures at both ends"
-    blocked = why_blocked(problem)
     rng = np.random.default_rng(options.seed)
-    pairs = [] if blocked is not None else ends(problem, rng, few=2 * options.first(problem))
-    if blocked is None:
-        blocked = why_touching(problem, pairs) if pairs else why_unreached(problem)
+    pairs, blocked = possible_ends(problem, options, rng)
     if blocked is not None:
         spline, wall = RestSpline(DEGREE, options.spans), time.perf_counter() - begun
         none = np.zeros((spline.size, problem.n))
         return FastestMotion(spline, none, np.inf, problem, blocked, wall_time=wall)
     return replace(_Search(problem, options, watch, pairs, rng).best(), wall_time=time.perf_counter() - begun)
+
+
+def possible_ends(
+    problem: TransportProblem, options: FastestOptions, rng: np.random.Generator
+) -> tuple[list[Ends], Status | None]:
+    """Pairs of end postures, or why there is none without a collision."""
+    blocked = why_blocked(problem)
+    if blocked is not None:
+        return [], blocked
+    pairs = ends(problem, rng, few=2 * options.first(problem))
+    return pairs, why_touching(problem, pairs) if pairs else why_unreached(problem)
 
 
 Begin = tuple[TransportProblem, Start]
