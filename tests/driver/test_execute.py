@@ -267,6 +267,9 @@ def test_franka_adapter_runs_the_plan(directory: Path, plan: Plan, monkeypatch: 
     assert fake.calls[1][:2] == ("load", 0.15)
     assert fake.calls[1][2] == pytest.approx([0.0, 0.0, 0.045])
     assert fake.calls[1][3] == [1.25e-4, 0, 0, 0, 1.25e-4, 0, 0, 0, 1.25e-4]
+    contact, collision, push, hit = (max(each) for each in fake.thresholds)
+    assert 0 < contact < collision < 87.0  # N m, the most that a Panda's joint gives: the arm can stop by itself
+    assert 0 < push < hit
     finished = [call[1] for call in fake.calls if call[0] == "finished"]
     assert finished == [False] * (len(finished) - 1) + [True]
     assert fake.calls[-1] == ("stopped",)

@@ -86,6 +86,7 @@ class Library(types.ModuleType):
 
             def set_collision_behavior(self, *thresholds: list[float]) -> None:
                 assert [len(x) for x in thresholds] == [7, 7, 6, 6]
+                outer.thresholds = thresholds
 
             def load_model(self) -> Any:
                 return Model()

@@ -133,7 +133,6 @@ class Lookout:
         self._options = options or LookoutOptions()
         self._movable = None if problem.keep_out is None else Movable(problem.keep_out.parts.apart())
         self._lock = threading.Lock()
-        self.looks = 0  # exact distances that were taken
 
     @property
     def sees(self) -> bool:
@@ -190,7 +189,6 @@ class Lookout:
         gone: (N,) m, the way that both go until live times t (N,)."""
 
         def free(at: float) -> float:
-            self.looks += 1
             kept = CLEARANCE.safety + obstacle.uncertainty + obstacle.growth * max(at - obstacle.t0, 0.0)
             kept += float(np.interp(at, path.t, path.off))
             return movable.distance(path.posture(at, self._options.finest), part, obstacle, obstacle.place(at)) - kept
