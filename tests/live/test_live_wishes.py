@@ -12,7 +12,7 @@ from salver.live import Live
 from salver.live.replanning.replan import ReplanOptions, straight
 from salver.models.arm.arm_limits import POSITION
 from salver.planning.fastest import transport_problem
-from salver.planning.postures import PoseTarget
+from salver.planning.postures import PoseTarget, candidate_postures
 from salver.planning.trajopt.constraints.obstacles import CLEARANCE
 from salver.planning.trajopt.ends import AtPose, AtPosture
 
@@ -149,3 +149,11 @@ def test_the_first_guess_of_a_way_ends_in_the_posture_that_is_nearest(cube):
     p, R = problem.arm.tray_pose(problem.start.q)
     guess = straight(replace(begun, goal=AtPose(PoseTarget(p, R))), ReplanOptions())
     assert np.abs(guess.coefficients - problem.start.q).max() < 1e-3
+    # No posture is found from here for a pose on the other side; of those found from elsewhere the nearest is taken.
+    p, R = problem.arm.tray_pose(np.array([1.04, 0.5, 1.05, -1.88, -2.04, 2.66, 0.14]))
+    there = AtPose(PoseTarget(p, R))
+    assert there.nearest(problem.arm, problem.limits, problem.start.q) is None
+    ways = [np.abs(q - problem.start.q).max() for q in candidate_postures(problem.arm, there.target, seeds=16)]
+    end = straight(replace(begun, goal=there), ReplanOptions()).coefficients[-1]
+    assert np.abs(end - problem.start.q).max() == pytest.approx(min(ways))
+    assert min(ways) < 0.5 * max(ways)

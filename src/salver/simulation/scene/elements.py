@@ -182,7 +182,6 @@ def add_surroundings(spec: Any) -> None:
         rgb1=[0.97, 0.98, 1],
         rgb2=[0.80, 0.84, 0.9],
         width=256,
-        height=1536,
     )
     spec.add_texture(
         name=FLOOR,
