@@ -116,4 +116,4 @@ def true(robot: SimulatedRobot) -> ArmState:
 
 
 def _state(state: ArmState) -> Any:
-    return types.SimpleNamespace(q=list(state.q), q_d=list(state.q), dq=list(state.dq))
+    return types.SimpleNamespace(q=list(state.q), q_d=list(state.q), dq=list(state.dq), O_ddP_O=[0.0, 0.0, -9.81])

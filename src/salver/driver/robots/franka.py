@@ -60,7 +60,7 @@ class FrankaOptions:
 
 
 class FrankaRobot:
-    """A Franka arm through pylibfranka's torque interface. Written for pylibfranka 0.19 and later."""
+    """A Franka arm through pylibfranka's torque interface. Run with pylibfranka 0.20 and 0.21."""
 
     takes: Takes = "torque"
     period, lag, speed = PERIOD, 0.0, 1.0
@@ -146,6 +146,8 @@ class FrankaRobot:
 
     def _compare(self, q: Array) -> None:
         """Keep the difference between the torque that the arm adds by itself and our model of it, if it is finite."""
+        if not np.any(self._state.O_ddP_O):  # a simulated arm that reports no acceleration of its base
+            self._state.O_ddP_O = [0.0, 0.0, -9.81]
         adds = np.array(self._model.gravity(self._state), dtype=float)
         if np.all(np.isfinite(adds)):
             self._differs = adds - self._arm.gravity(q)
@@ -197,7 +199,7 @@ def library() -> Any:
 
 
 def _said(address: str, error: Exception) -> SalverError:
-    return SalverError(f"The arm at {address} says: {str(error).removeprefix('libfranka: ')}")
+    return SalverError(f"The arm at {address} says: {str(error).removeprefix('libfranka: ').rstrip('.')}.")
 
 
 def _arm_state(state: Any) -> ArmState:
