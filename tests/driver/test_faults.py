@@ -143,7 +143,7 @@ def test_an_arm_that_never_seems_to_rest_is_waited_for_a_second_after_its_stop(r
 def test_what_the_robot_says_of_itself_is_quoted(rig: Rig) -> None:
     fault = Fault("read", 500, 1, "", error=lambda: RuntimeError("libfranka: joint_velocity_violation"))
     stopped = one(rig, fault, franka=True).result.summary["stopped"]
-    assert stopped == "The arm at arm says: joint_velocity_violation"
+    assert stopped == "The arm at arm says: joint_velocity_violation."
 
 
 @pytest.mark.slow
