@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 
 from fastest import scenarios as loads
-from salver.campaigns import instant_of_run, parameters_of_run, run_campaign
+from salver.campaigns import parameters_of_run, read_definition, run_campaign
 from salver.campaigns.summary import DROPPED, LARGEST_SLIP
 from salver.control.arm import ArmState
 from salver.driver.stops import ControlledStop
@@ -162,7 +162,8 @@ def cool(place: Path, plan: Plan, n: int) -> dict[str, int]:
     lost = 0
     for run in range(n):
         parameters, seed = parameters_of_run(place, run, "stops")
-        now = instant_of_run(0, run, plan.duration)
+        now = read_definition(place, "stops").stop_at(run, plan.duration)
+        assert now is not None
         record = simulate(cooled(plan, now), parameters=parameters, seed=seed, stop_at=now)
         slip = max(item["peak_slip"] for item in record.summary["objects"])
         lost += record.outcome in DROPPED or slip > LARGEST_SLIP

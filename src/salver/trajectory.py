@@ -231,14 +231,6 @@ def position_boundary(duration: float, p_start: npt.ArrayLike, p_goal: npt.Array
     return np.stack([np.asarray(p_start, float), zero, zero, np.asarray(p_goal, float), zero, zero])
 
 
-def min_norm_reference(
-    duration: float, degree: int, p_start: Array, p_goal: Array, R_start: Array, R_goal: Array
-) -> PolynomialReference:
-    """The initial guess a = M^+ d of the paper, with an angular velocity that meets the goal orientation."""
-    position = boundary_solution(degree, position_boundary(duration, p_start, p_goal)).particular
-    return PolynomialReference(duration, R_start, position, geodesic_angular_velocity(duration, R_start, R_goal))
-
-
 def geodesic_angular_velocity(duration: float, R_start: Array, R_goal: Array) -> Array | None:
     """Chebyshev coefficients (5, 3) of the min-jerk turn about one fixed axis; None if the orientations are equal.
 
@@ -254,7 +246,8 @@ def geodesic_angular_velocity(duration: float, R_start: Array, R_goal: Array) ->
 
 def min_jerk_line(duration: float, p_start: Array, p_goal: Array, R_start: Array, R_goal: Array) -> PolynomialReference:
     """The straight min-jerk line with a min-jerk turn about one axis: the paper's baseline."""
-    return min_norm_reference(duration, 5, p_start, p_goal, R_start, R_goal)
+    position = boundary_solution(5, position_boundary(duration, p_start, p_goal)).particular
+    return PolynomialReference(duration, R_start, position, geodesic_angular_velocity(duration, R_start, R_goal))
 
 
 def smooth_step(u: Array, order: int = 0) -> Array:

@@ -7,9 +7,10 @@ import pinocchio as pin
 import pytest
 from scipy.linalg import expm
 
+from object_controller import distribute, errors, wrench_command
 from salver import scenario
 from salver.control.arm import POSTURE_GAINS, ArmController, ArmState, controller_for
-from salver.control.object import Gains, command, distribute, errors, wrench_command
+from salver.control.object import Gains, command
 from salver.errors import ScenarioError
 from salver.geometry import exp, log
 from salver.models.arm.arm import load_arm, with_load

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from object_controller import distribute, errors, wrench_command
 from salver import scenario
-from salver.control.object import Gains, acceleration, command, distribute, errors, wrench_command
+from salver.control.object import Gains, acceleration, command
 from salver.geometry import GRAVITY_S, exp, log, right_jacobian_inverse
 from salver.models.rigid_body import RigidBody
 from salver.trajectory import MotionSamples, PolynomialReference

@@ -8,7 +8,7 @@ import pytest
 from typer.testing import CliRunner
 
 import salver as sv
-from salver.campaigns import instant_of_run, run_campaign
+from salver.campaigns import run_campaign
 from salver.campaigns.summary import read_table, summarise
 from salver.cli import app
 from salver.control.arm import ArmState
@@ -147,7 +147,7 @@ def test_a_campaign_of_stops_goes_on_and_each_run_comes_again_alone(bottle, tmp_
     table = read_table(both.folder / "runs.parquet")
     assert both.folder.name == "stops"
     assert {name: values[:3] for name, values in table.items()} == earlier
-    assert table["stop_at"] == [instant_of_run(0, k, bottle.duration) for k in range(5)]
+    assert table["stop_at"] == [both.definition.stop_at(k, bottle.duration) for k in range(5)]
     assert len(set(table["stop_at"])) == 5
     for now, takes in zip(table["stop_at"], table["stop_takes"], strict=True):
         assert takes == pytest.approx(bottle.stops.course(now).rests - now)

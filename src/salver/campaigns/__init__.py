@@ -4,23 +4,14 @@
 seed of run k, so that `salver simulate DIR --run k` repeats it.
 """
 
-from salver.campaigns.definition import (
-    Definition,
-    instant_of_run,
-    parameters_of_run,
-    read_definition,
-    seed_of_run,
-    stop_of_run,
-)
+from salver.campaigns.definition import Definition, parameters_of_run, read_definition, seed_of_run
 from salver.campaigns.engine import Campaign, run_campaign
 
 __all__ = [
     "Campaign",
     "Definition",
-    "instant_of_run",
     "parameters_of_run",
     "read_definition",
     "run_campaign",
     "seed_of_run",
-    "stop_of_run",
 ]

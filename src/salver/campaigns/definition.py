@@ -40,8 +40,8 @@ class Definition:
         return other.n <= self.n and {**asdict(self), "n": 0} == {**asdict(other), "n": 0}
 
     def stop_at(self, run: int, duration: float) -> float | None:
-        """Time of the stop request of run number `run` of a plan of a duration, s; None without stops."""
-        return instant_of_run(self.seed, run, duration) if self.stops else None
+        """Time of the stop request of run number `run` of a plan, s, from 0 to its duration; None without stops."""
+        return float(np.random.default_rng([self.seed, run, 2]).uniform(0.0, duration)) if self.stops else None
 
     def in_words(self) -> str:
         return (
@@ -110,11 +110,6 @@ def seed_of_run(seed: int, run: int) -> int:
     return int(np.random.default_rng([seed, run, 1]).integers(2**31))
 
 
-def instant_of_run(seed: int, run: int, duration: float) -> float:
-    """Time of the stop request of run number `run` of a campaign with stops, s, between 0 and the plan's duration."""
-    return float(np.random.default_rng([seed, run, 2]).uniform(0.0, duration))
-
-
 def read_definition(directory: str | Path, folder: str = DEFAULT_FOLDER) -> Definition:
     """Read the definition of a campaign from a run directory. Raises SalverError when there is none."""
     path = Path(directory) / folder / SUMMARY
@@ -143,8 +138,3 @@ def parameters_of_run(directory: str | Path, run: int, folder: str = DEFAULT_FOL
         raise SalverError(f"There is no run {run}; the campaign has the runs 0 to {definition.n - 1}.")
     names, values = samples(Path(directory), definition)
     return dict(zip(names, map(float, values[run]), strict=True)), seed_of_run(definition.seed, run)
-
-
-def stop_of_run(directory: str | Path, run: int, duration: float, folder: str = DEFAULT_FOLDER) -> float | None:
-    """Time of the stop request of run number `run` of a directory's campaign, s, or None without stops."""
-    return read_definition(directory, folder).stop_at(run, duration)

@@ -9,8 +9,6 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from salver.campaigns.definition import Definition, samples, seed_of_run
 from salver.errors import SalverError
 from salver.geometry import Array
@@ -97,13 +95,13 @@ def run_scalars(summary: Mapping[str, Any]) -> Scalars:
     scalars: Scalars = {}
     for key, value in summary.items():
         if isinstance(value, Mapping) and key not in NOT_OF_THE_RUN:
-            scalars |= {f"{key}.{name}": _plain(x) for name, x in value.items() if _is_scalar(x)}
+            scalars |= {f"{key}.{name}": x for name, x in value.items() if _is_scalar(x)}
         elif key not in NOT_OF_THE_RUN and _is_scalar(value):
-            scalars[key] = _plain(value)
+            scalars[key] = value
     objects = summary.get("objects", ())
     for item in objects:
         prefix = f"{item['name']}." if len(objects) > 1 else ""
-        own = {key: _plain(value) for key, value in item.items() if key != "name" and _is_scalar(value)}
+        own = {key: value for key, value in item.items() if key != "name" and _is_scalar(value)}
         scalars |= {prefix + key: value for key, value in own.items() if prefix or key != "outcome"}
     if len(objects) > 1:
         for key in dict.fromkeys(key for item in objects for key in item if key.startswith("peak_")):
@@ -129,9 +127,4 @@ def round_scalars(record: RoundRecord) -> Scalars:
 
 
 def _is_scalar(value: object) -> bool:
-    return value is None or isinstance(value, float | int | str | bool | np.generic)
-
-
-def _plain(value: Any) -> float | str | bool | None:
-    plain: float | str | bool | None = value.item() if isinstance(value, np.generic) else value
-    return plain
+    return value is None or isinstance(value, float | int | str | bool)

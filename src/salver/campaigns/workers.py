@@ -42,16 +42,14 @@ def processes(context: Context, items: Sequence[Item], jobs: int) -> Iterator[di
 @contextmanager
 def _single_threaded() -> Iterator[None]:
     """A context in which processes are started with one thread of linear algebra each."""
-    before = {name: os.environ.get(name) for name in _ONE_THREAD}
+    before = dict(os.environ)
     os.environ.update(dict.fromkeys(_ONE_THREAD, "1"))
     try:
         yield
     finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value
+        for name in _ONE_THREAD:
+            del os.environ[name]
+        os.environ.update(before)
 
 
 def _initialise(context: Context) -> None:

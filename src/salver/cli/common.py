@@ -240,11 +240,9 @@ def print_table(titles: Sequence[str], rows: Iterable[Sequence[str]], left: Coll
     result_console().print(table)
 
 
-def check_no_plan(out: Path, stem: str = "plan") -> None:
+def check_no_plan(out: Path) -> None:
     """Raise ScenarioError when a run directory holds a plan already."""
-    from salver.run_directory import file_stem
-
-    if (out / f"{file_stem(out, stem)}.npz").exists():
+    if (out / "plan.npz").exists():
         raise ScenarioError(f"--out = {out} holds a plan already; give another directory.")
 
 

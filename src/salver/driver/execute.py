@@ -109,7 +109,7 @@ def run_plan(
         arrays = arrays_of(arm, log_, driven)
         if isinstance(driven, SimulatedRobot):
             arrays, summary = seen_in_the_engine(driven, began, arrays, {**summary, "realtime": realtime})
-        return _kept(directory, stem, arrays, summary, checks)
+        return Execution(arrays, summary, checks, keep(Path(directory), stem, arrays, summary))
 
 
 def seen_in_the_engine(
@@ -190,10 +190,3 @@ def approach(q_from: Array, q_to: Array, arm: ArmModel) -> JointMotion:
     x = np.linspace(0.0, 1.0, 101)[:, None]
     change, rate, bend = ((q_to - q_from) * smooth_step(x, k) / duration**k for k in range(3))
     return JointMotion(duration * x[:, 0], q_from + change, rate, bend)
-
-
-def _kept(
-    directory: str | Path, stem: str, arrays: dict[str, np.ndarray], summary: dict[str, Any], checks: list[Check]
-) -> Execution:
-    path = keep(Path(directory), stem, arrays, summary)
-    return Execution(arrays, summary, checks, path)

@@ -83,10 +83,10 @@ def check_plan(
     if not numbers.ok:  # NaN: nothing can be computed
         return [numbers]
     motion = looked_at(plan.joint, options)
-    given = _object_motion(arm, bodies, motion)
+    given = tray_motion(arm, motion).of_frame(bodies[0].p_EB, bodies[0].R_EB)
     return [
         numbers,
-        Check("plan", plan.ok, plan.verification.sentence if plan.ok else f"The plan is not safe: {_complaint(plan)}"),
+        Check("plan", plan.ok, plan.verification.sentence if plan.ok else f"The plan is not safe: {plan.verdict}"),
         *_arm(plan.joint, arm, bodies, plan, options),
         _reference(plan, given, options.reference),
         _verdict(plan, given),
@@ -138,14 +138,6 @@ def _numbers(plan: Plan, arm: ArmModel, options: PreflightOptions) -> Check:
     return check("")
 
 
-def _complaint(plan: Plan) -> str:
-    if not plan.status.ok:
-        return plan.status.sentence
-    if not plan.verification.ok:
-        return plan.verification.sentence
-    return "" if plan.arm_status is None else plan.arm_status.sentence
-
-
 def _arm(
     joint: JointMotion, arm: ArmModel, bodies: Sequence[Body], plan: Plan, options: PreflightOptions = STANDARD
 ) -> list[Check]:
@@ -169,11 +161,6 @@ def _arm(
         Check("limits", status.ok, status.sentence),
         Check("clearance", near is not None and touch is None, sentence),
     ]
-
-
-def _object_motion(arm: ArmModel, bodies: Sequence[Body], motion: JointMotion) -> MotionSamples:
-    """Motion of the first object along these joints, while it stays in its place."""
-    return tray_motion(arm, motion).of_frame(bodies[0].p_EB, bodies[0].R_EB)
 
 
 def _reference(plan: Plan, given: MotionSamples, allowed: tuple[float, float, float]) -> Check:

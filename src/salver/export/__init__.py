@@ -53,10 +53,12 @@ def write_export(
     pause = PAUSE if pause is None else pause
     if file_format == "urscript":
         from salver.export import urscript
+        from salver.models.arm.known_arms import CB3_ARMS
         from salver.planning.round import load
 
         arm = load(directory, stem).scenario.arm
-        rate = urscript.own_rate(arm.model if arm else "") if rate is None else rate
+        if rate is None:  # that of the arm's controller
+            rate = urscript.RATES[-1 if arm is not None and arm.model in CB3_ARMS else 0]
         motion = read_motion(directory, stem, rate, pause)
         if stop_input not in range(8):
             raise SalverError(f"The stop's digital input is {stop_input}; it must be 0 to 7.")

@@ -11,7 +11,7 @@ import numpy as np
 
 from salver.errors import SalverError
 from salver.geometry import Array
-from salver.models.arm.known_arms import CB3_ARMS, UR_JOINTS
+from salver.models.arm.known_arms import UR_JOINTS
 from salver.motion_files import MotionSeries
 from salver.motion_files.verdict import one_line, warns
 
@@ -141,11 +141,6 @@ def program(
             lines = "".join("  " + line.format(_listed(x)) for x in stop.q[1:])
             text.append(LEAVE.format(lines=lines, stop=deceleration))
     return "".join(text) + TAIL.format(stop=deceleration)
-
-
-def own_rate(arm: str) -> float:
-    """Hz, of the controller of an arm."""
-    return RATES[-1] if arm in CB3_ARMS else RATES[0]
 
 
 def _listed(q: Array) -> str:

@@ -15,7 +15,6 @@ from rewritten_runs import rewrite
 from salver import scenario as scenarios
 from salver.auditing import audit_legs
 from salver.campaigns import run_campaign
-from salver.campaigns.definition import instant_of_run
 from salver.campaigns.engine import TABLE
 from salver.campaigns.summary import read_table
 from salver.cli import main
@@ -322,7 +321,7 @@ def test_a_run_of_all_legs_can_be_stopped_on_any_of_them(planned, tmp_path, caps
     plan.save(tmp_path)
     made = run_campaign(tmp_path, 2, jobs=1, stops=True)
     rows = read_table(made.folder / TABLE)
-    assert rows["stop_at"] == [instant_of_run(0, k, plan.duration) for k in range(2)]
+    assert rows["stop_at"] == [made.definition.stop_at(k, plan.duration) for k in range(2)]
     assert made.summary["plans"]["plan"]["stops"]["lost"]["count"] == 0
     assert main_of("simulate", tmp_path, "--run", 1, "--folder", "stops") == 0
     number = 1 + (rows["stop_at"][1] > first)

@@ -128,9 +128,11 @@ class _Asked:
 
     def stop(self, plan: Plan | MultiLegPlan) -> float | None:
         """Time of the stop request in a run of a plan, s, or None."""
-        from salver.campaigns import stop_of_run
+        from salver.campaigns import read_definition
 
-        return self.stop_at if self.run is None else stop_of_run(self.directory, self.run, plan.duration, self.folder)
+        if self.run is None:
+            return self.stop_at
+        return read_definition(self.directory, self.folder).stop_at(self.run, plan.duration)
 
 
 def _repeated(asked: _Asked) -> _Asked:

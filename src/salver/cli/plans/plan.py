@@ -121,7 +121,11 @@ def plan(
             "--effort and --time-limit are for the searches of --fastest, --safest and --least-sensitive."
         )
     directory = out if out is not None else Path("runs") / chosen.name
-    options = options_of(effort)
+    options = None  # the normal ones, without importing the search
+    if effort is not None:
+        from salver.planning.fastest import EFFORTS
+
+        options = EFFORTS[effort]
     if chosen.legs:
         if beside is not None or not arm:
             raise typer.BadParameter("--beside and --no-arm are not for a task of several legs; leave them out.")
@@ -251,15 +255,6 @@ def checked(plan: Plan) -> list[str]:
 
 def _solved(plan: Plan | MultiLegPlan) -> str:
     return f"Solved in {1e3 * float(plan.solver['seconds']):.1f} ms by {plan.solver['name']}."
-
-
-def options_of(effort: Effort | None) -> FastestOptions | None:
-    """The options of the search for an effort; None for the normal ones, without importing the search."""
-    if effort is None:
-        return None
-    from salver.planning.fastest import EFFORTS
-
-    return EFFORTS[effort]
 
 
 def show(plan: Plan, other: Plan, beside: str) -> None:
