@@ -147,7 +147,7 @@ def test_json_refuses_what_it_cannot_hold(tmp_path):
     [
         (b'{"status": "opt', "truncated or is not JSON"),
         (b"", "truncated or is not JSON"),
-        (b"\xff\xfe\x00", "not text in UTF-8"),
+        (b"\xff\xfe\x00", "not a text file in UTF-8"),
     ],
 )
 def test_foreign_json(tmp_path, content, sentence):

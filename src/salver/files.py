@@ -12,6 +12,7 @@ import math
 import os
 import platform
 import secrets
+import shutil
 import zipfile
 import zlib
 from collections.abc import Iterator, Mapping
@@ -74,6 +75,24 @@ def put_in_place(made: Path, path: Path, *, keep: bool) -> None:
     if keep and path.is_file() and not filecmp.cmp(made, path, shallow=False):
         set_aside(path)
     os.replace(made, path)
+
+
+@contextlib.contextmanager
+def new_directory(path: Path, what: str) -> Iterator[Path]:
+    """A context with the name of a directory to make, which is `path` once the context ends without an exception.
+
+    what: what the directory is, such as "a ROS 2 bag". Raises SalverError when `path` exists or cannot be written.
+    """
+    if path.exists():
+        raise SalverError(f"{path} exists; {what} is a new directory: name another with -o, or remove that one.")
+    made = path.parent / f".{path.name}.{secrets.token_hex(4)}.tmp" / path.name
+    try:
+        with writing(path):
+            made.parent.mkdir(parents=True)
+            yield made
+            made.rename(path)
+    finally:
+        shutil.rmtree(made.parent, ignore_errors=True)
 
 
 def set_aside(*paths: Path) -> None:
@@ -174,21 +193,27 @@ def write_json(path: str | Path, obj: Any) -> Path:
     return write_atomic(path, to_json(obj))
 
 
-def read_json(path: str | Path) -> Any:
-    """Read a JSON file. Raises FileFormatError when it is missing, truncated or not JSON."""
-    path = Path(path)
+def read_text(path: str | Path) -> str:
+    """Read a text file. Raises FileFormatError when it is missing or not UTF-8."""
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
+        return Path(path).read_text(encoding="utf-8-sig")
     except OSError as error:
         raise FileFormatError(f"{path} cannot be read: {reason(error)}.") from None
     except UnicodeDecodeError:
-        raise FileFormatError(f"{path} is not JSON: it is not text in UTF-8.") from None
+        raise FileFormatError(f"{path} is not a text file in UTF-8.") from None
+
+
+def read_json(path: str | Path) -> Any:
+    """Read a JSON file. Raises FileFormatError when it is missing, truncated or not JSON."""
+    text = read_text(path)
+    try:
+        return json.loads(text)
     except json.JSONDecodeError as error:
         raise FileFormatError(
             f"{path} is truncated or is not JSON: {error.msg} at line {error.lineno}, column {error.colno}."
         ) from None
     except (ValueError, RecursionError) as error:  # numbers of thousands of digits, deep nesting
-        raise FileFormatError(f"{path} is not JSON that salver wrote ({type(error).__name__}).") from None
+        raise FileFormatError(f"{path} is not JSON that can be read ({type(error).__name__}).") from None
 
 
 def sealed(obj: Mapping[str, Any]) -> dict[str, Any]:

@@ -31,7 +31,7 @@ from salver.geometry import Array, Indices, invert, lean
 from salver.models.tray_motion import at_rest, motion_vector
 from salver.models.uncertain.parameters import unshaken
 from salver.motion_files import JointSamples, Samples, of_columns, read
-from salver.motion_files.samples import cut_at_rests, reordered
+from salver.motion_files.samples import cuts_at_rests, part, reordered
 from salver.motion_files.units import Units
 from salver.scenario import Scenario
 from salver.tables import Table, Tabular
@@ -443,12 +443,10 @@ def audit_legs(
 ) -> tuple[Audit, ...]:
     """`audit` of a motion of several legs, which rests between them: each leg with its own load."""
     samples = read_for(scenario, path, topic, units=units)
-    beside, first, found = _beside(samples, scenario, path, units), 0, []
-    for part, leg in zip(cut_at_rests(samples, len(scenario.legs)), scenario.each_leg, strict=True):
-        last = first + len(part.t) - 1
-        joints = beside.between(first, last) if isinstance(beside, JointSamples) else beside
-        found.append(_with_joints(audit_samples(part, leg, options), joints))
-        first = last
+    beside, found = _beside(samples, scenario, path, units), []
+    for some, leg in zip(cuts_at_rests(samples, len(scenario.legs)), scenario.each_leg, strict=True):
+        joints = part(beside, some) if isinstance(beside, JointSamples) else beside
+        found.append(_with_joints(audit_samples(part(samples, some), leg, options), joints))
     return tuple(found)
 
 

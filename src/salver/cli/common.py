@@ -215,6 +215,18 @@ def numbers(text: str) -> list[float]:
         return []
 
 
+def named_numbers(texts: Sequence[str], option: str, example: str) -> dict[str, float]:
+    """Numbers by name from texts such as "mass=0.3". Raises ScenarioError, which names the option."""
+    values = {}
+    for text in texts:
+        name, _, number = text.partition("=")
+        given = numbers(number)
+        if len(given) != 1:
+            raise ScenarioError(f'{option} "{text}" must be a name, an equals sign and a number, as in {example}.')
+        values[name.strip()] = given[0]
+    return values
+
+
 def of_a_run(path: Path) -> None:
     """Raise ScenarioError for a motion file without a scenario; only run directories have one."""
     from salver.run_directory import SCENARIO

@@ -17,6 +17,7 @@ from salver.geometry import log
 from salver.models.arm.arm_geometry import arm_geometry
 from salver.models.described import Wall
 from salver.models.tray_motion import FULL_SPEED
+from salver.motion_files.verdict import UNSAFE
 from salver.planning.follow.clearance import sweep
 from salver.planning.follow.forward import tray_motion
 from salver.planning.follow.limits import BETWEEN, verdict
@@ -82,11 +83,11 @@ def check_plan(
     numbers = _numbers(plan, arm, options)
     if not numbers.ok:  # NaN: nothing can be computed
         return [numbers]
-    motion = looked_at(plan.joint, options)
+    motion, failed = looked_at(plan.joint, options), plan.verdict.removeprefix(f"{UNSAFE}: ")
     given = tray_motion(arm, motion).of_frame(bodies[0].p_EB, bodies[0].R_EB)
     return [
         numbers,
-        Check("plan", plan.ok, plan.verification.sentence if plan.ok else f"The plan is not safe: {plan.verdict}"),
+        Check("plan", plan.ok, plan.verification.sentence if plan.ok else f"The plan is not safe: {failed}"),
         *_arm(plan.joint, arm, bodies, plan, options),
         _reference(plan, given, options.reference),
         _verdict(plan, given),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import secrets
 import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,7 +11,7 @@ import numpy as np
 
 from salver.errors import SalverError
 from salver.export.motion import read_motion
-from salver.files import write_atomic, writing
+from salver.files import new_directory, write_atomic
 from salver.geometry import GRAVITY_S, Array
 from salver.motion_files.verdict import place_for
 from salver.motion_files.writers import write_csv
@@ -41,10 +40,6 @@ def write_scene(directory: str | Path, path: Path, stem: str = "plan", *, unsafe
 
     plan = load_plan(directory, stem)
     path = place_for(path, plan.verdict, unsafe)
-    if path.exists():
-        raise SalverError(
-            f"{path} exists; a MuJoCo scene is a new directory: name another with -o, or remove that one."
-        )
     scenario = plan.scenario
     arm = load_arm(scenario.arm, scenario.tray) if scenario.arm and plan.joint is not None else None
     world = true_world(scenario)
@@ -57,11 +52,9 @@ def write_scene(directory: str | Path, path: Path, stem: str = "plan", *, unsafe
     spec = scenes.specify(scenario, world, arm, visual=True)
     spec.modelname = scenario.name
     spec.option.gravity = GRAVITY_S  # without an arm the engine leaves it to the moving tray
-    temporary = path.parent / f".{path.name}.{secrets.token_hex(4)}.tmp"
-    try:
-        with writing(path):
-            temporary.mkdir(parents=True)
-            _copy_meshes(spec, temporary)
+    with new_directory(path, "a MuJoCo scene") as made:
+        made.mkdir()
+        _copy_meshes(spec, made)
         if arm is not None:
             _add_servos(spec, arm)
         scene = scenes.build(scenario, world, arm, visual=True)
@@ -71,13 +64,9 @@ def write_scene(directory: str | Path, path: Path, stem: str = "plan", *, unsafe
         spec.add_key(name=START, qpos=data.qpos, ctrl=q if q is not None else [])
         model = spec.compile()
         comment = f"<!-- {plan.verdict.replace('--', '- -')} -->\n"
-        write_atomic(temporary / "scene.xml", comment + with_all_digits(spec.to_xml(), model))
+        write_atomic(made / "scene.xml", comment + with_all_digits(spec.to_xml(), model))
         if arm is not None:
-            write_csv(read_motion(directory, stem), temporary / "motion.csv")
-        with writing(path):
-            temporary.rename(path)
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
+            write_csv(read_motion(directory, stem), made / "motion.csv")
     return sorted(p for p in path.rglob("*") if p.is_file())
 
 

@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from salver.errors import FileFormatError
-from salver.files import load_npz
+from salver.files import load_npz, read_text
 from salver.geometry import Array
 from salver.motion_files.motion import QUANTITIES
 from salver.motion_files.samples import (
@@ -336,13 +336,8 @@ def read_path(path: Path, joint_names: tuple[str, ...], topic: str | None = None
 
 def read_table(path: Path, headless: bool = False) -> tuple[list[str], Array]:
     """Read the header and the numbers (N, columns) of a table. headless: accept a table without a header."""
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise FileFormatError(f"{path} cannot be read ({error.strerror}).") from None
-    except UnicodeDecodeError:
-        raise FileFormatError(f"{path} is not a text file in UTF-8.") from None
-    lines = [(k, x) for k, x in enumerate(text.split("\n"), 1) if x.strip() and not x.startswith("#")]
+    rows = read_text(path).split("\n")
+    lines = [(k, x) for k, x in enumerate(rows, 1) if x.strip() and not x.startswith("#")]
     if not lines:
         raise FileFormatError(f"{path} is empty; the first line must name the columns.")
     first = lines[0][1]

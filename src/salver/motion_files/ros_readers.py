@@ -5,7 +5,6 @@ Quaternions of ROS are x, y, z, w; only this module and `ros_writers` convert th
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from itertools import islice
@@ -16,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from salver.errors import FileFormatError, needs
+from salver.files import read_json, read_text
 from salver.geometry import Array, interpolated
 from salver.motion_files.motion import STOPS
 from salver.motion_files.samples import FEWEST, JointSamples, Samples, TraySamples, joint_samples, tray_samples
@@ -38,16 +38,10 @@ def read_document(path: Path) -> Any:
     """The (first) document of a YAML or JSON file."""
     json_file = path.suffix.lower() == ".json"
     most = LARGEST_JSON if json_file else LARGEST_YAML
-    try:
-        if path.stat().st_size > most:
-            other = "" if json_file else ", or JSON, which is read faster"
-            raise FileFormatError(f"{path} is larger than {most // 1_000_000} MB; give a bag{other}.")
-        text = path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise FileFormatError(f"{path} cannot be read ({error.strerror}).") from None
-    except UnicodeDecodeError:
-        raise FileFormatError(f"{path} is not a text file in UTF-8.") from None
-    return _json(text, path) if json_file else _yaml(text, path)
+    if path.is_file() and path.stat().st_size > most:
+        other = "" if json_file else ", or JSON, which is read faster"
+        raise FileFormatError(f"{path} is larger than {most // 1_000_000} MB; give a bag{other}.")
+    return read_json(path) if json_file else _yaml(read_text(path), path)
 
 
 def samples_of(document: Any, path: Path, as_path: bool = False) -> Samples:
@@ -64,17 +58,6 @@ def samples_of(document: Any, path: Path, as_path: bool = False) -> Samples:
     raise FileFormatError(
         f"{path} holds no JointTrajectory, which needs joint_names and points, and no Path, which needs poses."
     )
-
-
-def _json(text: str, path: Path) -> Any:
-    try:
-        return json.loads(text)
-    except json.JSONDecodeError as error:
-        raise FileFormatError(
-            f"{path} is not JSON: {error.msg} at line {error.lineno}, column {error.colno}."
-        ) from None
-    except (ValueError, RecursionError) as error:
-        raise FileFormatError(f"{path} is not JSON of a trajectory ({type(error).__name__}).") from None
 
 
 def _yaml(text: str, path: Path) -> Any:

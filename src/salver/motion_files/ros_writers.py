@@ -7,16 +7,14 @@ Quaternions of ROS are x, y, z, w. Times are whole nanoseconds from the start of
 from __future__ import annotations
 
 import json
-import secrets
-import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from salver.errors import SalverError, needs
-from salver.files import to_json, write_atomic, writing
+from salver.files import new_directory, to_json, write_atomic
 from salver.geometry import Array
 from salver.motion_files.motion import STOPS, MotionSeries
 from salver.motion_files.verdict import warns
@@ -28,6 +26,7 @@ TOPICS = {
 }
 WORLD_FRAME = "world"
 _BILLION = 1_000_000_000
+Row = tuple[str, str, int, dict[str, Any]]  # topic, type, ns, content of a message
 BAG_VERSION: Any = 8  # version of the bag's metadata, the older one that rosbags writes
 
 
@@ -82,34 +81,29 @@ def _time(ns: int) -> dict[str, int]:
 def write_bag(motion: MotionSeries, path: Path) -> list[Path]:
     """Write a rosbag2 directory with one mcap file and one message in each topic; the topic STOPS has one message for
     each stop, recorded at the instant at which the motion may be left. Raises SalverError when `path` exists."""
+    rows: list[Row] = [(f"/salver/{topic}", TOPICS[topic], 0, found) for topic, found in messages(motion).items()]
+    for leave, stop in motion.stops:
+        message = {**messages(stop)["joint_trajectory"], "header": header_of(leave)}
+        rows.append((STOPS, TOPICS["joint_trajectory"], leave, message))
+    with new_directory(path, "a ROS 2 bag") as made:
+        write_rows(made, rows, motion.verdict)
+    return sorted(path.iterdir())
+
+
+def write_rows(bag: Path, rows: Iterable[Row], verdict: str = "") -> None:
+    """Write messages into a new rosbag2 directory. Raises MissingDependencyError."""
     with needs("bags", "A ROS 2 bag"):
         from rosbags.rosbag2 import StoragePlugin, Writer
         from rosbags.typesys import Stores, get_typestore
 
-    if path.exists():
-        raise SalverError(f"{path} exists; a ROS 2 bag is a new directory: name another with -o, or remove that one.")
-    store = get_typestore(Stores.ROS2_JAZZY)
-    temporary = path.parent / f".{path.name}.{secrets.token_hex(4)}.tmp" / path.name
-    try:
-        with writing(path):
-            temporary.parent.mkdir(parents=True)
-            with Writer(temporary, version=BAG_VERSION, storage_plugin=StoragePlugin.MCAP) as writer:
-                if motion.verdict:
-                    writer.set_custom_data("verdict", motion.verdict)
-                for topic, message in messages(motion).items():
-                    kind = TOPICS[topic]
-                    connection = writer.add_connection(f"/salver/{topic}", kind, typestore=store)
-                    writer.write(connection, 0, store.serialize_cdr(typed(store, kind, message), kind))
-                if motion.stops:
-                    kind = TOPICS["joint_trajectory"]
-                    connection = writer.add_connection(STOPS, kind, typestore=store)
-                    for leave, stop in motion.stops:
-                        message = {**messages(stop)["joint_trajectory"], "header": header_of(leave)}
-                        writer.write(connection, leave, store.serialize_cdr(typed(store, kind, message), kind))
-            temporary.rename(path)
-    finally:
-        shutil.rmtree(temporary.parent, ignore_errors=True)
-    return sorted(path.iterdir())
+    store, connections = get_typestore(Stores.ROS2_JAZZY), dict[str, Any]()
+    with Writer(bag, version=BAG_VERSION, storage_plugin=StoragePlugin.MCAP) as writer:
+        if verdict:
+            writer.set_custom_data("verdict", verdict)
+        for topic, kind, ns, content in rows:
+            if topic not in connections:
+                connections[topic] = writer.add_connection(topic, kind, typestore=store)
+            writer.write(connections[topic], ns, store.serialize_cdr(typed(store, kind, content), kind))
 
 
 def typed(store: Any, kind: str, values: dict[str, Any]) -> Any:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import TypeVar
 
 import numpy as np
 
@@ -58,18 +59,19 @@ class JointSamples(Outlined):
     tau: Array | None = None
     verdict: str = ""
 
-    def between(self, first: int, last: int) -> JointSamples:
-        """The samples from index `first` to `last`, both included, at times from the first of them."""
-        some = slice(first, last + 1)
-        dq, ddq, tau = (None if x is None else x[some] for x in (self.dq, self.ddq, self.tau))
-        return replace(self, t=self.t[some] - self.t[first], q=self.q[some], dq=dq, ddq=ddq, tau=tau)
-
 
 Samples = TraySamples | JointSamples
+SomeSamples = TypeVar("SomeSamples", bound=Samples)
 
 
-def cut_at_rests(samples: Samples, count: int) -> list[Samples]:
-    """The motion cut in the middle of its longest rests into `count` parts, each from rest to rest.
+def part(samples: SomeSamples, some: slice) -> SomeSamples:
+    """Some of the samples, at times from the first of them."""
+    arrays = {name: value[some] for name, value in vars(samples).items() if isinstance(value, np.ndarray)}
+    return replace(samples, **{**arrays, "t": arrays["t"] - arrays["t"][0]})
+
+
+def cuts_at_rests(samples: Samples, count: int) -> list[slice]:
+    """The samples of `count` parts of a motion, cut in the middle of its longest rests, each from rest to rest.
 
     Raises FileFormatError when it rests less often.
     """
@@ -84,10 +86,7 @@ def cut_at_rests(samples: Samples, count: int) -> list[Samples]:
             f"sample; {count} legs need {count - 1}."
         )
     cuts = [0, *sorted((a + b) // 2 for _, a, b in sorted(rests)[len(rests) - count + 1 :]), len(t) - 1]
-    each = [slice(a, b + 1) for a, b in pairwise(cuts)]
-    arrays = {name: value for name, value in vars(samples).items() if isinstance(value, np.ndarray)}
-    parts = [{name: value[some] for name, value in arrays.items()} for some in each]
-    return [replace(samples, **{**part, "t": part["t"] - part["t"][0]}) for part in parts]
+    return [slice(a, b + 1) for a, b in pairwise(cuts)]
 
 
 def tray_samples(t: Array, p: Array, quat_wxyz: Array, frame: str, source: str) -> TraySamples:

@@ -25,7 +25,7 @@ from salver.files import load_npz
 from salver.geometry import log, matrix_from_quat_wxyz, quat_wxyz_from_matrix
 from salver.models.arm.arm import load_arm
 from salver.motion_files import JointSamples, read
-from salver.motion_files.samples import cut_at_rests
+from salver.motion_files.samples import cuts_at_rests, part
 from salver.planning.fastest import transport_problem
 from salver.planning.fastest.legs import _end_of, _merit, _status, chains, plan_legs
 from salver.planning.fastest.retiming import plan_retimed_legs
@@ -424,15 +424,15 @@ def test_a_motion_is_cut_in_the_middle_of_its_longest_rests():
     moves = ((t > 1) & (t < 2)) | ((t > 4) & (t < 5)) | ((t > 5.2) & (t < 6)) | ((t > 8) & (t < 9))
     q = np.cumsum(np.where(moves, 0.003, 0.0))[:, None] * [1.0, -2.0]
     samples = JointSamples(t, ("a", "b"), q, None, None, "mine.csv")
-    parts = cut_at_rests(samples, 3)
+    parts = [part(samples, some) for some in cuts_at_rests(samples, 3)]
     assert [part.t[0] for part in parts] == [0.0] * 3
     assert [part.t[-1] for part in parts] == pytest.approx([3.0, 4.0, 2.99], abs=0.02)
     begins = len(parts[0].t) - 1
     np.testing.assert_array_equal(parts[1].q, q[begins : begins + len(parts[1].t)])
     np.testing.assert_allclose(np.ptp(parts[1].q, axis=0), [0.003 * 178, 0.006 * 178], atol=0.013)
-    assert len(cut_at_rests(samples, 4)) == 4
+    assert len(cuts_at_rests(samples, 4)) == 4
     with pytest.raises(FileFormatError, match=r"mine\.csv rests 3 times on its way.*5 legs need 4\."):
-        cut_at_rests(samples, 5)
+        cuts_at_rests(samples, 5)
 
 
 @pytest.mark.slow

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from salver.cli.checks.audit import OnTray, Topic, Units
-from salver.cli.common import Json, headed, of_a_run, print_json, print_table, result_console, say
+from salver.cli.common import Json, headed, named_numbers, of_a_run, print_json, print_table, result_console, say
 from salver.errors import ScenarioError
 
 if TYPE_CHECKING:
@@ -87,7 +87,8 @@ def simulate(
         of_a_run(directory)
         if topic is not None or units is not None:
             raise ScenarioError("--topic and --units are for motion files; give --scenario with one.")
-    asked = _Asked(directory, stem, true_values(set_ or []), seed, run, folder, stop_at, write, speed)
+    true = named_numbers(set_ or [], "--set", "mass=0.3")
+    asked = _Asked(directory, stem, true, seed, run, folder, stop_at, write, speed)
     if speed != 1.0 and (scenario is not None or run is not None or stop_at is not None):
         raise ScenarioError("--speed is for a run of a plan; leave out --scenario, --run and --stop-at.")
     if run is not None:
@@ -231,19 +232,6 @@ def _motion(asked: _Asked, scenario: str, topic: str | None, units: str | None) 
     if asked.write is not None:
         _write([record], chosen, asked.write, samples.verdict)
     return {path.name: record}
-
-
-def true_values(settings: list[str]) -> dict[str, float]:
-    values = {}
-    for text in settings:
-        name, equals, number = text.partition("=")
-        try:
-            values[name.strip()] = float(number)
-        except ValueError:
-            equals = ""
-        if not equals:
-            raise ScenarioError(f'--set "{text}" must be a name, an equals sign and a number, as in mass=0.3.')
-    return values
 
 
 def _warn(plan: Plan, stem: str) -> None:

@@ -12,6 +12,7 @@ from salver.cli.common import (
     Json,
     check_new_toml,
     headed,
+    named_numbers,
     print_json,
     print_table,
     result_console,
@@ -99,16 +100,9 @@ def _bounds(given: list[str]) -> SensorBounds:
 
     from salver.learning import SensorBounds
 
-    names, values = [field.name for field in fields(SensorBounds)], dict[str, float]()
-    for text in given:
-        name, _, value = text.partition("=")
-        try:
-            number = float(value)
-        except ValueError:
-            raise ScenarioError(f"--bound {text} must be NAME=VALUE with a number, such as scale=0.01.") from None
-        if name not in names:
-            raise ScenarioError(f"--bound {text}: {name} is not a bound of a sensor; known are {', '.join(names)}.")
-        values[name] = number
+    names, values = [field.name for field in fields(SensorBounds)], named_numbers(given, "--bound", "scale=0.01")
+    for name in values.keys() - names:
+        raise ScenarioError(f"--bound {name} is not a bound of a sensor; known are {', '.join(names)}.")
     return SensorBounds(**values)
 
 

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from salver.cli.common import Json
+from salver.cli.common import Json, named_numbers
 
 
 def live(
@@ -32,13 +32,12 @@ def live(
 
     Example: `salver live panda-tall-bottle`
     """
-    from salver.cli.checks.simulate import true_values
     from salver.cli.plans.studio import begun, served
     from salver.playground import World
     from salver.scenario import load
     from salver.studio.server import Studio
 
-    true = true_values(set_ or [])
+    true = named_numbers(set_ or [], "--set", "mass=0.3")
     World(load(scenario), true)  # says at once what cannot be
     text, place, folder, saved = begun(scenario)
     served(Studio(text, place, folder, saved=saved, live=True, true=true, keep_in=out, port=port), browser, json)

@@ -13,13 +13,13 @@ from typing import Any
 
 import numpy as np
 
-from salver.errors import FileFormatError, ScenarioError, needs
+from salver.errors import FileFormatError, ScenarioError
 from salver.files import output_file, put_in_place, writing
 from salver.geometry import Array
 from salver.models.arm.arm import load_arm, moved_links
 from salver.models.bodies import Body
 from salver.models.shapes import hulls, shapes
-from salver.motion_files.ros_writers import WORLD_FRAME, header_of, typed
+from salver.motion_files.ros_writers import WORLD_FRAME, Row, header_of, write_rows
 from salver.reports.pages.meshes import link_meshes, obstacle_meshes
 from salver.reports.pages.replay import joint_poses, poses
 from salver.reports.run import read_leg, read_run
@@ -27,7 +27,6 @@ from salver.reports.style import OBJECT_COLOURS, TRAY_COLOUR, rgb
 from salver.run_directory import leg_number, plan_verdict
 
 TRIANGLE_LIST = 11  # of visualization_msgs/msg/Marker
-Row = tuple[str, str, int, dict[str, Any]]  # topic, type, ns, content
 
 
 def write_mcap(directory: str | Path, path: str | Path, stem: str = "plan") -> Path:
@@ -79,27 +78,14 @@ def write_mcap(directory: str | Path, path: str | Path, stem: str = "plan") -> P
             moved = [_transform(now, name, at[k]) for name, at in frames.items()]
             yield "/tf", "tf2_msgs/msg/TFMessage", now, {"transforms": moved}
 
-    _write(path, rows())
+    with writing(path), tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as folder:
+        bag = Path(folder) / "bag"
+        write_rows(bag, rows())
+        put_in_place(next(bag.glob("*.mcap")), path, keep=True)
     return path
 
 
 JOINTS = {"position": "q", "velocity": "dq", "effort": "tau"}
-
-
-def _write(path: Path, rows: Iterator[Row]) -> None:
-    with needs("bags", "A recording for Foxglove"):
-        from rosbags.rosbag2 import StoragePlugin, Writer
-        from rosbags.typesys import Stores, get_typestore
-
-    store, connections = get_typestore(Stores.ROS2_JAZZY), dict[str, Any]()
-    with writing(path), tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as folder:
-        bag = Path(folder) / "bag"
-        with Writer(bag, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-            for topic, kind, ns, content in rows:
-                if topic not in connections:
-                    connections[topic] = writer.add_connection(topic, kind, typestore=store)
-                writer.write(connections[topic], ns, store.serialize_cdr(typed(store, kind, content), kind))
-        put_in_place(next(bag.glob("*.mcap")), path, keep=True)
 
 
 def _transform(ns: int, child: str, pose: Array) -> dict[str, Any]:
