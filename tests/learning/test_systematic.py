@@ -133,7 +133,11 @@ def test_a_bound_that_is_none_is_refused(field: str) -> None:
 
 @pytest.mark.parametrize(
     ("given", "said"),
-    [("scale", "must be a name, an equals sign and a number"), ("scale=a", "must be a name, an equals sign and a number"), ("size=1", "is not a bound of")],
+    [
+        ("scale", "must be a name, an equals sign and a number"),
+        ("scale=a", "must be a name, an equals sign and a number"),
+        ("size=1", "is not a bound of"),
+    ],
 )
 def test_the_command_says_which_bounds_there_are(tmp_path: Path, bottle_plan: Plan, given: str, said: str) -> None:
     bottle_plan.save(tmp_path / "run")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from salver.cli.checks.audit import Topic, Units
-from salver.cli.common import ExitCode, Json, Stops, Unsafe, print_json, result_console, save_plans, say
+from salver.cli.common import ExitCode, Json, Stops, print_json, result_console, save_plans, say
 from salver.cli.plans.plan import checked
 from salver.cli.plans.searching import stopping
 from salver.errors import ScenarioError
@@ -29,37 +29,19 @@ def retime(
     ] = None,
     out: Annotated[Path | None, typer.Option("-o", "--out", help="Run directory; default runs/NAME-retimed.")] = None,
     robust: Annotated[bool, typer.Option(help="Plan for the whole uncertain set, or only for nominal values.")] = True,
-    reserve: Annotated[
-        str | None,
-        typer.Option(
-            help="Required worst-case margin of every contact, as a share of the normal force at rest, such as 10%. "
-            "Default: margin of the scenario's [contact]."
-        ),
-    ] = None,
-    write: Annotated[
-        Path | None,
-        typer.Option(
-            help="Write the motion to this file too; its ending gives the format (.csv, .json, .yaml; none: ROS bag)."
-        ),
-    ] = None,
     topic: Topic = None,
     units: Units = None,
     stops: Stops = False,
-    unsafe: Unsafe = False,
     json: Json = False,
 ) -> None:
     """Find the fastest safe timing of joint waypoints, or of the path of a motion or a plan.
 
     Example: `salver retime waypoints.csv --scenario panda-cube -o runs/retimed`
 
-    Ends with 0 when the path can be run safely, with 3 when it cannot; its file (--write) is then written with
-    --unsafe only.
+    Ends with 0 when the path can be run safely, with 3 when it cannot.
     """
     from salver import scenario as scenarios
-    from salver.export.motion import read_motion
     from salver.given import read_waypoints, waypoints_of
-    from salver.motion_files import form_of
-    from salver.motion_files import write as write_motion
     from salver.planning.fastest.retiming import plan_retimed, plan_retimed_legs
     from salver.planning.round import MultiLegPlan, load_round
     from salver.run_directory import SCENARIO, check_free
@@ -69,10 +51,6 @@ def retime(
             raise ScenarioError(f"{path} is not a run directory; for a file of a motion give --scenario.")
         scenario = str(path / SCENARIO)
     chosen = scenarios.load(scenario)
-    if reserve is not None:
-        chosen = chosen.with_changes(contact__condition="exact", contact__margin=_share(reserve))
-    if write is not None:
-        form_of(write)  # raises before anything is computed
     directory = out if out is not None else Path("runs") / f"{chosen.name}-retimed"
     check_free(directory)
     plan: Plan | MultiLegPlan
@@ -92,21 +70,8 @@ def retime(
         if isinstance(plan, MultiLegPlan):
             result_console().print(plan.status.sentence)
         say(f"Written to {directory}; next: salver simulate {quote(str(directory))}")
-    if write is not None:
-        for file in write_motion(read_motion(directory), write, unsafe=unsafe):
-            say(f"Wrote {file}")
     if not plan.ok:
         raise typer.Exit(ExitCode.NO_SAFE_PLAN)
-
-
-def _share(reserve: str) -> float:
-    try:
-        share = float(reserve.removesuffix("%")) / (100 if reserve.endswith("%") else 1)
-    except ValueError:
-        share = -1.0
-    if not 0 <= share < 1:
-        raise ScenarioError(f'--reserve "{reserve}" must be a share from 0 to below 100%, such as 10% or 0.1.')
-    return share
 
 
 def _tell(plan: Plan) -> None:

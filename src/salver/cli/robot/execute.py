@@ -142,15 +142,13 @@ def _told(
     import sys
 
     from salver.driver.live import LiveRunOptions, run_live
+    from salver.files import read_text
     from salver.run_directory import SCENARIO
     from salver.scenario import load
 
     case = load(str(scenario / SCENARIO if (scenario / SCENARIO).is_file() else scenario))
     listen = lines == "-"
-    try:
-        wishes = sys.stdin.buffer if listen else Path(lines).read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise SalverError(f"{lines} cannot be read: {getattr(error, 'strerror', None) or 'it is no text'}.") from None
+    wishes = sys.stdin.buffer if listen else read_text(lines).splitlines()
     source, there = "standard input" if listen else lines, _given(robot, address)
     if listen and robot != "simulated" and not yes:
         raise SalverError(
