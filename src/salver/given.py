@@ -14,9 +14,8 @@ import numpy as np
 from salver.auditing import AuditOptions, audit_samples
 from salver.auditing.motion import check_radians
 from salver.auditing.options import DEFAULT
-from salver.errors import FileFormatError, SalverError, ScenarioError
+from salver.errors import FileFormatError, SalverError
 from salver.geometry import Array
-from salver.models.arm.arm import load_arm
 from salver.motion_files import Samples, read_path
 from salver.motion_files.readers import TABLES
 from salver.motion_files.samples import AT_REST, MOST_SAMPLES
@@ -41,9 +40,7 @@ def read_waypoints(path: Path, scenario: Scenario, topic: str | None = None, uni
     """
     if (path / SCENARIO).is_file() and units is None:
         return waypoints_of(load_plan(path), str(path))
-    if scenario.arm is None:
-        raise ScenarioError(f"{scenario.name} has no arm; a path of the joints needs one ([arm] in the scenario).")
-    arm = load_arm(scenario.arm, scenario.tray)
+    arm = scenario.load_arm()
     waypoints = read_path(path, arm.joint_names, topic, Units.parse(units, arm.linear))
     if path.suffix.lower() in TABLES:
         check_radians(waypoints, arm, str(path))

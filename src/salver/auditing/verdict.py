@@ -485,11 +485,7 @@ def audit_samples(samples: Samples, scenario: Scenario, options: AuditOptions = 
 
 
 def _arm(scenario: Scenario) -> ArmModel | None:
-    if scenario.arm is None:
-        return None
-    from salver.models.arm.arm import load_arm
-
-    return load_arm(scenario.arm, scenario.tray)
+    return None if scenario.arm is None else scenario.load_arm()
 
 
 def audit_motion(motion: AuditedMotion, scenario: Scenario, source: str = "motion") -> Audit:

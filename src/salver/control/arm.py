@@ -19,9 +19,8 @@ import pinocchio as pin
 from scipy.linalg.lapack import dposv
 
 from salver.control.object import Gains
-from salver.errors import ScenarioError
 from salver.geometry import GRAVITY_S, Array
-from salver.models.arm.arm import ArmModel, load_arm, with_load, with_stand_ins
+from salver.models.arm.arm import ArmModel, with_load, with_stand_ins
 from salver.models.bodies import Body
 from salver.scenario import Scenario
 from salver.trajectory import JointMotion, Reference
@@ -314,10 +313,8 @@ def controller_for(
 
     bodies: replaces the scenario's nominal load. Raises ScenarioError when the scenario has no arm.
     """
-    if scenario.arm is None:
-        raise ScenarioError(f"The scenario {scenario.name} has no arm; give it a table [arm] to control one.")
     return ArmController(
-        load_arm(scenario.arm, scenario.tray) if arm is None else arm,
+        scenario.load_arm() if arm is None else arm,
         scenario.payload.bodies if bodies is None else bodies,
         joint,
         reference,

@@ -21,7 +21,7 @@ from salver.driver.signals import Signals, noted_signals
 from salver.driver.stops import StopFrom, stops_of
 from salver.errors import SalverError, UnreachableError
 from salver.geometry import Array
-from salver.models.arm.arm import ArmModel, load_arm
+from salver.models.arm.arm import ArmModel
 from salver.models.bodies import Body
 from salver.planning.plan import Plan, load_plan
 from salver.run_directory import file_stem, known_stems
@@ -133,12 +133,11 @@ def _prepared(directory: str | Path, stem: str) -> tuple[Plan, ArmModel, Sequenc
     if known and file_stem(Path(directory), stem) not in known:
         raise SalverError(f'{directory} has no motion "{stem}"; it has {", ".join(known)}.')
     plan = load_plan(directory, stem)
-    if plan.scenario.arm is None:
-        raise SalverError(f"{plan.scenario.name} has no arm; give the scenario a table [arm] to execute it.")
+    arm = plan.scenario.load_arm()
     if plan.joint is None:
         why = plan.no_arm_motion
         raise UnreachableError(f"{plan.scenario.name} has no joint motion to execute: {why}")
-    return plan, load_arm(plan.scenario.arm, plan.scenario.tray), plan.scenario.payload.bodies
+    return plan, arm, plan.scenario.payload.bodies
 
 
 def _motion(plan: Plan) -> JointMotion:

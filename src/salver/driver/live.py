@@ -36,7 +36,7 @@ from salver.live.committed.motion import SAME
 from salver.live.options import LiveOptions
 from salver.live.script import Prompter, ScriptOptions, script
 from salver.live.standing import live_scenario
-from salver.models.arm.arm import ArmModel, load_arm, with_load
+from salver.models.arm.arm import ArmModel, with_load
 from salver.models.arm.arm_limits import JointLimits
 from salver.models.arm.tables import ArmLimits
 from salver.planning import plan_files
@@ -79,8 +79,7 @@ STANDARD = LiveRunOptions()
 def commanded(scenario: Scenario, joint: JointMotion) -> Plan:
     """The commanded motion, from rest to rest, as a plan that is judged like any joint motion."""
     q = joint.q
-    assert scenario.arm is not None
-    first, arm = scenario.payload.bodies[0], load_arm(scenario.arm, scenario.tray)
+    first, arm = scenario.payload.bodies[0], scenario.load_arm()
     ends: dict[str, Any] = {"arm__start_posture": q[0].tolist()}
     for name, posture in (("start", q[0]), ("goal", q[-1])):
         p, R = arm.object_pose(posture, first.p_EB, first.R_EB)
@@ -279,11 +278,8 @@ def _simulated(scenario: Scenario, address: str, realtime: bool, options: LiveRu
 
 
 def _franka(scenario: Scenario, address: str, realtime: bool, options: LiveRunOptions) -> _Standing:
-    tray = scenario.tray
-    if scenario.arm is None:
-        raise SalverError(f"{scenario.name} has no arm; give the scenario a table [arm] to execute it.")
+    tray, arm = scenario.tray, scenario.load_arm()
     demand([check_arm(scenario)])
-    arm = load_arm(scenario.arm, tray)
     scenario = scenario.with_changes(arm__limits=slower(arm.limits, FR3))
     robot = FrankaRobot(address, arm, tray.mass, np.array(tray.inertia), realtime)
     live = Live(scenario, robot.look().q, permit=lambda motion: within_fr3(arm, motion), options=options.kept)

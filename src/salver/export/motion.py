@@ -109,9 +109,7 @@ def motion_of_file(
     """
     names, known = tuple[str, ...](), Units.parse(units)
     if scenario is not None and scenario.arm is not None:
-        from salver.models.arm.arm import load_arm
-
-        arm = load_arm(scenario.arm, scenario.tray)
+        arm = scenario.load_arm()
         names, known = arm.joint_names, Units.parse(units, arm.linear)
     found = read(path, lambda: names, topic, as_path=True, units=known)
     motion, notes = MotionSeries.of(found), found.notes
@@ -140,8 +138,5 @@ def _joints(plan: Plan, t: Array) -> tuple[tuple[str, ...], tuple[Array, Array, 
     none = np.zeros((len(t), 0))
     if plan.joint is None or plan.scenario.arm is None:
         return (), (none, none, none), none
-    from salver.models.arm.arm import load_arm
-
-    arm = load_arm(plan.scenario.arm, plan.scenario.tray)
     tau = none if plan.tau is None else interpolated(plan.t, plan.tau, t)
-    return arm.joint_names, plan.joint.sample(t), tau
+    return plan.scenario.load_arm().joint_names, plan.joint.sample(t), tau

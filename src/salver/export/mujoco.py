@@ -32,7 +32,6 @@ def write_scene(directory: str | Path, path: Path, stem: str = "plan", *, unsafe
     and the objects on the tray. unsafe: as `salver.export.write_export`. Raises SalverError when `path` exists and for
     inner dynamics that are no body to such a file, FileFormatError for a directory without such a plan, UnsafeError.
     """
-    from salver.models.arm.arm import load_arm
     from salver.simulation.scene import scene as scenes
     from salver.simulation.scene.elements import lent
     from salver.simulation.scene.engine import mujoco
@@ -41,7 +40,7 @@ def write_scene(directory: str | Path, path: Path, stem: str = "plan", *, unsafe
     plan = load_plan(directory, stem)
     path = place_for(path, plan.verdict, unsafe)
     scenario = plan.scenario
-    arm = load_arm(scenario.arm, scenario.tray) if scenario.arm and plan.joint is not None else None
+    arm = scenario.load_arm() if scenario.arm and plan.joint is not None else None
     world = true_world(scenario)
     for load in world.loads:
         if lent(load.still):

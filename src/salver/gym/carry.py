@@ -24,7 +24,6 @@ from salver.errors import SalverError, ScenarioError, needs
 from salver.geometry import Array, quat_wxyz_from_matrix
 from salver.live import Live, LiveCourse
 from salver.live.replanning.steer import TICK
-from salver.models.arm.arm import load_arm
 from salver.playground.plant import Plant
 from salver.playground.unprotected import Unprotected
 from salver.sampling import draw
@@ -66,7 +65,7 @@ class Carry(gymnasium.Env[Array, Array]):
             raise ScenarioError(f"{self.scenario.name} has no arm, or several legs; salver/Carry-v0 wants one of each.")
         if actions not in ("twist", "joints"):
             raise ScenarioError(f'actions is "{actions}"; it must be twist or joints.')
-        self.arm = load_arm(self.scenario.arm, self.scenario.tray)
+        self.arm = self.scenario.load_arm()
         self.actions, self.shield, self.render_mode = actions, shield, render_mode
         self.near, self.still, self.fallen = near, still, fallen
         n, bodies = self.arm.n, self.scenario.payload.bodies

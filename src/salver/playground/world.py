@@ -20,7 +20,6 @@ from salver.errors import SalverError, Status
 from salver.geometry import Array, quat_wxyz_from_matrix
 from salver.live import Live, LiveCourse
 from salver.live.replanning.wishes import Refused, numbers
-from salver.models.arm.arm import load_arm
 from salver.planning.plan_files import make_way
 from salver.playground.ball import Ball, Throw
 from salver.playground.plant import Plant
@@ -52,8 +51,7 @@ class World:
         Raises ScenarioError when there is no arm, or the load is not safe at rest where the motion begins.
         """
         self.scenario, self.live = scenario, Live(scenario, lead=lead)
-        assert scenario.arm is not None  # a live motion has one
-        self.arm = load_arm(scenario.arm, scenario.tray)
+        self.arm = scenario.load_arm()
         self.plant = Plant(scenario, self.arm, parameters)
         self.period = self.plant.period
         self.ball = Ball(self.arm, scenario.payload, Throw())

@@ -10,7 +10,7 @@ from copy import deepcopy
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import TYPE_CHECKING, Annotated, Any, Self
 
 import numpy as np
 from pydantic import Field, ValidationError, model_validator
@@ -30,6 +30,9 @@ from salver.scenario.legs import Leg, fixed_to_tray, loads
 from salver.scenario.objects import CarriedObject, UncertaintySet
 from salver.scenario.task import Contact, Control, Motion, Planning, Pose, SensitivityWeighting
 from salver.validation import sentences
+
+if TYPE_CHECKING:
+    from salver.models.arm.arm import ArmModel
 
 
 class Scenario(Shown, Model):
@@ -259,6 +262,14 @@ class Scenario(Shown, Model):
         for leg in self.each_leg:
             found = {body.name: body for body in leg.payload.bodies} | found
         return tuple(found[item.name] for item in self.objects if item.name in found)
+
+    def load_arm(self) -> ArmModel:
+        """The arm with its tray. Raises ScenarioError without an arm, and as `salver.models.arm.arm.load_arm`."""
+        if self.arm is None:
+            raise ScenarioError(f"{self.name} has no arm, and this needs one; give it a table [arm].")
+        from salver.models.arm.arm import load_arm
+
+        return load_arm(self.arm, self.tray)
 
     @property
     def floor(self) -> float | None:

@@ -41,9 +41,7 @@ def warnings_of(scenario: Scenario) -> tuple[str, ...]:
     """All warnings about a scenario, one sentence each. Raises as `salver.models.arm.arm.load_arm`."""
     found = [*_of_ranges(scenario), *_of_objects(scenario), *_of_angles(scenario.model_dump(exclude_unset=True))]
     if scenario.arm is not None:
-        from salver.models.arm.arm import load_arm
-
-        arm = load_arm(scenario.arm, scenario.tray)
+        arm = scenario.load_arm()
         found = [*_of_limits(arm), *_of_payload(scenario, arm), *found]
     return tuple(found)
 

@@ -19,7 +19,7 @@ import numpy as np
 from salver.control.arm import ArmController, ArmState, Relay, Saturation
 from salver.errors import SalverError, ScenarioError, UnreachableError
 from salver.geometry import Array, matrix_from_quat_wxyz
-from salver.models.arm.arm import ArmModel, load_arm
+from salver.models.arm.arm import ArmModel
 from salver.models.arm.arm_limits import JointLimits
 from salver.scenario import Scenario
 from salver.simulation import tray_frame
@@ -51,8 +51,7 @@ class Experiment:
 
     @cached_property
     def arm(self) -> ArmModel:
-        assert self.plan.scenario.arm is not None
-        return load_arm(self.plan.scenario.arm, self.plan.scenario.tray)
+        return self.plan.scenario.load_arm()
 
     @cached_property
     def moved(self) -> Plan:

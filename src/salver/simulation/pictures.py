@@ -12,7 +12,7 @@ import numpy as np
 
 from salver.errors import MissingDependencyError
 from salver.geometry import Array, interpolated, matrix_from_quat_wxyz
-from salver.models.arm.arm import ArmModel, load_arm
+from salver.models.arm.arm import ArmModel
 from salver.models.load_dynamics import Drawn
 from salver.scenario import Scenario
 from salver.simulation.record import SimulationRecord, drawn_inside
@@ -41,7 +41,7 @@ def painter(
 
     camera: default: one that sees the whole motion. Raises MissingDependencyError without OpenGL.
     """
-    arm = load_arm(scenario.arm, scenario.tray) if scenario.arm is not None and record.q.shape[1] else None
+    arm = scenario.load_arm() if scenario.arm is not None and record.q.shape[1] else None
     scene = build(scenario, true_world(scenario, record.parameters), arm, visual=True)
     scene.model.vis.global_.offwidth, scene.model.vis.global_.offheight = width, height
     data = mujoco.MjData(scene.model)

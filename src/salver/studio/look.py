@@ -137,7 +137,7 @@ def _followed(scenario: Scenario, arm: Arm) -> Array | None:
     """The posture nearest to the start posture that was given, in which the start is met, or None."""
     given, start, first = np.array(arm.start_posture, dtype=float), scenario.motion.start, scenario.bodies[0]
     try:
-        model = load_arm(arm, scenario.tray)
+        model = scenario.load_arm()
         if len(given) != model.n:
             return None
         p, R = model.object_pose(given, first.p_EB, first.R_EB)
@@ -213,7 +213,7 @@ def _drawn(task: Scenario, near: Sequence[float] | None, arm_drawn: str, coarse:
     bodies, ends = task.payload.bodies, (task.motion.start, task.motion.goal)
     line = [list(pose.position) for pose in ends]
     red: list[list[str]] = [[], []]
-    arm, name = (load_arm(task.arm, task.tray), task.arm.model_dump_json()) if task.arm else (None, "")
+    arm, name = (task.load_arm(), task.arm.model_dump_json()) if task.arm else (None, "")
     scene: Look = stage(task, bodies, arm, _links(name, coarse) if name else [])
     if arm is None:
         first = task.payload.first

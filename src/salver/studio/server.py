@@ -19,7 +19,6 @@ from typing import TYPE_CHECKING, Any, Self
 from salver.errors import SalverError, ScenarioError
 from salver.export import FORMATS, write_export
 from salver.files import versions, write_atomic
-from salver.models.arm.arm import load_arm
 from salver.planning.round import has_legs
 from salver.reports.pages.cells import speed_bar
 from salver.reports.pages.page import asset, fill, framed, write_report
@@ -250,7 +249,7 @@ class Studio:
         if not can:
             return {}
         with self._looking:
-            arm = None if run.scenario.arm is None else load_arm(run.scenario.arm, run.scenario.tray)
+            arm = None if run.scenario.arm is None else run.scenario.load_arm()
             scene = replay_scene(replace(run, motions=can), arm)
         return {"variants": scene["variants"], "start": scene["start"], "end": scene["duration"]}
 

@@ -201,12 +201,11 @@ def _legs(asked: _Asked, json: bool) -> None:
 
 def _write(records: Sequence[SimulationRecord], scenario: Scenario, path: Path, verdict: str) -> None:
     """Write the executed motion of all legs as a motion file, marked if the motion is unsafe or the load was lost."""
-    from salver.models.arm.arm import load_arm
     from salver.motion_files import MotionSeries, write
     from salver.motion_files.verdict import UNSAFE, one_line
 
     first = records[0]
-    arm = None if scenario.arm is None or not first.q.shape[1] else load_arm(scenario.arm, scenario.tray)
+    arm = None if scenario.arm is None or not first.q.shape[1] else scenario.load_arm()
     if not verdict.startswith(UNSAFE):
         lost = [sentence for record in records if record.outcome != "holds" for sentence in sentences(record)]
         verdict = one_line(f"{UNSAFE}: {' '.join(lost)}") if lost else ""

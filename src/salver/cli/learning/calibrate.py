@@ -63,7 +63,6 @@ def calibrate(
     from salver.learning.friction.tilts import tilt_test
     from salver.learning.logs import one_load
     from salver.learning.tracking.executed import read_joints
-    from salver.models.arm.arm import load_arm
     from salver.planning.plan import load_plan
 
     if not (Path(source) / "scenario.toml").is_file():
@@ -79,8 +78,7 @@ def calibrate(
     check_new_toml(out)
     plan = load_plan(source)
     one_load(plan.scenario, "a friction test")
-    assert plan.scenario.arm is not None
-    samples = None if log is None else read_joints(log, load_arm(plan.scenario.arm, plan.scenario.tray))
+    samples = None if log is None else read_joints(log, plan.scenario.load_arm())
     found = friction(plan, samples, held=held, slid=slid, level=level)
     pressing = () if against is None else (found.against(load_plan(against)),)
     if out is not None:

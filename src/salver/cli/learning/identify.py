@@ -60,14 +60,12 @@ def identify(
     from salver.learning import identify as learn
     from salver.learning import read_log
     from salver.learning.logs import one_load
-    from salver.models.arm.arm import load_arm
     from salver.planning.plan import load_plan
 
     check_new_toml(out)
     bounds, carried = _bounds(bound or []), load_plan(plan, stem)
     one_load(carried.scenario, "identification")
-    assert carried.scenario.arm is not None
-    names = load_arm(carried.scenario.arm, carried.scenario.tray).joint_names
+    names = carried.scenario.load_arm().joint_names
     read = [read_log(path, len(names), names, topic) for path in (*logs, empty)]
     found = learn(carried, read[:-1], read[-1], bounds)
     if out is not None:

@@ -25,7 +25,7 @@ from salver.errors import SalverError, ScenarioError
 from salver.geometry import GRAVITY_S, Array
 from salver.learning.logs import one_load
 from salver.learning.tracking.executed import executed
-from salver.models.arm.arm import load_arm, with_load
+from salver.models.arm.arm import with_load
 from salver.models.bodies import Body
 from salver.models.uncertain.parameters import TILT, Parameter
 from salver.motion_files import JointSamples
@@ -235,7 +235,7 @@ def friction(
 
 def _terms(plan: Plan, motion: tuple[Array, Array, Array]) -> MotionTerms:
     """Dynamics terms of a plan's arm with its load along the motion (q, dq, ddq), each (T, n)."""
-    arm = load_arm(plan.scenario.arm, plan.scenario.tray)  # type: ignore[arg-type]
+    arm = plan.scenario.load_arm()
     return motion_terms(with_load(arm, plan.scenario.payload.bodies).pin_model, arm.tray_id, *motion)
 
 

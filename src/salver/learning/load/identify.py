@@ -211,11 +211,7 @@ def _felt(scenario: Scenario, runs: Sequence[LoggedRun], known: tuple[Array, Arr
 
     known: prior of phi, and its standard deviations. Raises FileFormatError for logs that do not belong to the runs.
     """
-    from salver.models.arm.arm import load_arm
-
-    assert scenario.arm is not None
-    arm = load_arm(scenario.arm, scenario.tray)
-    seen, readings = dict[int, tuple[Log, SensedMotion]](), []
+    arm, seen, readings = scenario.load_arm(), dict[int, tuple[Log, SensedMotion]](), []
     for run in runs:
         plan = replace(run.plan, scenario=scenario)
         if id(run.empty) not in seen:

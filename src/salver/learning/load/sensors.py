@@ -95,14 +95,11 @@ class SensedArm:
         wrist: bool = True,
         joints: bool = True,
     ) -> None:
-        from salver.models.arm.arm import load_arm
-
-        assert plan.scenario.arm is not None
         assert plan.joint is not None
         self.plan, self.joint, self.sensors = plan, plan.joint, sensors or Sensors()
         self.wrist, self.joints = wrist, joints
         self.rng = np.random.default_rng(seed)
-        self.arm = load_arm(plan.scenario.arm, plan.scenario.tray)
+        self.arm = plan.scenario.load_arm()
         low, high = self.sensors.friction
         self.friction = self.rng.uniform(low, high, self.arm.n)
         self.model = self.arm.pin_model.copy()

@@ -113,9 +113,7 @@ def _run(audit: Audit) -> tuple[ReportedRun, ArmModel | None]:
     arrays: dict[str, Array] = dict(plan.arrays())
     arm, joints = None, audit.joints
     if joints is not None and scenario.arm is not None:
-        from salver.models.arm.arm import load_arm
-
-        arm = load_arm(scenario.arm, scenario.tray)
+        arm = scenario.load_arm()
         q = reordered(joints, arm.joint_names).q
         arrays["q"] = interpolated(joints.t, q, arrays["t"])
     summary: Mapping[str, Any] = {"ok": audit.ok, "method": "given", "thinned": len(thinned.t) < len(samples.t)}

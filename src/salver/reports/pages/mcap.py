@@ -16,7 +16,7 @@ import numpy as np
 from salver.errors import FileFormatError, ScenarioError
 from salver.files import output_file, put_in_place, writing
 from salver.geometry import Array
-from salver.models.arm.arm import load_arm, moved_links
+from salver.models.arm.arm import moved_links
 from salver.models.bodies import Body
 from salver.models.shapes import hulls, shapes
 from salver.motion_files.ros_writers import WORLD_FRAME, Row, header_of, write_rows
@@ -42,7 +42,7 @@ def write_mcap(directory: str | Path, path: str | Path, stem: str = "plan") -> P
     if motion is None:
         raise FileFormatError(f'{directory} has no motion "{stem}"; it has {", ".join(m.stem for m in run.motions)}.')
     scenario, source = run.scenario, motion.seen.arrays if motion.seen else motion.arrays
-    arm = None if scenario.arm is None else load_arm(scenario.arm, scenario.tray)
+    arm = None if scenario.arm is None else scenario.load_arm()
     links = {0: WORLD_FRAME} | ({} if arm is None else moved_links(arm.pin_model))
     called = ["tray", *links.values(), *(body.name for body in run.bodies)]
     for name in called:

@@ -197,11 +197,8 @@ def asset(name: str, package: str = "salver.reports") -> str:
 
 
 def _arm(run: ReportedRun) -> ArmModel | None:
-    if run.scenario.arm is None or any("q" not in m.arrays for m in run.motions):
-        return None
-    from salver.models.arm.arm import load_arm
-
-    return load_arm(run.scenario.arm, run.scenario.tray)
+    without = run.scenario.arm is None or any("q" not in m.arrays for m in run.motions)
+    return None if without else run.scenario.load_arm()
 
 
 def replay(run: ReportedRun, arm: ArmModel | None) -> dict[str, Any]:
