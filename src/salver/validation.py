@@ -10,6 +10,7 @@ import difflib
 import json
 import types
 from collections.abc import Iterable
+from functools import reduce
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 import annotated_types
@@ -196,10 +197,7 @@ def _either(words: list[Any]) -> str:
 def _suggestion(model: type[BaseModel], data: Any, keys: tuple[Any, ...]) -> str:
     """Part of a sentence with the valid key most similar to an unknown one, or with all valid keys."""
     _, annotation = _locate(model, data, keys[:-1])
-    value = data
-    for key in keys[:-1]:
-        value = _get(value, key)
-    fields = list(getattr(_structured(annotation, value), "model_fields", {}))
+    fields = list(getattr(_structured(annotation, reduce(_get, keys[:-1], data)), "model_fields", {}))
     close = difflib.get_close_matches(str(keys[-1]), fields, n=1)
     return f"; did you mean {close[0]}" if close else f"; accepted are {', '.join(fields)}"
 
@@ -212,17 +210,15 @@ def _get(value: Any, key: Any) -> Any:
 
 
 def _present(data: Any, keys: tuple[Any, ...]) -> bool:
-    for key in keys[:-1]:
-        data = _get(data, key)
-    return isinstance(data, list) or (isinstance(data, dict) and keys[-1] in data)
+    beside = reduce(_get, keys[:-1], data)
+    return isinstance(beside, list) or (isinstance(beside, dict) and keys[-1] in beside)
 
 
 def _shown(data: Any, keys: tuple[Any, ...]) -> str:
-    for key in keys:
-        data = _get(data, key)
-    if isinstance(data, dict):
+    value = reduce(_get, keys, data)
+    if isinstance(value, dict):
         return ""
-    text = json.dumps(data, default=str, ensure_ascii=False).replace("NaN", "nan").replace("Infinity", "inf")
+    text = json.dumps(value, default=str, ensure_ascii=False).replace("NaN", "nan").replace("Infinity", "inf")
     return f" = {text if len(text) <= 80 else text[:77] + '...'}"
 
 

@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from recorded_motions import GOAL, JOINTS, START, joint_motion, line, tray_csv, write_csv
 from salver import scenario as scenarios
-from salver.auditing import audit, audit_motion
+from salver.auditing import Audit, audit
 from salver.auditing.motion import AuditedMotion
 from salver.auditing.verdict import AT_ONCE
 from salver.cli import app
@@ -39,7 +39,7 @@ def of_line(duration):
 
 def test_the_friction_that_a_level_move_needs_is_its_peak_acceleration_over_gravity():
     duration = 1.2
-    result = audit_motion(of_line(duration), case(friction=0.3))
+    result = Audit(case(friction=0.3), "motion", of_line(duration))
     needed = PEAK / duration**2 / 9.81
     assert result.nominal.code == "holds"
     assert result.margins.interfaces[0].friction_needed.max() == pytest.approx(needed, rel=1e-4)
@@ -48,7 +48,7 @@ def test_the_friction_that_a_level_move_needs_is_its_peak_acceleration_over_grav
 
 def test_it_slides_when_the_acceleration_passes_friction_times_gravity():
     duration = 0.9
-    result = audit_motion(of_line(duration), case(friction=0.3))
+    result = Audit(case(friction=0.3), "motion", of_line(duration))
     s = line(duration)
     first = s.t[np.argmax(np.abs(s.a_S[:, 1]) > 0.3 * 9.81)]
     assert result.nominal.code == "slides"
@@ -64,7 +64,7 @@ def test_of_very_many_instants_those_that_decide_are_looked_at():
     zero, still = np.zeros((len(t), 3)), np.tile(np.eye(3), (len(t), 1, 1))
     sideways, upwards = (size * np.exp(-(((t - at) / 0.02) ** 2)) for at, size in ((0.1, 3.2), (0.25, 8.0)))
     motion = MotionSamples(t, zero, zero, np.stack([sideways, 0 * t, upwards], axis=1), still, zero, zero)
-    result = audit_motion(AuditedMotion(motion), case(friction=0.3, friction_range="10%"))
+    result = Audit(case(friction=0.3, friction_range="10%"), "motion", AuditedMotion(motion))
     few, (nominal, worst) = result.margins, result.reserves
     assert len(few.t) < AT_ONCE < len(nominal)
     for least, every in ((few.exact, nominal), (few.exact_worst, worst)):
@@ -76,7 +76,7 @@ def test_of_very_many_instants_those_that_decide_are_looked_at():
 def test_a_tall_box_tips_where_its_base_ends():
     # Base half-width 2 cm, centre of mass 10 cm up: it tips at a = g / 5, well below friction 0.8.
     duration = 1.0
-    result = audit_motion(of_line(duration), case(friction=0.8, height=0.2))
+    result = Audit(case(friction=0.8, height=0.2), "motion", of_line(duration))
     s = line(duration)
     first = s.t[np.argmax(np.abs(s.a_S[:, 1]) > 9.81 / 5)]
     assert result.nominal.code == "tips"
@@ -87,14 +87,14 @@ def test_a_tall_box_tips_where_its_base_ends():
 
 def test_run_at_its_pace_the_path_just_holds():
     uncertain = case(0.3, friction_range="10%")
-    slow = audit_motion(of_line(0.9), uncertain).speeds_worst.pace.details["factor"]
-    assert audit_motion(of_line(0.9 * slow * 1.001), uncertain).worst.code == "holds"
-    assert audit_motion(of_line(0.9 * slow * 0.999), uncertain).worst.code == "slides"
+    slow = Audit(uncertain, "motion", of_line(0.9)).speeds_worst.pace.details["factor"]
+    assert Audit(uncertain, "motion", of_line(0.9 * slow * 1.001)).worst.code == "holds"
+    assert Audit(uncertain, "motion", of_line(0.9 * slow * 0.999)).worst.code == "slides"
 
 
 def test_what_holds_nominally_may_not_hold_in_the_worst_case():
     duration = np.sqrt(PEAK / (0.28 * 9.81))  # needs friction 0.28
-    result = audit_motion(of_line(duration), case(0.3, friction_range="10%"))
+    result = Audit(case(0.3, friction_range="10%"), "motion", of_line(duration))
     assert result.nominal.ok
     assert not result.worst.ok
     assert not result.ok
@@ -107,9 +107,9 @@ def test_what_passes_the_edge_by_less_than_its_acceleration_is_known_cannot_be_t
     """Half a m/s^2 beyond friction times gravity at two peaks: known to 0.2 m/s^2 it slides, to 1 not."""
     duration = np.sqrt(PEAK / (0.3 * 9.81 + 0.5))
     for error, code in ((0.0, "slides"), (0.2, "slides"), (1.0, "cannot_tell")):
-        assert audit_motion(AuditedMotion(line(duration), acceleration_error=error), case(0.3)).nominal.code == code
+        assert Audit(case(0.3), "motion", AuditedMotion(line(duration), acceleration_error=error)).nominal.code == code
         missed = AuditedMotion(line(duration), acceleration_error=0.0, missed=np.full(len(line(duration).t), error))
-        assert audit_motion(missed, case(0.3)).nominal.code == code
+        assert Audit(case(0.3), "motion", missed).nominal.code == code
 
 
 # The command --------------------------------------------------------------------------------------------------
@@ -186,7 +186,7 @@ def test_json_has_every_figure(tmp_path):
 
 def test_the_table_has_the_motion_as_it_was_understood_and_the_margins():
     s = min_jerk_line(1.0, START, GOAL, exp([0.0, 0.0, 0.4]), exp([0.03, -0.05, -0.2])).sample(np.linspace(0, 1, 51))
-    found = audit_motion(AuditedMotion(s), case(friction_range="10%"))
+    found = Audit(case(friction_range="10%"), "motion", AuditedMotion(s))
     table, (nominal, worst) = found.to_xarray(), found.reserves
     expected = {"p_SE": s.p_SB, "v_S": s.v_S, "a_S": s.a_S, "omega_E": s.omega_B, "alpha_E": s.alpha_B}
     expected |= {"margin": nominal, "margin_worst_case": worst}

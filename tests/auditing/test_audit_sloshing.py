@@ -10,7 +10,7 @@ import recorded_motions
 import salver as sv
 from potential_flow import cylinder, simulate
 from recorded_motions import HEADER, write_csv
-from salver.auditing import audit, audit_motion
+from salver.auditing import Audit, audit
 from salver.auditing.motion import AuditedMotion, tray_motion
 from salver.auditing.sloshing import _gain, softened, unseen
 from salver.dynamics.liquid.sloshing import SloshingResponse
@@ -81,7 +81,7 @@ def test_how_a_liquid_moves_where_the_motion_begins_moving_is_not_known(cup, fir
     """What moves at its end alone says all that came before."""
     s = recorded_motions.line(3.0, 100.0)
     cut = MotionSamples(*(getattr(s, field.name)[first:last] for field in fields(s)))
-    found = audit_motion(AuditedMotion(cut), cup)
+    found = Audit(cup, "motion", AuditedMotion(cut))
     begun = first > 0
     for status in (found.nominal, found.worst):
         assert status.details.get("reasons", []) == ["begun"] * begun
@@ -156,7 +156,7 @@ def test_a_cup_that_is_shaken_near_its_frequency_gives_no_verdict(cup, share, co
     zero, still = np.zeros((len(t), 3)), np.tile(np.eye(3), (len(t), 1, 1))
     along_x = np.outer(a, [1.0, 0.0, 0.0])
     samples = MotionSamples(t, zero, np.outer(speed, [1.0, 0.0, 0.0]), along_x, still, zero, zero)
-    said = audit_motion(AuditedMotion(samples), cup).nominal
+    said = Audit(cup, "motion", AuditedMotion(samples)).nominal
     assert said.code == code, said.sentence
     if code == "cannot_tell":
         assert said.details["reasons"] == ["resonance"]

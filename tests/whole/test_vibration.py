@@ -12,8 +12,8 @@ from numpy.testing import assert_allclose
 
 import odd_loads
 import salver as sv
+from salver.auditing import Audit
 from salver.auditing.motion import AuditedMotion
-from salver.auditing.verdict import audit_motion
 from salver.contact_margins import margin_model
 from salver.driver.robots.simulated import SimulatedRobot
 from salver.driver.sensing import Sensed
@@ -269,7 +269,7 @@ def test_a_live_motion_is_refused_that_would_be_shaken_off() -> None:
 def test_an_audit_counts_it_in_the_worst_case(bottle: Plan) -> None:
     first = bottle.scenario.payload.first
     tray = bottle.reference.sample(np.linspace(0, bottle.duration, 401)).of_frame(*invert(first.p_EB, first.R_EB))
-    still, shaken = (audit_motion(AuditedMotion(tray), shaking(bottle.scenario, shake)) for shake in (None, SHAKE))
+    still, shaken = (Audit(shaking(bottle.scenario, shake), "motion", AuditedMotion(tray)) for shake in (None, SHAKE))
     assert still.ok
     assert shaken.nominal.ok
     assert not shaken.worst.ok

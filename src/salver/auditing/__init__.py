@@ -4,6 +4,6 @@
 """
 
 from salver.auditing.options import AuditOptions
-from salver.auditing.verdict import Audit, audit, audit_legs, audit_motion, audit_samples, read_for
+from salver.auditing.verdict import Audit, audit, audit_legs, audit_samples, read_for
 
-__all__ = ["Audit", "AuditOptions", "audit", "audit_legs", "audit_motion", "audit_samples", "read_for"]
+__all__ = ["Audit", "AuditOptions", "audit", "audit_legs", "audit_samples", "read_for"]

@@ -486,8 +486,3 @@ def audit_samples(samples: Samples, scenario: Scenario, options: AuditOptions = 
 
 def _arm(scenario: Scenario) -> ArmModel | None:
     return None if scenario.arm is None else scenario.load_arm()
-
-
-def audit_motion(motion: AuditedMotion, scenario: Scenario, source: str = "motion") -> Audit:
-    """Audit a motion of the tray whose accelerations are known."""
-    return Audit(scenario, source, motion)
