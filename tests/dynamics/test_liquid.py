@@ -7,12 +7,13 @@ import pytest
 from scipy.sparse import diags, identity, kron
 from scipy.sparse.linalg import spsolve
 
+from salver.dynamics.liquid.interiors import Rectangle, Round
 from salver.dynamics.liquid.liquid import damping_of
 from salver.dynamics.liquid.sloshing import Liquid
 from salver.dynamics.load_cases import load_cases
 from salver.errors import ScenarioError
 
-CUP = Liquid((0.04,), 0.005, 0.06, 0.075, 1000.0, (0.0, 0.03))
+CUP = Liquid(Round(0.04), 0.005, 0.06, 0.075, 1000.0, (0.0, 0.03))
 
 
 def test_modes_of_a_cup_are_those_of_the_literature():
@@ -33,8 +34,9 @@ def test_under_a_lid_the_liquid_turns_as_laplace_says(round_):
 
     In a cylinder phi = u(r, z) cos(theta); in a box u(x, z), r standing for x.
     """
-    liquid = CUP if round_ else Liquid((0.09, 0.06), 0.005, 0.05, 0.08, 1000.0, (0.0, 0.0))
-    R, h, n = float(liquid.half[0]), liquid.fill, 90
+    liquid = CUP if round_ else Liquid(Rectangle(0.09, 0.06), 0.005, 0.05, 0.08, 1000.0, (0.0, 0.0))
+    h, n = liquid.fill, 90
+    R = float(liquid.inside.half(h)[0])
     dr, dz = R / n, h / n
     r, z = (np.arange(n) + 0.5) * dr, (np.arange(n) + 0.5) * dz - h / 2
     weight, edge = (r, np.arange(n + 1) * dr) if round_ else (np.ones(n), np.ones(n + 1))
@@ -75,7 +77,7 @@ def test_cases_span_fill_and_damping(coffee):
 
 
 def test_viscosity_damps_as_boundary_layers_do():
-    assert damping_of((0.04,), 0.06, 1e-6) == pytest.approx(0.79 * np.sqrt(1e-6 / np.sqrt(9.81 * 0.04**3)), rel=0.05)
+    assert damping_of(0.04, 0.06, 1e-6) == pytest.approx(0.79 * np.sqrt(1e-6 / np.sqrt(9.81 * 0.04**3)), rel=0.05)
 
 
 def liquid(**changes):

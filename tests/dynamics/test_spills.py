@@ -133,7 +133,7 @@ def test_on_a_tray_that_leans_the_surface_stands_higher_and_that_is_no_wave_that
     w = np.tile(at_rest(), (len(t), 1))
     w[:, 0], w[:, 2] = 9.81 * np.sin(lean), 9.81 * np.cos(lean)
     found = SloshingResponse.of(SurfaceMotion.along((LoadCase(body, 0.05, 0.02),), t, w))
-    stands, over = body.inner.half[0] * np.tan(lean), found.left(0.0)[0]
+    stands, over = body.inner.inside.half(0.05)[0] * np.tan(lean), found.left(0.0)[0]
     assert over < 0.1 * stands
     assert found.left()[0] - over == pytest.approx(stands, rel=1e-3)
 

@@ -22,7 +22,7 @@ from salver.scenario import Scenario, load, parse
 FOLDER = Path(__file__).parents[2] / "docs" / "data" / "real"
 FINE, RATE, FRAMES = 1e8, 100.0, 60.0  # integers for each rad or m; commanded samples and video frames a second
 RADIUS, FILL = 0.049, 0.08
-FORMULA = damping_of((RADIUS,), FILL, FLUIDS["water"].viscosity)
+FORMULA = damping_of(RADIUS, FILL, FLUIDS["water"].viscosity)
 AFTER = 8.0  # s of rest that are added to each commanded motion, for the waves that are left
 BENT = np.pi / 2  # rad: where the commanded third joint stands when that of the URDF stands at zero
 
@@ -177,7 +177,7 @@ def joints_of_cups() -> Array:
 def cups() -> list[Cup]:
     """The four cups along the motion that was executed."""
     audit = audit_samples(joint_samples(_rested(joints_of_cups()), RATE, "four-cups"), four_cups())
-    waves = waves_of(audit, CUP_FILL, damping_of((CUP_RADIUS,), CUP_FILL, FLUIDS["water"].viscosity))
+    waves = waves_of(audit, CUP_FILL, damping_of(CUP_RADIUS, CUP_FILL, FLUIDS["water"].viscosity))
     found = []
     for cup, crest in enumerate(waves.crest):
         video = IN_VIDEO.index(cup)

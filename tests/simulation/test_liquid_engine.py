@@ -9,6 +9,7 @@ import pytest
 
 import salver as sv
 from salver.contact_margins import margins
+from salver.dynamics.liquid.interiors import Rectangle, Round
 from salver.dynamics.liquid.sloshing import Liquid
 from salver.dynamics.liquid.surface import SurfaceMotion
 from salver.errors import SalverError
@@ -233,12 +234,19 @@ def test_a_cup_that_tumbles_through_the_air_is_no_trouble_for_the_engine(coffee,
     assert sum(warning.number for warning in data.warning) == 0
 
 
-@pytest.mark.parametrize("size", [(0.04,), (0.09, 0.06), (0.06, 0.09), (0.2, 0.05), (0.07, 0.07 * (1 + 1e-8))])
+@pytest.mark.parametrize(
+    "inside",
+    [
+        Round(0.04),
+        Round(0.03, 0.2),
+        *(Rectangle(*sides) for sides in ((0.09, 0.06), (0.06, 0.09), (0.2, 0.05), (0.07, 0.07 * (1 + 1e-8)))),
+    ],
+)
 @pytest.mark.parametrize("depth", [0.5, 1.0, 2.5])
-def test_rods_have_the_levers_and_moments_of_modes(size, depth):
+def test_rods_have_the_levers_and_moments_of_modes(inside, depth):
     """About each hinge m L and m L^2 under z + L, for both axes; no mass is negative, nor is what is left."""
-    half = size[0] if len(size) == 1 else 0.5 * max(size)
-    modes = Liquid(size, 0.005, depth * half, 1.0, 1000.0, (0.0, 0.0)).modes(depth * half)
+    half = float(inside.half(0.0).max())
+    modes = Liquid(inside, 0.005, depth * half, 1.0, 1000.0, (0.0, 0.0)).modes(depth * half)
     for n, rods in enumerate(modes.pendulums):
         assert sorted(axis for rod in rods for axis in rod.along) == [0, 1]
         for axis in range(2):

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, ClassVar
 from salver.fields import Model
 
 if TYPE_CHECKING:
+    from salver.dynamics.liquid.interiors import Interior
     from salver.models.load_dynamics import LoadDynamics
 
 
@@ -28,10 +29,10 @@ class InnerDynamics(Model):
         """Half-range of the quantity, m, that is assumed if the scenario gives none."""
 
     @abstractmethod
-    def check(self, name: str, outside: tuple[float, ...], height: float, half_range: float) -> None:
+    def check(self, name: str, outside: Interior, height: float, half_range: float) -> None:
         """Raise ValueError, one sentence, when it does not fit into its object or its model is not valid for it.
 
-        name: of the object. outside: (radius,) or (x, y) of the object, m. height: of the object, m. half_range: of the
+        name: of the object. outside: its outer walls. height: of the object, m. half_range: of the
         quantity, m.
         """
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
+from salver.dynamics.liquid.interiors import Interior, Rectangle, Round
 from salver.dynamics.liquid.liquid import FLUIDS, SHALLOWEST, damping_of, damping_range
 from salver.fields import Metres, Number
 from salver.models.load_dynamics import THICKEST
@@ -19,10 +20,11 @@ Damped = Annotated[Number, Field(ge=0, le=1)]  # share of critical damping
 
 
 class LiquidIn(InnerDynamics):
-    """A liquid in an upright cylinder (`radius`) or box (`size`), inside measures in m.
+    """A liquid in an upright cylinder (`radius`), a cone (also `brim_radius`) or a box (`size`), inside measures in m.
 
-    fill, brim: heights over the inside bottom, m; the brim is the top of the object. kind: gives the density and
-    viscosity that are left out.
+    radius: at the bottom. brim_radius: at the brim, at least `radius`; without it the wall is upright. fill, brim:
+    heights over the inside bottom, m; the brim is the top of the object. kind: gives the density and viscosity that are
+    left out.
     """
 
     quantity: ClassVar[str] = "fill"
@@ -30,6 +32,7 @@ class LiquidIn(InnerDynamics):
 
     kind: Literal["water", "coffee", "oil"] = "water"
     radius: Metres | None = None
+    brim_radius: Metres | None = None
     size: tuple[Metres, Metres] | None = None
     fill: Metres
     brim: Metres
@@ -46,6 +49,11 @@ class LiquidIn(InnerDynamics):
     def _possible(self) -> LiquidIn:
         if (self.radius is None) == (self.size is None):
             raise ValueError("liquid needs the inside of its container: radius of a cylinder, or size of a box")
+        if self.brim_radius is not None and (self.radius is None or self.brim_radius < self.radius):
+            raise ValueError(
+                f"liquid.brim_radius = {self.brim_radius:g} m; it must be at least liquid.radius, which is that of the "
+                "bottom: nothing is known of waves in a container that narrows upwards"
+            )
         if self.settled_within > 0 and self.settled_wave is None:
             raise ValueError(
                 f"liquid.settled_within = {self.settled_within:g} s needs settled_wave, the wave height in m that is "
@@ -69,11 +77,11 @@ class LiquidIn(InnerDynamics):
         return self
 
     @property
-    def inside(self) -> tuple[float] | tuple[float, float]:
-        if self.radius is not None:
-            return (self.radius,)
-        assert self.size is not None
-        return self.size
+    def inside(self) -> Interior:
+        if self.radius is None:
+            assert self.size is not None
+            return Rectangle(*self.size)
+        return Round(self.radius, (0.0 if self.brim_radius is None else self.brim_radius - self.radius) / self.brim)
 
     @property
     def _viscosity(self) -> float:
@@ -82,26 +90,34 @@ class LiquidIn(InnerDynamics):
     @property
     def _damping_range(self) -> tuple[float, float]:
         """Least and largest damping, share of critical."""
-        return self.damping or damping_range(damping_of(self.inside, self.fill, self._viscosity))
+        return self.damping or damping_range(damping_of(self._half(self.fill), self.fill, self._viscosity))
+
+    def _half(self, fill: float) -> float:
+        """Radius of the surface, or half its shorter side, m."""
+        return float(self.inside.half(fill).min())
 
     @property
     def assumed(self) -> float:
         """Half-range of the fill height, m: 10 %, at most half of the distance to the brim."""
         return min(0.1 * self.fill, 0.5 * (self.brim - self.fill))
 
-    def check(self, name: str, outside: tuple[float, ...], height: float, half_range: float) -> None:
+    def check(self, name: str, outside: Interior, height: float, half_range: float) -> None:
         here = f"liquid of {name}"
-        if len(outside) != len(self.inside):
+        if outside.round != self.inside.round:
             raise ValueError(
-                f"{here}: the liquid in a cylinder needs an inside radius, the liquid in a box an inside size"
-            )
-        if any(inner >= outer for inner, outer in zip(self.inside, outside, strict=True)):
-            raise ValueError(
-                f"{here}: inside it measures {list(self.inside)} m, outside {list(outside)} m (radius, or x and y); "
-                "the inside must be smaller"
+                f"{here}: the liquid in a cylinder or cone needs an inside radius, the liquid in a box an inside size"
             )
         if self.brim > height:
             raise ValueError(f"{here}: brim = {self.brim:g} m over the bottom; {name} is only {height:g} m high")
+        for where, inner, outer in (
+            ("bottom", self.inside.half(0.0), outside.half(height - self.brim)),
+            ("brim", self.inside.half(self.brim), outside.half(height)),
+        ):
+            if np.any(inner >= outer):
+                raise ValueError(
+                    f"{here}: at its {where} it is {(2 * inner).tolist()} m wide inside and {(2 * outer).tolist()} m "
+                    "outside, along x and y; the inside must be smaller"
+                )
         if half_range >= self.fill:
             raise ValueError(f"uncertainty.fill of {name} = {half_range:g} m must be less than fill = {self.fill:g} m")
         least, most = self.fill - half_range, self.fill + half_range
@@ -110,11 +126,16 @@ class LiquidIn(InnerDynamics):
                 f"{here}: filled up to {most:g} m, with a margin of {self.margin:g} m, it stands above the brim at "
                 f"{self.brim:g} m; give less fill, a smaller uncertainty.fill or a higher brim"
             )
-        half = max(self.inside) if self.radius is not None else 0.5 * max(self.inside)
+        half = float(self.inside.half(least).max())
         if least < SHALLOWEST * half:
             raise ValueError(
                 f"{here}: {least:g} m deep in a container {2 * half:g} m wide is too shallow for this model, which is "
                 f"valid from {SHALLOWEST * half:g} m on; in shallower ones waves break"
+            )
+        if not self.inside.planar(most):
+            raise ValueError(
+                f"{here}: the wall leans out by {np.rad2deg(np.arctan(self.inside.slope)):.3g} deg, so far that a wave "
+                "would rise along it in ways that the model does not have; give a steeper wall (27 deg always works)"
             )
 
     def dynamics(self, height: float) -> Liquid:
@@ -122,7 +143,7 @@ class LiquidIn(InnerDynamics):
 
         known = FLUIDS[self.kind]
         return Liquid(
-            size=self.inside,
+            inside=self.inside,
             floor=height - self.brim,
             fill=self.fill,
             brim=self.brim,

@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
 
+from salver.dynamics.liquid.interiors import Interior, Rectangle, Round
 from salver.fields import (
     Degrees,
     File,
@@ -50,6 +51,10 @@ class Box(Model):
     def solid(self) -> Solid:
         return shapes.box(self.size)
 
+    @property
+    def outside(self) -> Interior:
+        return Rectangle(*self.size[:2])
+
 
 class Cylinder(Model):
     type: Literal["cylinder"]
@@ -59,6 +64,27 @@ class Cylinder(Model):
 
     def solid(self) -> Solid:
         return shapes.cylinder(self.radius, self.height, self.support_points)
+
+    @property
+    def outside(self) -> Interior:
+        return Round(self.radius)
+
+
+class Cone(Model):
+    """An upright truncated cone, such as a paper cup. radius: of its base. top_radius: larger or smaller than that."""
+
+    type: Literal["cone"]
+    radius: Metres
+    top_radius: Metres
+    height: Metres
+    support_points: Annotated[Whole, Field(ge=3, le=64)] = 8
+
+    def solid(self) -> Solid:
+        return shapes.cone(self.radius, self.top_radius, self.height, self.support_points)
+
+    @property
+    def outside(self) -> Interior:
+        return Round(self.radius, (self.top_radius - self.radius) / self.height)
 
 
 class Prism(Model):
@@ -95,7 +121,7 @@ class Mesh(Model):
 class Part(Model):
     """A piece of a composite: its shape, the position of its centre (m), its mass (kg; only ratios matter)."""
 
-    shape: Annotated[Box | Cylinder | Prism, Field(discriminator="type")]
+    shape: Annotated[Box | Cylinder | Cone | Prism, Field(discriminator="type")]
     position: Point = (0.0, 0.0, 0.0)
     mass: Mass
 
@@ -108,7 +134,13 @@ class Composite(Model):
         return shapes.composite([(part.shape.solid(), np.array(part.position), part.mass) for part in self.parts])
 
 
-Shape = Annotated[Box | Cylinder | Prism | Mesh | Composite, Field(discriminator="type")]
+Shape = Annotated[Box | Cylinder | Cone | Prism | Mesh | Composite, Field(discriminator="type")]
+
+
+def smooth(shape: Shape, corners: int) -> Solid:
+    """The solid of a shape; a round one has a base with so many corners."""
+    finer = {"support_points": corners}
+    return shape.model_copy(update=finer).solid() if isinstance(shape, Cylinder | Cone) else shape.solid()
 
 
 def _relative(value: Any) -> Any:
@@ -383,11 +415,10 @@ class CarriedObject(Model):
         noun, shape = inner.noun, self.shape
         if self.uncertainty.contents == "any":
             raise ValueError(f'{noun} of {self.name}: contents = "any" does not work with a {noun}; leave one out')
-        if not isinstance(shape, Box | Cylinder):
-            raise ValueError(f"{noun} of {self.name}: only a cylinder or a box can hold one, not a {shape.type}")
-        inside = (shape.radius,) if isinstance(shape, Cylinder) else shape.size[:2]
-        height = shape.height if isinstance(shape, Cylinder) else shape.size[2]
-        inner.check(self.name, inside, height, _absolute(getattr(self.uncertainty, inner.quantity), inner.value))
+        if not isinstance(shape, Box | Cylinder | Cone):
+            raise ValueError(f"{noun} of {self.name}: a cylinder, a cone or a box can hold one, not a {shape.type}")
+        half_range = _absolute(getattr(self.uncertainty, inner.quantity), inner.value)
+        inner.check(self.name, shape.outside, shape.solid().height, half_range)
 
 
 Tilt = Annotated[Number, Field(ge=0, le=45)]  # degrees

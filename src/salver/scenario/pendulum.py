@@ -11,6 +11,7 @@ from salver.fields import Mass, Metres, Number
 from salver.scenario.inner import InnerDynamics
 
 if TYPE_CHECKING:
+    from salver.dynamics.liquid.interiors import Interior
     from salver.dynamics.pendulum import Pendulum
 
 Damped = Annotated[Number, Field(ge=0, le=0.2)]  # share of critical damping
@@ -36,10 +37,10 @@ class PendulumIn(InnerDynamics):
         """Half-range of the length, m: 2 %."""
         return 0.02 * self.length
 
-    def check(self, name: str, outside: tuple[float, ...], height: float, half_range: float) -> None:
+    def check(self, name: str, outside: Interior, height: float, half_range: float) -> None:
         if self.pivot > height:
             raise ValueError(f"pendulum of {name}: pivot = {self.pivot:g} m; {name} is only {height:g} m high")
-        longest, least = self.length + half_range, min(outside) if len(outside) == 1 else 0.5 * min(outside)
+        longest, least = self.length + half_range, min(float(outside.half(z).min()) for z in (0.0, height))
         if half_range >= self.length or longest > self.pivot:
             raise ValueError(
                 f"pendulum of {name}: length = {self.length:g} m, uncertain by {half_range:g} m; it must be above 0 "

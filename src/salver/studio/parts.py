@@ -118,8 +118,8 @@ def _object(item: CarriedObject, k: int, several: bool, here: bool) -> Part:
             _field("fill", [*key, "liquid", "fill"], item.liquid.fill, 0.001, item.liquid.brim, "m"),
             _range("fill", key, ranges.fill, item.liquid.fill),
         ]
-    if shape.type in ("box", "cylinder"):
-        for name in ("size", "radius", "height"):
+    if shape.type in ("box", "cylinder", "cone"):
+        for name in ("size", "radius", "top_radius", "height"):
             value = getattr(shape, name, None)
             if value is not None:
                 own = [*key, "shape", name]

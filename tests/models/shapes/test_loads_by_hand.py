@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from armless_scenarios import scenario
+from salver.dynamics.liquid.interiors import Rectangle, Round
 from salver.dynamics.liquid.liquid import damping_of, hollow
 from salver.dynamics.liquid.sloshing import Liquid
 from salver.geometry import Array
@@ -238,8 +239,8 @@ def test_a_capsule_runs_from_a_joint_to_the_centre_of_mass() -> None:
 
 # ---- in a glass -------------------------------------------------------------------------------------------------
 
-CUP = Liquid((0.04,), 0.005, 0.06, 0.1, 1000.0, (0.004, 0.01))
-TROUGH = Liquid((0.12, 0.07), 0.005, 0.05, 0.1, 1000.0, (0.004, 0.01))
+CUP = Liquid(Round(0.04), 0.005, 0.06, 0.1, 1000.0, (0.004, 0.01))
+TROUGH = Liquid(Rectangle(0.12, 0.07), 0.005, 0.05, 0.1, 1000.0, (0.004, 0.01))
 
 
 @pytest.mark.parametrize("liquid", [CUP, TROUGH], ids=["cup", "trough"])
@@ -289,29 +290,29 @@ def test_fills_stand_as_near_to_one_another_as_is_needed_and_no_nearer(liquid: L
 def test_damping_of_a_shallow_and_of_a_deep_cup() -> None:
     """Dodge 2000: 0.79 sqrt(nu / sqrt(g R^3)) (1 + 0.318 / sinh(1.84 h/R) (1 + (1 - h/R) / cosh(1.84 h/R)))."""
     deep = 0.79 * np.sqrt(1e-6 / np.sqrt(9.81 * 0.04**3))
-    assert damping_of((0.04,), 0.4, 1e-6) == pytest.approx(deep, rel=1e-6)
+    assert damping_of(0.04, 0.4, 1e-6) == pytest.approx(deep, rel=1e-6)
     # h/R = 0.5: sinh(0.92) = 1.05539, cosh(0.92) = 1.45390.
-    assert damping_of((0.04,), 0.02, 1e-6) == pytest.approx(
-        deep * (1 + 0.318 / 1.05539 * (1 + 0.5 / 1.45390)), rel=1e-5
-    )
+    assert damping_of(0.04, 0.02, 1e-6) == pytest.approx(deep * (1 + 0.318 / 1.05539 * (1 + 0.5 / 1.45390)), rel=1e-5)
 
 
 @pytest.mark.parametrize("liquid", [CUP, TROUGH], ids=["cup", "trough"])
 def test_what_moves_hangs_below_the_surface_and_is_slower_than_what_follows(liquid: Liquid) -> None:
-    modes, long = liquid.modes(liquid.fill), int(np.argmax(liquid.half))
+    modes, half = liquid.modes(liquid.fill), liquid.inside.half(liquid.fill)
+    long = int(np.argmax(half))
     assert modes.height.max() < 0
     assert modes.height.min() > -liquid.fill
     assert modes.frozen.com_B == pytest.approx([0.0, 0.0, -0.5 * liquid.fill])
     assert modes.following > modes.omega[:, long].max() * 1.1
     # At the wall a plane of slope 1 rises by R: most of it by the first mode.
-    first = {True: 2 / (1.84118**2 - 1), False: 8 / np.pi**2}[liquid.round]
-    assert modes.rise[0] == pytest.approx(first * liquid.half, rel=1e-4)
+    first = {True: 2 / (1.84118**2 - 1), False: 8 / np.pi**2}[liquid.inside.round]
+    assert modes.rise[0] == pytest.approx(first * half, rel=1e-4)
     assert np.all(modes.rest_rise > 0)
 
 
 def test_a_trough_turns_about_its_upright_axis_the_same_whichever_side_is_called_x() -> None:
     x, y = (
-        Liquid(size, 0.0, 0.05, 0.1, 1000.0, (0.0, 0.0)).modes(0.05).frozen for size in ((0.12, 0.07), (0.07, 0.12))
+        Liquid(Rectangle(*sides), 0.0, 0.05, 0.1, 1000.0, (0.0, 0.0)).modes(0.05).frozen
+        for sides in ((0.12, 0.07), (0.07, 0.12))
     )
     assert x.inertia_com[2, 2] == pytest.approx(y.inertia_com[2, 2], rel=1e-6)
     assert x.inertia_com[0, 0] == pytest.approx(y.inertia_com[1, 1], rel=1e-6)
@@ -319,7 +320,7 @@ def test_a_trough_turns_about_its_upright_axis_the_same_whichever_side_is_called
 
 def test_a_hollow_is_a_solid_less_what_is_cut_out() -> None:
     """A tube's wall and bottom, of volumes and levers over the base."""
-    solid, inside = shapes.cylinder(0.05, 0.1), Liquid((0.04,), 0.02, 0.05, 0.08, 1000.0, (0.0, 0.0))
+    solid, inside = shapes.cylinder(0.05, 0.1), Liquid(Round(0.04), 0.02, 0.05, 0.08, 1000.0, (0.0, 0.0))
     com, inertia = hollow(solid, inside)
     R = np.linalg.norm(solid.base_polygon, axis=1).max()
     outer, inner = np.pi * R**2 * 0.1, np.pi * 0.04**2 * 0.08

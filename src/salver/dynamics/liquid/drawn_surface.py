@@ -16,16 +16,6 @@ from salver.models.load_dynamics import Colour, Drawn
 COLOURS: Mapping[str, Colour] = {"coffee": (0.36, 0.23, 0.12), "oil": (0.78, 0.64, 0.08), "water": (0.29, 0.56, 0.77)}
 
 
-def wall(body: Body, corners: int = 32) -> Array:
-    """Corners (n, 2) of the container's inner wall, `corners` if it is round, counter-clockwise, relative to its axis,
-    m."""
-    liquid = cast(Container, body.inner)
-    if liquid.round:
-        angle = np.linspace(0, 2 * np.pi, corners, endpoint=False)
-        return np.asarray(liquid.size[0] * np.stack([np.cos(angle), np.sin(angle)], axis=1))
-    return np.asarray(liquid.half * np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]))
-
-
 @dataclass(frozen=True, eq=False)
 class DrawnSurface(Drawn):
     """The plane in which the first two modes stand at the wall, in the frame B of the container, over time.
@@ -68,19 +58,34 @@ class DrawnSurface(Drawn):
         return self._ring(self.liquid.brim)
 
     def _ring(self, height: float) -> Array:
-        corners = wall(self.body)
+        corners = self.liquid.inside.outline(height)
         return np.column_stack([corners, np.zeros(len(corners))]) + self.body.inner_origin_B(height)
 
+    def centre_B(self, k: int) -> Array:
+        """Where the surface meets the axis at sample k, (3,), m in B: between walls that lean out, a tilted plane holds
+        the same volume if it is lower there."""
+        radius = float(self.liquid.inside.half(self.fill)[0])
+        steep = float(self.slope[k] @ self.slope[k]) * radius * self.widening
+        return self.level_B - [0.0, 0.0, steep * radius / (1 + np.sqrt(1 - steep * radius * self.widening))]
+
     def ring_B(self, k: int) -> Array:
-        """Corners (n, 3) of the surface at sample k, m in B."""
-        corners = wall(self.body)
-        return np.column_stack([corners, corners @ self.slope[k]]) + self.level_B
+        """Corners (n, 3) of the surface at sample k, m in B: where the plane meets the wall."""
+        corners, low = self.liquid.inside.outline(self.fill), self.centre_B(k) - self.level_B
+        plane = corners @ self.slope[k]
+        rise = (plane + low[2]) / (1 - plane * self.widening)
+        return np.column_stack([corners * (1 + rise[:, None] * self.widening), rise]) + self.level_B
+
+    @property
+    def widening(self) -> float:
+        """Increase of the wall's radius per height, as a share of its radius at the level, 1/m."""
+        inside = self.liquid.inside
+        return inside.slope / float(inside.half(self.fill)[0])
 
     def triangles_B(self, k: int) -> Array:
         """(n_triangles, 3, 3) of the liquid at sample k, counter-clockwise from outside: its side, then its surface."""
         low, high = self.bottom_B, self.ring_B(k)
         low_next, high_next = (np.roll(ring, -1, axis=0) for ring in (low, high))
-        middle = np.broadcast_to(self.level_B, high.shape)
+        middle = np.broadcast_to(self.centre_B(k), high.shape)
         parts = ((low, low_next, high_next), (low, high_next, high), (middle, high, high_next))
         return np.concatenate([np.stack(part, axis=1) for part in parts])
 
@@ -89,9 +94,12 @@ class DrawnSurface(Drawn):
         return COLOURS[self.liquid.name]
 
     def page(self, keep: Array) -> dict[str, Any]:
-        """Corners of the bottom, centre and slope of the surface over time."""
+        """Corners of the bottom, centre and slope of the surface over time; the wall's width at the level, as a
+        multiple of that at the bottom, and its increase (`widening`)."""
+        inside = self.liquid.inside
         return {
             "bottom": np.round(self.bottom_B, 6).tolist(),
+            "wall": [float(inside.half(self.fill)[0] / inside.half(0.0)[0]), self.widening],
             "level": self.level_B.tolist(),
             "moves": self.slope[keep],
         }

@@ -11,7 +11,8 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from salver.dynamics.liquid.drawn_surface import DrawnSurface
-from salver.dynamics.liquid.liquid import LEANING, LEFT_OVER, STEEPEST, TILTING, Container
+from salver.dynamics.liquid.interiors import TILTING
+from salver.dynamics.liquid.liquid import LEANING, LEFT_OVER, STEEPEST, Container
 from salver.dynamics.liquid.spills import HIGH, STEEP, Spill
 from salver.dynamics.liquid.surface import SurfaceMotion, surface_by
 from salver.dynamics.load_limits import LIGHT, LoadLimit, of_end

@@ -8,7 +8,8 @@ from typing import ClassVar, cast
 
 import numpy as np
 
-from salver.dynamics.liquid.liquid import LEFT_OVER, STEEPEST, TILTING, Container, SurfaceModes
+from salver.dynamics.liquid.interiors import TILTING, SurfaceModes
+from salver.dynamics.liquid.liquid import LEFT_OVER, STEEPEST, Container
 from salver.dynamics.load_cases import ModalCases
 from salver.dynamics.modal_changes import Change, turned_each
 from salver.dynamics.modal_motion import TURNING, ModalMotion, across, turned

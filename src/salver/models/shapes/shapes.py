@@ -5,7 +5,7 @@ A shape has its own frame G: origin at the centre of its bounding height, z up, 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -27,7 +27,7 @@ class Solid:
     bounding_points_G: (k, 3) points whose convex hull contains the solid.
     top_polygon: (m, 2) the flat top, on which another object can stand. outline_polygon: the outline from above.
     surface: vertices (v, 3) and triangles (k, 3) of a mesh, for pictures; None if the polygons describe the shape.
-    radius: of a cylinder, m; None for other shapes.
+    radius: of a round outline, m; None for others. volume: m^3, of a box, cylinder or cone.
     """
 
     height: float
@@ -39,6 +39,7 @@ class Solid:
     outline_polygon: Array
     surface: tuple[Array, Array] | None = None
     radius: float | None = None
+    volume: float = np.nan
 
     @property
     def base_z(self) -> float:
@@ -57,17 +58,37 @@ def box(size: tuple[float, float, float]) -> Solid:
     x, y, z = size
     polygon = 0.5 * np.array([[x, y], [-x, y], [-x, -y], [x, -y]])
     inertia = np.diag([y * y + z * z, x * x + z * z, x * x + y * y]) / 12
-    return Solid(z, polygon, np.zeros(3), inertia, _extrude(polygon, z), polygon, polygon)
+    return Solid(z, polygon, np.zeros(3), inertia, _extrude(polygon, z), polygon, polygon, volume=x * y * z)
 
 
 def cylinder(radius: float, height: float, support_points: int = 8) -> Solid:
     """Upright cylinder; its base is the inscribed regular polygon with `support_points` vertices."""
-    angle = 2 * np.pi * np.arange(support_points) / support_points
-    polygon = radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     across = (3 * radius**2 + height**2) / 12
     inertia = np.diag([across, across, 0.5 * radius**2])
-    outer = polygon / np.cos(np.pi / support_points)  # circumscribed polygon, which contains the disc
-    return Solid(height, polygon, np.zeros(3), inertia, _extrude(outer, height), polygon, polygon, radius=radius)
+    return replace(cone(radius, radius, height, support_points), unit_inertia=inertia)
+
+
+def cone(radius: float, top_radius: float, height: float, support_points: int = 8) -> Solid:
+    """Upright truncated cone; its base and top are the inscribed regular polygons with `support_points` vertices."""
+    a, b = radius, top_radius
+    angle = 2 * np.pi * np.arange(support_points) / support_points
+    around = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    area = a * a + a * b + b * b  # three times the mean of r^2
+    centre = height * (b * b - a * a) / (4 * area)  # over the middle
+    axial = 0.3 * (a**4 + a**3 * b + a * a * b * b + a * b**3 + b**4) / area
+    across = 0.5 * axial + height**2 * (a * a + 3 * a * b + 6 * b * b) / (10 * area) - (centre + 0.5 * height) ** 2
+    inside = np.cos(np.pi / support_points)  # of a circle around which the polygon is drawn
+    return Solid(
+        height,
+        a * around,
+        np.array([0.0, 0.0, centre]),
+        np.diag([across, across, axial]),
+        _extrude(a * around / inside, height, b * around / inside),
+        b * around,
+        max(a, b) * around,
+        radius=max(a, b),
+        volume=np.pi / 3 * area * height,
+    )
 
 
 def prism(polygon: Array, height: float) -> Solid:
@@ -174,6 +195,6 @@ def _edge_second_moment(p: Array, q: Array) -> Array:
     return (2 * pp + 2 * qq + pq + np.swapaxes(pq, 1, 2)) / 24
 
 
-def _extrude(polygon: Array, height: float) -> Array:
+def _extrude(polygon: Array, height: float, top: Array | None = None) -> Array:
     z = np.full((len(polygon), 1), 0.5 * height)
-    return np.vstack([np.hstack([polygon, z]), np.hstack([polygon, -z])])
+    return np.vstack([np.hstack([polygon if top is None else top, z]), np.hstack([polygon, -z])])

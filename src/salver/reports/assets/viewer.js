@@ -144,10 +144,10 @@ function revolve(profile, sides = 28) {
   return shade(points, triangles);
 }
 
-// An upright prism; `open`: its side alone.
-function prism(polygon, low, high, open = false) {
+// A prism or a truncated cone, from its base to its top; `open`: its side alone.
+function prism(polygon, top, low, high, open = false) {
   const n = polygon.length, points = [], triangles = [];
-  for (const z of [low, high]) for (const [x, y] of polygon) points.push(x, y, z);
+  for (const [ring, z] of [[polygon, low], [top, high]]) for (const [x, y] of ring) points.push(x, y, z);
   for (let i = 0; i < n; i++) {
     const j = (i + 1) % n;
     triangles.push(i, j, j + n, i, j + n, i + n);
@@ -156,11 +156,19 @@ function prism(polygon, low, high, open = false) {
   return shade(points, triangles);
 }
 
-// A liquid from the bottom (corners) to its surface: a plane through `level` with slopes along x and y.
-function column(bottom, level, [sx, sy]) {
+// A liquid from the bottom (corners) to its surface: a plane through `level` with slopes along x and y, up to the wall,
+// which is `wide` times as wide as the bottom at the level and widens by a share `more` of that per height. At the axis
+// it is lower, so that the volume stays.
+function column({ bottom, level, wall: [wide, more] }, [sx, sy]) {
   const n = bottom.length, points = bottom.flat(), triangles = [];
-  for (const [x, y] of bottom) points.push(x, y, level[2] + sx * (x - level[0]) + sy * (y - level[1]));
-  points.push(...level);
+  const radius = wide * Math.hypot(bottom[0][0] - level[0], bottom[0][1] - level[1]), steep = more * radius * radius * (sx * sx + sy * sy);
+  const low = -steep / (1 + Math.sqrt(Math.max(0, 1 - more * steep)));
+  for (const corner of bottom) {
+    const x = wide * (corner[0] - level[0]), y = wide * (corner[1] - level[1]), plane = sx * x + sy * y;
+    const rise = (plane + low) / (1 - more * plane), out = 1 + more * rise;
+    points.push(level[0] + out * x, level[1] + out * y, level[2] + rise);
+  }
+  points.push(level[0], level[1], level[2] + low);
   for (let i = 0; i < n; i++) {
     const j = (i + 1) % n;
     triangles.push(i, j, j + n, i, j + n, i + n, 2 * n, i + n, j + n);
@@ -294,7 +302,8 @@ function createViewer(canvas, scene) {
     reach = Vec.norm(Vec.sub(bounds[1], bounds[0]));
     const box = ([[x, y, z], size]) => {
       const [a, b, c] = size.map((s) => s / 2);
-      return prism([[x + a, y + b], [x - a, y + b], [x - a, y - b], [x + a, y - b]], z - c, z + c);
+      const ring = [[x + a, y + b], [x - a, y + b], [x - a, y - b], [x + a, y - b]];
+      return prism(ring, ring, z - c, z + c);
     };
     around = 1.45 * Math.max(reach, 1);
     shapes = {
@@ -310,11 +319,11 @@ function createViewer(canvas, scene) {
     obstacles = scene.obstacles.map((mesh) => ({ name: mesh.name, shape: made(unpackMesh(mesh)), colour: mesh.colour }));
     objects = scene.objects.map((o) => ({
       name: o.name,
-      shape: made(o.polygon ? prism(o.polygon, o.low, o.high, o.open) : shade(o.points.flat(), o.triangles.flat())),
+      shape: made(o.polygon ? prism(o.polygon, o.top, o.low, o.high, o.open) : shade(o.points.flat(), o.triangles.flat())),
       edges: o.polygon ? o.polygon.flatMap((p, i) => {
-        const q = o.polygon[(i + 1) % o.polygon.length], sharp = o.polygon.length <= 8;
-        const rims = [o.low, o.high].map((z) => [[...p, z], [...q, z]]);
-        return sharp ? [...rims, [[...p, o.low], [...p, o.high]]] : rims;
+        const n = o.polygon.length, up = [...o.top[i], o.high], low = [...p, o.low];
+        const rims = [[o.polygon, o.low], [o.top, o.high]].map(([ring, z]) => [[...ring[i], z], [...ring[(i + 1) % n], z]]);
+        return n <= 8 ? [...rims, [low, up]] : rims;
       }) : [],
       colour: o.colour,
     }));
@@ -322,7 +331,7 @@ function createViewer(canvas, scene) {
       ...v,
       joints: float32(v.joints), tray: float32(v.tray), objects: float32(v.objects), forces: float32(v.forces ?? ""), contacts: float32(v.contacts ?? ""),
       path: made(tube(v.path, 0.0011 * reach)),
-      inside: v.inside.map((l) => l && { ...l, moves: float32(l.moves), shape: made(l.triangles ? solid(l.triangles) : column(l.bottom, l.level, [0, 0])) }),
+      inside: v.inside.map((l) => l && { ...l, moves: float32(l.moves), shape: made(l.triangles ? solid(l.triangles) : column(l, [0, 0])) }),
     }));
   }
   furnish({});
@@ -402,7 +411,7 @@ function createViewer(canvas, scene) {
   function drawInside(inside, variant, t, model) {
     if (inside.triangles) draw(inside.shape, Mat.moved(model, valuesAt(inside.moves, variant.t, 3, t)), [...inside.colour, 1]);
     else {
-      refill(inside.shape, column(inside.bottom, inside.level, valuesAt(inside.moves, variant.t, 2, t)));
+      refill(inside.shape, column(inside, valuesAt(inside.moves, variant.t, 2, t)));
       draw(inside.shape, model, [...inside.colour, 1]);
     }
     const beyond = inside.beyond !== null && t >= inside.beyond;

@@ -17,6 +17,7 @@ from salver.models.uncertain.parameters import Parameter
 from salver.reports.pages.meshes import decimate, link_meshes, obstacle_meshes, pack
 from salver.reports.style import OBJECT_COLOURS, ROLE_COLOURS, TRAY_COLOUR, rgb
 from salver.simulation.record import drawn_inside
+from salver.scenario.objects import Shape, smooth
 from salver.simulation.scene.loads import WALL_OPACITY, true_world
 
 if TYPE_CHECKING:
@@ -251,18 +252,16 @@ def joint_poses(q: Array, arm: ArmModel) -> Array:
     return poses
 
 
-def _outline(body: Body, shape: object, colour: str) -> dict[str, Any]:
+def _outline(body: Body, shape: Shape, colour: str) -> dict[str, Any]:
     """Outline of an object in B: an upright prism, a mesh, or the hull of anything else."""
-    kind = shape.type  # type: ignore[attr-defined]
+    kind = shape.type
     offset = -body.com_G
-    if kind in ("box", "cylinder", "prism"):
-        polygon = shape.solid().base_polygon  # type: ignore[attr-defined]
-        if kind == "cylinder":
-            angle = np.linspace(0, 2 * np.pi, 48, endpoint=False)
-            polygon = shape.radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)  # type: ignore[attr-defined]
+    if kind in ("box", "cylinder", "cone", "prism"):
+        solid = smooth(shape, 48)
         low = body.solid.base_z + offset[2]
         return {
-            "polygon": np.round(polygon + offset[:2], 6).tolist(),
+            "polygon": np.round(solid.base_polygon + offset[:2], 6).tolist(),
+            "top": np.round(solid.top_polygon + offset[:2], 6).tolist(),
             "low": float(low),
             "high": float(low + body.solid.height),
             "open": body.inner is not None and body.inner.open,

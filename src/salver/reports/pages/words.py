@@ -121,6 +121,10 @@ def _thing(run: ReportedRun, i: int) -> str:
     size = {
         "box": lambda: " × ".join(f"{100 * x:.3g}" for x in shape.size) + " cm",  # type: ignore[union-attr]
         "cylinder": lambda: f"radius {100 * shape.radius:.3g} cm, height {100 * shape.height:.3g} cm",  # type: ignore[union-attr]
+        "cone": lambda: (
+            f"radius {100 * shape.radius:.3g} to {100 * shape.top_radius:.3g} cm, "  # type: ignore[union-attr]
+            f"height {100 * shape.height:.3g} cm"  # type: ignore[union-attr]
+        ),
     }.get(shape.type, lambda: f"{100 * run.bodies[i].solid.height:.3g} cm high")()
     where = ", against the rim" if item.sides else ""
     return f"the {item.name} ({size}, {1e3 * item.mass:.4g} g, friction {item.friction:g}{where})"

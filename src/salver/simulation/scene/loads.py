@@ -16,7 +16,7 @@ from salver.models.bodies import TRAY, Body
 from salver.models.load_dynamics import THICKEST, Drawn, LoadDynamics, Modes
 from salver.models.rigid_body import RigidBody, inertia_matrix
 from salver.models.shapes.polygons import intersection
-from salver.models.shapes.shapes import Solid, cylinder
+from salver.models.shapes.shapes import Solid
 from salver.models.uncertain.parameters import (
     INNER_QUANTITIES,
     RIM,
@@ -27,6 +27,7 @@ from salver.models.uncertain.parameters import (
     inertial_vector,
 )
 from salver.scenario import CarriedObject, Scenario
+from salver.scenario.objects import smooth
 
 LEAST_MOMENT = 1e-14  # kg m^2; MuJoCo treats less as zero
 ON_A_LINE = 1e-3  # share of the largest principal moment that replaces a zero one; with 1e-6 contacts are unstable
@@ -185,8 +186,7 @@ def _load(
     item: CarriedObject, nominal: Body, true: Mapping[Parameter, float], scenario: Scenario, below: list[Load]
 ) -> Load:
     shape = item.shape
-    round_base = cylinder(shape.radius, shape.height, ROUND_POINTS) if shape.type == "cylinder" else None
-    loose = item.loose(round_base)
+    loose = item.loose(smooth(shape, ROUND_POINTS))
     solid, inertial = loose.solid, inertial_vector(loose.own)
     for parameter, value in true.items():
         if parameter.owner == item.name and parameter.entry is not None:
