@@ -4,7 +4,8 @@
 
 flow: how high a liquid rises, as predicted and as nonlinear potential flow shows it (potential_flow.py), on the
 straight min-jerk line over 0.48 m, level, in a box of 80 mm by 60 mm, along its longer side and at 35 degrees to it,
-and in a cup of 80 mm. The flow of a cup is unstable in steep waves (its points are few): where it ends, a dash.
+in a cup of 80 mm and in a paper cup of panda-paper-cups, whose heights are those at the radius of its level. The flow
+of a cup is unstable in steep waves (its points are few): where it ends, a dash.
 runs: each ready-made scenario with a liquid in the physics engine, n random draws of all that is uncertain: its fastest
 plan, with the processor time that it takes, the median of seven after a first; of the first draws the fastest plan of
 somebody who takes the liquid for a solid, and the straight line in the same time. What was run is kept in
@@ -50,7 +51,7 @@ from salver.simulation.record import SimulationRecord
 sys.path += [str(Path(__file__).parents[1] / folder) for folder in ("tests/helpers", "docs")]
 from blocks import replace as written
 
-from potential_flow import box, cylinder, rectangle
+from potential_flow import box, cone, cylinder, rectangle, simulate_cone
 from potential_flow import simulate as flow
 from survey import corners_of, ends_of, read, run_corners, survey
 
@@ -83,15 +84,23 @@ def flow_rows() -> Iterator[str]:
         ("box", boxed, rectangle(0.08, 10), 0.0),
         ("box, aside", boxed, box((0.08, 0.06), aside), aside),
         ("cup", cup, cylinder(0.04), 0.0),
+        ("paper cup", load("panda-paper-cups"), None, 0.0),
     ):
         for fill in (0.035, 0.05, 0.065):
+            inside = scenario.objects[0].inner.inside
+            level = float(inside.half(fill)[0]) / inside.slope if inside.slope else np.inf  # over the apex
             for duration in (1.6, 1.4, 1.25, 1.1, 1.0):
                 case, t = LoadCase(scenario.payload.first, fill, 0.005), np.linspace(0, duration, 201)
                 w = np.tile(at_rest(), (len(t), 1))
                 w[:, :2] = np.outer([push(duration, x) for x in t], [np.cos(angle), np.sin(angle)])
                 waves, times = SurfaceMotion.along((case,), t, w), np.arange(0, duration + 0.5, 0.0015)
                 with np.errstate(all="ignore"):
-                    seen = flow(basis, fill, lambda x, T=duration: (push(T, x), 9.81), times, 0.005)
+                    if basis is None:
+                        conical = cone(np.arctan(inside.slope), level, 1 - fill / level)
+                        seen = simulate_cone(conical, lambda x, T=duration: (push(T, x), 9.81), times, 0.005)
+                        seen = np.array([inside.level_rise(fill, x) for x in seen])
+                    else:
+                        seen = flow(basis, fill, lambda x, T=duration: (push(T, x), 9.81), times, 0.005)
                 during, after = seen[times <= duration].max(), seen[times > duration].max()
                 cells = [waves.crest.max(), during, waves.left()[0], after]
                 shown = [f"{1e3 * x:.1f}" if np.isfinite(x) and x < 0.05 else "–" for x in cells]

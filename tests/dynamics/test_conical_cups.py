@@ -9,13 +9,18 @@ import pytest
 from scipy.linalg import eigh
 from scipy.special import jnp_zeros
 
+from potential_flow import cone, simulate_cone
+from salver import load_scenario
 from salver.dynamics.liquid.axisymmetric import sloshing
 from salver.dynamics.liquid.drawn_surface import DrawnSurface
 from salver.dynamics.liquid.interiors import Round
 from salver.dynamics.liquid.sloshing import Liquid
+from salver.dynamics.liquid.surface import SurfaceMotion
+from salver.dynamics.load_cases import LoadCase
 from salver.errors import ScenarioError
 from salver.geometry import GRAVITY
 from salver.models.shapes import shapes
+from salver.models.tray_motion import at_rest
 
 
 @pytest.mark.parametrize("depth", [0.3, 0.5, 1.0, 1.5, 3.0, 6.0])
@@ -142,6 +147,49 @@ def test_pressures_of_harmonic_polynomials_give_the_wrench_of_the_modes(R, slope
         turning = about_O * alpha + frozen.mass * frozen.com_B[2] * f + mass @ (z * second - r * GRAVITY)
         assert force == pytest.approx(expected, rel=1e-5, abs=1e-5 * frozen.mass)
         assert moment == pytest.approx(turning, rel=1e-5, abs=1e-5 * frozen.mass * R)
+
+
+@pytest.mark.parametrize("duration", [1.4, 1.25])
+def test_waves_in_a_paper_cup_are_those_of_nonlinear_potential_flow(duration):
+    """On the straight min-jerk line over 0.48 m; heights at the radius of the level, which is lower than the real ones
+    by more than the two differ."""
+    body, fill = load_scenario("panda-paper-cups").payload.first, 0.065
+    inside = body.inner.inside
+    level = float(inside.half(fill)[0]) / inside.slope
+
+    def push(t: float) -> float:
+        x = min(t / duration, 1.0)
+        return 0.48 / duration**2 * (60 * x - 180 * x**2 + 120 * x**3)
+
+    t, times = np.linspace(0, duration, 201), np.arange(0, duration, 0.0015)
+    w = np.tile(at_rest(), (len(t), 1))
+    w[:, 0] = [push(x) for x in t]
+    crest = SurfaceMotion.along((LoadCase(body, fill, 0.005),), t, w).crest.max()
+    flow = cone(np.arctan(inside.slope), level, 1 - fill / level)
+    seen = simulate_cone(flow, lambda x: (push(x), GRAVITY), times, 0.005).max()
+    assert crest == pytest.approx(inside.level_rise(fill, seen), rel=0.005)
+    assert crest < 0.995 * seen
+
+
+@pytest.mark.parametrize("depth", [0.5, 1.0])
+def test_free_waves_crest_lower_in_a_cone_than_in_the_cylinder_of_its_depth(depth):
+    """Nonlinear potential flow of the first mode, up to its first crest: in a cone that is nearly upright, and in
+    cones that lean out more and more."""
+    R, steep = 0.04, 0.1
+    found = []
+    for slope in (0.01, 0.1, 0.25):
+        inside, h = Round(R - slope * depth * R, slope), depth * R
+        modes, level = inside.modes(h, 998.0), R / slope
+        flow, omega = cone(np.arctan(slope), level, 1 - h / level), modes.omega[0, 0]
+        begin, times = np.zeros(len(flow.nu)), np.linspace(0, 2.5 / omega, 200)
+        begin[6] = R * GRAVITY / omega  # of the first function with m = 1, which is nearly the mode
+        small, high = (
+            simulate_cone(flow, lambda t: (0.0, GRAVITY), times, 0.005, a * begin).max() for a in (1e-3, steep)
+        )
+        a = 1e3 * steep * small
+        found.append((inside.level_rise(h, high) / a - 1) * R / a)
+        assert 0 < found[-1] < 0.75 * modes.peaking[0]
+    assert found[0] > 1.1 * found[1] > 1.1**2 * found[2]
 
 
 @pytest.mark.parametrize("slope", [0.1, 0.45])

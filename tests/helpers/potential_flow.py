@@ -11,6 +11,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.polynomial import legendre
+from scipy.linalg import eigh
 from scipy.special import jnp_zeros, jv, jvp
 
 
@@ -119,4 +121,114 @@ def simulate(
         four = rates(t + dt, state + dt * three)
         state = state + dt / 6 * (one + 2 * two + 2 * three + four)
         out[i + 1] = np.max(basis.wall @ state[:J])
+    return out
+
+
+@dataclass(frozen=True)
+class Cone:
+    """Flow in a cone of half-angle `lean`, rad, whose surface at rest is `level` over the apex, m, and whose bottom is
+    a part of a sphere around it at `bottom` times that distance.
+
+    With R the distance from the apex, phi = sum a_j B_j(theta, angle) (s^nu_j + c_j s^(-1 - nu_j)), s = R / level, and
+    Legendre functions B_j of degree nu_j that satisfy the wall; points (P,) of the surface at polar angle theta and
+    around it; B (P, J), its slopes by both angles, and at the wall (Q, J), at angles (Q,).
+    """
+
+    lean: float
+    level: float
+    bottom: float
+    theta: np.ndarray
+    around: np.ndarray
+    nu: np.ndarray
+    value: np.ndarray
+    by_theta: np.ndarray
+    by_around: np.ndarray
+    wall: np.ndarray
+
+
+def cone(lean: float, level: float, bottom: float, orders: tuple[int, ...] = (6, 6, 5, 4, 3)) -> Cone:
+    """Waves that are mirrored in the plane y = 0, as in `cylinder`."""
+    tilt = np.arctan(np.tan(lean) * np.sqrt((np.arange(14) + 0.5) / 14))
+    theta, around = (g.ravel() for g in np.meshgrid(tilt, (np.arange(12) + 0.5) * np.pi / 12))
+    edge = np.linspace(0, np.pi, 25)
+
+    x, w = legendre.leggauss(60)
+    x, w = 0.5 * lean * (x + 1), 0.5 * lean * w
+    found, value, by_theta, by_around, wall = [], [], [], [], []
+    for m, number in enumerate(orders):
+        # Legendre's equation, weakly: int (sin B'^2 + m^2 / sin B^2) = nu (nu + 1) int sin B^2, B' = 0 at the wall.
+        p, dp = _odd_or_even(m, x / lean, lean)
+        weight = (w * np.sin(x))[:, None]
+        energy = (dp * weight).T @ dp + m**2 * (p * w[:, None] / np.sin(x)[:, None]).T @ p
+        values, vectors = eigh(energy, (p * weight).T @ p)
+        first = int(m == 0)  # the level itself
+        vectors, values = vectors[:, first : first + number], values[first : first + number]
+        vectors = vectors / vectors.sum(axis=0)  # the polynomials are 1 at the wall
+        p, dp = _odd_or_even(m, theta / lean, lean)
+        found += (np.sqrt(values + 0.25) - 0.5).tolist()
+        value += list((p @ vectors).T * np.cos(m * around))
+        by_theta += list((dp @ vectors).T * np.cos(m * around))
+        by_around += list((p @ vectors).T * -m * np.sin(m * around))
+        wall += number * [np.cos(m * edge)]
+    return Cone(
+        lean, level, bottom, theta, around, np.array(found), np.array(value).T, np.array(by_theta).T,
+        np.array(by_around).T, np.array(wall).T,
+    )  # fmt: skip
+
+
+def _odd_or_even(m: int, s: np.ndarray, lean: float, count: int = 16) -> tuple[np.ndarray, np.ndarray]:
+    """Polynomials (n, count) s^m P_k(2 s^2 - 1) and their derivatives by the angle s times `lean`."""
+    x = 2 * s**2 - 1
+    even = legendre.legvander(x, count - 1)
+    slope = np.stack([legendre.legval(x, legendre.legder(row)) for row in np.eye(count)], axis=1)
+    power, less = (s**m)[:, None], (m * s ** max(m - 1, 0))[:, None]
+    return power * even, (less * even + power * slope * 4 * s[:, None]) / lean
+
+
+def simulate_cone(
+    basis: Cone,
+    push: Callable[[float], tuple[float, float]],
+    times: np.ndarray,
+    damping: float = 0.0,
+    begin: np.ndarray | None = None,
+) -> np.ndarray:
+    """(T,) as `simulate`. begin: (J,) first potential at the surface, of each B_j."""
+    nu, J, theta = basis.nu, len(basis.nu), basis.theta
+    sine, cosine = np.sin(theta), np.cos(theta)
+    image = nu / (nu + 1) * basis.bottom ** (2 * nu + 1)  # c: no flow through the bottom
+    ones = np.ones((len(theta), 1))
+    project = np.linalg.pinv(np.hstack([basis.value, ones]))
+    still = basis.level / cosine
+    omega = np.sqrt(9.81 / basis.level * (nu - (nu + 1) * image) / (1 + image))
+
+    def rates(t: float, state: np.ndarray) -> np.ndarray:
+        e, a = state[: J + 1], state[J + 1 :]
+        R = still + basis.value @ e[:J] + e[J]
+        s = (R / basis.level)[:, None]
+        out, back = s**nu, image * s ** (-1 - nu)
+        shape = (out + back) / (1 + image)
+        radial = (basis.value * (nu * out - (nu + 1) * back) / (1 + image)) @ a / R
+        aside, around = (basis.by_theta * shape) @ a / R, (basis.by_around * shape) @ a / (R * sine)
+        R_theta = basis.level * sine / cosine**2 + basis.by_theta @ e[:J]
+        risen = radial - aside * R_theta / R - around * (basis.by_around @ e[:J]) / (R * sine)
+        fx, fz = push(t)
+        bernoulli = -0.5 * (radial**2 + aside**2 + around**2)
+        bernoulli -= fz * (R * cosine - basis.level) + fx * R * sine * np.cos(basis.around)
+        matrix = np.hstack([basis.value * shape, ones])
+        normal = matrix.T @ matrix + 1e-12 * np.eye(J + 1)
+        pushed = np.linalg.solve(normal, matrix.T @ bernoulli)[:J]
+        return np.concatenate([project @ risen, pushed - 2 * damping * omega * a])
+
+    state, out = np.zeros(2 * J + 1), np.zeros(len(times))
+    if begin is not None:
+        state[J + 1 :] = begin
+    for i in range(len(times) - 1):
+        t, dt = times[i], times[i + 1] - times[i]
+        one = rates(t, state)
+        two = rates(t + dt / 2, state + dt / 2 * one)
+        three = rates(t + dt / 2, state + dt / 2 * two)
+        four = rates(t + dt, state + dt * three)
+        state = state + dt / 6 * (one + 2 * two + 2 * three + four)
+        R = basis.level / np.cos(basis.lean) + basis.wall @ state[:J] + state[J]
+        out[i + 1] = np.max(R) * np.cos(basis.lean) - basis.level
     return out

@@ -16,7 +16,10 @@ if TYPE_CHECKING:
     from salver.models.arm.arm import ArmModel
 
 QUESTIONS = {
-    "load": ("The load: box LENGTH WIDTH HEIGHT, or cylinder RADIUS HEIGHT, in metres", "cylinder 0.03 0.24"),
+    "load": (
+        "The load: box LENGTH WIDTH HEIGHT, cylinder RADIUS HEIGHT, or cone RADIUS TOP_RADIUS HEIGHT, in metres",
+        "cylinder 0.03 0.24",
+    ),
     "liquid": (
         "An open liquid in it: water, coffee or oil, its height in m, its uncertainty in percent; or none",
         "none",
@@ -146,19 +149,23 @@ def _numbers(words: list[str], what: str, count: int) -> list[float]:
     return values
 
 
-def _load(text: str) -> list[float]:
-    """Length, width and height of a box, or radius and height of a cylinder."""
+Load = tuple[str, list[float]]  # kind, and length, width and height of a box, or radius, or radii, and height
+
+
+def _load(text: str) -> Load:
     kind, *words = text.split() or [""]
-    if kind == "box":
-        return _numbers(words, "the size of a box", 3)
-    if kind == "cylinder":
-        return _numbers(words, "the radius and height of a cylinder", 2)
-    raise ScenarioError(f'"{text}" is not a load; write box LENGTH WIDTH HEIGHT, or cylinder RADIUS HEIGHT, in metres.')
+    known = {"box": ("the size of a box", 3), "cylinder": ("the radius and height of a cylinder", 2)}
+    known["cone"] = "the radius, the radius at the top and the height of a cone", 3
+    if kind not in known:
+        wanted = "box LENGTH WIDTH HEIGHT, cylinder RADIUS HEIGHT, or cone RADIUS TOP_RADIUS HEIGHT, in metres"
+        raise ScenarioError(f'"{text}" is not a load; write {wanted}.')
+    return kind, _numbers(words, *known[kind])
 
 
-def _room_for(load: list[float]) -> str:
+def _room_for(load: Load) -> str:
     """A tray with 2 cm around a load, at least of the usual size."""
-    length, width = load[:2] if len(load) == 3 else (2 * load[0], 2 * load[0])
+    kind, size = load
+    length, width = size[:2] if kind == "box" else 2 * [2 * max(size[:-1])]
     return f"{max(0.25, length + 0.04):g} {max(0.25, width + 0.04):g}"
 
 
@@ -248,7 +255,7 @@ READERS: dict[str, Callable[[str], Any]] = {
 
 def written(
     name: str,
-    load: list[float],
+    load: Load,
     liquid: tuple[str, float, str] | None,
     mass: tuple[float, str],
     friction: tuple[float, str],
@@ -264,17 +271,21 @@ def written(
     """
     model, flange = (_quoted(word) if word is not None else None for word in arm)
     carrier = f"flange = {flange}          # the link that carries the tray" if flange else ""
-    box = len(load) == 3
-    shape = f'type = "box", size = {load}' if box else f'type = "cylinder", radius = {load[0]}, height = {load[1]}'
+    kind, size = load
+    box, radii, height = kind == "box", size[:-1], size[-1]
+    shape = f"size = {size}" if box else f"{', '.join(_radii(radii, 'top_radius'))}, height = {height}"
     contents, fill = "", ""
     if liquid is not None:
-        inside = [round(x - (2 if box else 1) * wall, 6) for x in load[:-1]]
+        if kind == "cone":
+            radii = [radii[0] + (radii[1] - radii[0]) * wall / height, radii[1]]  # the first at the bottom inside
+        inside = [round(x - (2 if box else 1) * wall, 6) for x in radii]
+        within = f"size = {inside}" if box else "\n".join(_radii(inside, "brim_radius"))
         contents = f"""
 [objects.liquid]                # walls and bottom of {1e3 * wall:g} mm are assumed: measure yours
 kind = {_quoted(liquid[0])}
-{f"size = {inside}" if box else f"radius = {inside[0]}"}
+{within}
 fill = {liquid[1]}              # heights over the bottom inside
-brim = {round(load[-1] - wall, 6)}
+brim = {round(height - wall, 6)}
 """
         fill = f"\nfill = {_quoted(liquid[2])}"
     return (
@@ -292,7 +303,7 @@ goal_yaw = "free"               # any heading at the goal
 
 [[objects]]
 name = "load"
-shape = {{ {shape} }}
+shape = {{ type = {_quoted(kind)}, {shape} }}
 mass = {mass[0]}
 friction = {friction[0]}
 # com = [0.0, 0.0, 0.0]         # centre of mass, from the middle of the shape
@@ -317,6 +328,10 @@ model = {model}
         + "\n"
         + "".join(f"\n[[obstacles]]                   # regions to keep out of\n{one}\n" for one in obstacles)
     )
+
+
+def _radii(radii: list[float], upper: str) -> list[str]:
+    return [f"{key} = {value}" for key, value in zip(("radius", upper), radii, strict=False)]
 
 
 def _quoted(text: str) -> str:

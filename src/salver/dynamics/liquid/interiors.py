@@ -22,7 +22,6 @@ from salver.models.shapes.shapes import Solid
 MODES = 2  # dynamic modes of each lateral axis
 TERMS = 24  # of series that converge with the fourth power or faster
 TILTING = 1.3  # rise by fast tilting, relative to Omega^2 R^2 / g, in nonlinear potential flow
-_ROOT = 1.8411837813  # the first of J1'
 # A free wave in a cylinder that is 0.3 R high, by nonlinear potential flow: depth over R, kappa.
 _CYLINDER_DEPTH = np.array([0.35, 0.5, 0.65, 0.8, 1.0, 1.5, 2.0])
 _CYLINDER_PEAKING = np.array([3.6, 3.0, 2.2, 1.75, 1.46, 1.25, 1.22])
@@ -137,15 +136,15 @@ def _round(inside: Round, fill: float, density: float) -> SurfaceModes:
     kappa, mass, height, rise = (x[:MODES] for x in (found.kappa, found.volume, found.height, found.rise))
     total, centre = density * liquid.volume, liquid.centroid_G[2] - 0.5 * fill
     turning = density * found.inertia - total * centre**2
-    # Of a cone, the cylinder whose first mode has this frequency; it is shallower.
-    depth = np.arctanh(min(found.kappa[0] * R / _ROOT, 1 - 1e-12)) / _ROOT
+    # Of a cone that of the cylinder with its surface and depth, whose free waves crest higher (docs/liquids.md).
+    peaking = np.interp(fill / R, _CYLINDER_DEPTH, _CYLINDER_PEAKING)
     return SurfaceModes(
         omega=_twice(np.sqrt(GRAVITY * kappa)),
         mass=_twice(density * mass),
         height=_twice(height),
         rise=_twice(rise),
         half=np.array([R, R]),
-        peaking=np.repeat(np.interp(depth, _CYLINDER_DEPTH, _CYLINDER_PEAKING), 2),
+        peaking=np.array([peaking, peaking]),
         frozen=RigidBody(total, np.array([0.0, 0.0, centre]), np.diag([turning, turning, 0.0])),
         round=True,
         following=float(np.sqrt(GRAVITY * found.kappa[MODES])),

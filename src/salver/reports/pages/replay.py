@@ -16,8 +16,8 @@ from salver.models.shapes import hulls
 from salver.models.uncertain.parameters import Parameter
 from salver.reports.pages.meshes import decimate, link_meshes, obstacle_meshes, pack
 from salver.reports.style import OBJECT_COLOURS, ROLE_COLOURS, TRAY_COLOUR, rgb
-from salver.simulation.record import drawn_inside
 from salver.scenario.objects import Shape, smooth
+from salver.simulation.record import drawn_inside
 from salver.simulation.scene.loads import WALL_OPACITY, true_world
 
 if TYPE_CHECKING:
