@@ -134,8 +134,8 @@ COLUMNS = (
 FREE = """
 ## Liquids
 
-`panda-coffee`, `panda-four-glasses` and `ur10-beaker` have no duration of their own: the shortest safe one is planned.
-[Liquids](liquids.md) says how long they take, and what the physics engine says of them.
+`panda-coffee`, `panda-four-glasses`, `panda-paper-cups` and `ur10-beaker` have no duration of their own: the shortest
+safe one is planned. [Liquids](liquids.md) says how long they take, and what the physics engine says of them.
 
 ## Several legs
 

@@ -10,6 +10,7 @@ from typer.testing import CliRunner
 
 from salver import scenario
 from salver.cli import app
+from salver.cli.plans import new
 from salver.errors import UnreachableError
 from salver.planning.make import make_plan
 from transport_problems import ROUGH
@@ -124,10 +125,23 @@ def test_what_is_not_given_is_asked_and_asked_again_until_it_can_be_read(tmp_pat
     assert scenario.load(file).objects[0].shape.height == 0.2
 
 
+def test_a_conical_cup_has_walls_of_one_thickness():
+    """Of 3 mm: at the bottom inside the cup is wider than at its base."""
+    load, liquid = new.READERS["load"]("cone 0.03 0.04 0.1"), new.READERS["liquid"]("coffee 0.06 10%")
+    assert new._room_for(("cone", [0.03, 0.2, 0.1])) == "0.44 0.44"
+    text = new.written(
+        "cup", load, liquid, (0.02, "10%"), (0.4, "10%"), [0.25, 0.25], ("panda", None), ([0.5, -0.3, 0.4],) * 2, []
+    )
+    (item,) = scenario.parse(tomllib.loads(text), "cup").objects
+    assert (item.shape.type, item.shape.radius, item.shape.top_radius, item.shape.height) == ("cone", 0.03, 0.04, 0.1)
+    assert (item.liquid.radius, item.liquid.brim_radius, item.liquid.brim) == (0.0273, 0.037, 0.097)
+
+
 @pytest.mark.parametrize(
     ("changes", "sentence"),
     [
         ({"load": "box 1 2"}, "must be 3 numbers"),
+        ({"load": "cone 1 2"}, "must be 3 numbers"),
         ({"mass": "-1 10%"}, "objects[0].mass = -1.0: must be a finite number at least 1e-06 and at most 100"),
         ({"path": "0 0 0"}, "write x y z to x y z"),
         ({"tray": "0.3"}, "it must be 2 numbers"),

@@ -16,7 +16,7 @@ NAME = "must be letters, digits, points, - and _, a letter or digit first, at mo
 GAINS = "must be two finite numbers, each at least 0.001 and at most 100000"
 SIX = "must be three or six finite numbers, each at least -1000 and at most 1000"
 RANGE = 'must be a percentage below 100 % such as "10%", or a half-range in SI units, at least 0 and at most 100'
-SHAPES = 'must be a table whose type is "box", "cylinder", "prism", "mesh" or "composite"'
+SHAPES = 'must be a table whose type is "box", "cylinder", "cone", "prism", "mesh" or "composite"'
 POSE = "must be a table with the keys position, rpy_deg, quat_wxyz"
 
 # key, value, the sentence after the file's name. One sentence each.

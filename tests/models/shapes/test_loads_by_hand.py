@@ -109,7 +109,7 @@ def test_a_fuller_glass_weighs_as_much_more_as_water_does() -> None:
     """And what changes with its parameters changes as it is told to."""
     glass, fill = _glass(), Parameter("glass", "fill")
     assert glass.inner is not None
-    water = glass.inner.density * np.pi * glass.inner.size[0] ** 2
+    water = glass.inner.density * np.pi * glass.inner.inside.half(0.0)[0] ** 2
     nominal = glass.inner_value({})
     assert nominal is not None
     assert glass.inner_value({fill: 0.004}) == pytest.approx(nominal + 0.004)
