@@ -43,6 +43,19 @@ def test_what_a_recording_leaves_open_of_each_mode_is_added_to_waves(coffee, cha
     np.testing.assert_allclose(found.freer[0], wall if not which.round else wall[:, :1] * np.ones(2))
 
 
+def test_some_of_the_cases_are_what_they_are_among_all(coffee):
+    """To the last digit."""
+    scenario, t = coffee.with_changes(**BOX), np.linspace(0, 0.9, 31)
+    cases = [LoadCase(scenario.payload.first, fill, 0.01) for fill in (0.045, 0.05, 0.055)]
+    waves = SurfaceMotion.along(cases, t, shaken(t))
+    assert waves.cases.wide.tolist() == [0.045] * 3  # half of its longer side
+    dw = 1e-2 * np.random.default_rng(3).normal(size=(1, 31, 12, 2))
+    whole = replace(SloshingResponse.compliant(waves, waves, np.zeros(0), dw), reaction=None)
+    part = whole.part(slice(1, 3))
+    for name in ("higher", "freer", "more_left", "crest", "free_left", "wrench"):
+        assert np.array_equal(getattr(part, name), getattr(whole, name)[1:3]), name
+
+
 @pytest.mark.parametrize(("push", "known"), [(4.3, True), (4.55, False)])
 def test_a_surface_that_leans_by_nearly_half_the_radius_is_as_much_as_is_known(coffee, push, known):
     """Pushed ever harder, slowly, no wave runs and the surface leans by push / g; nothing else comes near an edge."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -56,6 +58,7 @@ def test_filter_agrees_with_the_equations_integrated(coffee, yaw):
 
 def _functions(waves: SurfaceMotion, node, weight):
     case, dry, both = np.arange(len(node)) % 2, SloshingResponse.of(waves), np.arange(2)
+    loose = replace(dry, more_left=np.array([3e-3, 1e-3]))  # of the size of the waves that are left
     return {
         "crest": (waves.crest[case, node], lambda by: dry.crest_by(case, node, by)),
         "free": (dry.free_height[case, node], lambda by: dry.free_by(case, node, by)),
@@ -64,6 +67,7 @@ def _functions(waves: SurfaceMotion, node, weight):
             lambda by: wrench_by(waves, by, case, node, weight),
         ),
         "left": (waves.left(0.2), lambda by: dry.left_by(both, by, 0.2)),
+        "free left": (loose.free_left, lambda by: loose.free_left_by(both, by)),
     }
 
 

@@ -67,6 +67,7 @@ KNOWN = signatures(["def run(a, b, c=1): ...", "class Thing:\n    x: int\n    y:
         ("y = list(zip(a, b, strict=True))", set()),
         ('raise ValueError("at most", 3)', {"pass"}),
         ("if TYPE_CHECKING:\n    from a import b", set()),
+        ("__all__ = ['a', 'b']", set()),
     ],
 )
 def test_changes_of_a_line(line, changes):

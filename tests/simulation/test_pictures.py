@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from salver.errors import MissingDependencyError
-from salver.simulation.pictures import painter
+from salver.simulation.pictures import _add_trail, painter
+from salver.simulation.scene.engine import mujoco
 from salver.simulation.scene.meshes import read_mesh
 
 
@@ -89,3 +90,22 @@ def test_a_collada_mesh_is_read_with_its_unit_and_is_white_where_it_has_no_colou
     np.testing.assert_allclose(part.vertices, [[0, 0, 0], [0.02, 0, 0], [0.02, 0.01, 0], [0, 0.01, 0]], atol=1e-15)
     assert part.faces.tolist() == [[0, 1, 2], [0, 2, 3]]
     assert all(0.9 < share <= 1.0 for share in part.colour)
+
+
+def test_a_path_is_dotted_where_it_goes_and_not_where_it_goes_nowhere_or_flies_away():
+    """30 cm bent by 40 deg, a dot about every 6 mm."""
+    scene = mujoco.MjvScene(mujoco.MjModel.from_xml_string("<mujoco/>"), maxgeom=5000)
+    corner, end = np.array([0.5, -0.2, 0.4]), np.array([0.5 + 0.2 * np.cos(0.7), -0.2, 0.4 + 0.2 * np.sin(0.7)])
+    path = np.concatenate([np.linspace(corner - [0.1, 0, 0], corner, 11), np.linspace(corner, end, 5)[1:]])
+    for astray in (path[:1] + np.zeros((9, 3)), path * 100):
+        _add_trail(scene, astray)
+        assert scene.ngeom == 0
+    _add_trail(scene, path)
+    dots = np.array([scene.geoms[k].pos for k in range(scene.ngeom)])
+    assert dots[[0, -1]] == pytest.approx(path[[0, -1]], abs=1e-6)
+    apart = np.linalg.norm(np.diff(dots, axis=0), axis=1)
+    assert apart.max() < 6.2e-3
+    assert apart.min() > 5.5e-3  # across the corner
+    along = (dots - corner) @ ((end - corner) / 0.2)
+    off = np.where(dots[:, 0] > 0.5, np.linalg.norm(dots - corner - np.outer(along, (end - corner) / 0.2), axis=1), 0)
+    assert off.max() < 1e-6

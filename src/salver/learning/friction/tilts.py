@@ -79,10 +79,8 @@ def _tested(scenario: Scenario, coefficient: float) -> Scenario:
 
 def _headings(scenario: Scenario) -> list[tuple[float, float]]:
     """Headings of a tilt, rad, with the largest angle, rad, at which no load of the set tips; the steepest first."""
-    rows = [
-        each.only(np.flatnonzero(~each.label.astype(bool)))
-        for each in contact_rows(_tested(scenario, 2 * OPTIONS.most).payload)
-    ]
+    (rows,) = contact_rows(_tested(scenario, 2 * OPTIONS.most).payload)
+    rows = rows.only(np.flatnonzero(~rows.label.astype(bool)))
     angles = np.deg2rad(np.arange(0.0, 61.0, 0.25))
     found = []
     for heading in np.arange(0.0, 2 * np.pi, np.pi / 4):
@@ -90,7 +88,7 @@ def _headings(scenario: Scenario) -> list[tuple[float, float]]:
         while last - first > 1:
             middle = (first + last) // 2
             w = _felt(scenario, heading, *_profile(float(angles[middle])))
-            tips = max(float(each.worst(w).max()) for each in rows) > -OPTIONS.spare
+            tips = rows.worst(w).max() > -OPTIONS.spare
             first, last = (first, middle) if tips else (middle, last)
         found.append((float(heading), float(angles[first])))
     return sorted(found, key=lambda item: -item[1])
