@@ -18,8 +18,8 @@ import casadi as ca
 import numpy as np
 
 from salver.planning.make import plan_object
-from salver.planning.object.conditions import WrenchRows
-from salver.planning.object.problem import Problem
+from salver.planning.object.conditions import CoefficientConstraint
+from salver.planning.object.problem import ObjectProgramme, Problem
 from salver.planning.object.solvers import solve, solve_convex
 from salver.scenario import Scenario, load
 
@@ -39,14 +39,19 @@ def milliseconds(work, runs: int) -> np.ndarray:
 
 def ipopt(problem: Problem):
     """IPOPT on the convex programme of a problem with one uncertain parameter: all rows, both signs of the tube."""
-    model = problem.linearise(np.zeros(problem.size))
-    (rows,) = model.rows
-    assert isinstance(rows, WrenchRows)
+    model, programme = problem.at(np.zeros(problem.size)), ObjectProgramme.of(problem)
+    (rule,) = problem.constraints
+    assert isinstance(rule, CoefficientConstraint)
     assert problem.uncertain.size == 1
-    value = (rows.wrench @ rows.map.T).ravel()
-    value_slope = (rows.map @ rows.wrench_jacobian).reshape(len(value), -1)
-    spread = (rows.map @ rows.spread)[..., 0].ravel()
-    spread_slope = np.einsum("ci,tiz->tcz", rows.map, rows.spread_jacobian[:, :, 0]).reshape(len(value), -1)
+    path, loop = programme.begin(model.z[:, None], problem.duration), model.closed_loop(True)
+    w, felt = path.motion.terms.w, path.unknowns().felt[..., :-1]
+    value = (w @ (rule.distribution @ rule.wrench).T).ravel()
+    value_slope = (rule.distribution @ rule.wrench @ felt).reshape(len(value), -1)
+    by_parameter, none = rule.by_parameter[0], np.zeros((len(w), 1, 3, problem.size))
+    tangents = [none if part.tangent is None else part.tangent for part in (loop.df, loop.dtau)]
+    wrong = rule.factor[0, 0] * rule.distribution
+    spread = ((w @ by_parameter.T + loop.wrench[..., 0]) @ wrong.T).ravel()
+    spread_slope = (wrong @ (by_parameter @ felt + np.concatenate(tangents, axis=2)[:, 0])).reshape(len(value), -1)
     offset = np.concatenate([value - spread, value + spread])
     slope = np.vstack([value_slope - spread_slope, value_slope + spread_slope])
     residual, jacobian = model.residual, model.residual_jacobian

@@ -20,9 +20,10 @@ from salver.planning.fastest.options import EFFORTS
 from salver.planning.fastest.retiming import plan_retimed
 from salver.planning.fastest.safest import plan_safest
 from salver.planning.make import make_plan
-from salver.planning.object.problem import Problem
+from salver.planning.object.problem import ObjectProgramme, Problem
 from salver.planning.trajopt.constraints.load_limits import LoadConstraint
 from salver.planning.trajopt.found import object_motion
+from salver.planning.trajopt.objectives import Point
 from salver.planning.trajopt.problem import transport_problem
 from salver.scenario import parse
 from salver.sensitivity.arm.compliance import LoadResponses, of_cases
@@ -86,19 +87,22 @@ def test_what_liquids_add_to_contact_at_some_instants_at_a_time_is_what_they_add
 def test_tangents_of_a_level_plan_agree_with_differences(coffee):
     """Of the room that waves leave, of their steepness, of what is left at the end, and of contact with the slosh."""
     problem = Problem(coffee.with_changes(motion__duration=1.1, motion__degree=8, **LEVEL), 61)
-    rows = problem.linearise(np.zeros(problem.size)).rows
-    assert problem.size != 12  # what the tray feels has as many entries, and could be taken for a step
+    programme = ObjectProgramme.of(problem)
     rng = np.random.default_rng(5)
     residual, jacobian = problem.smoothness  # near the straight line: z = 0 is a wild motion
     step = np.linalg.lstsq(jacobian, -residual, rcond=None)[0] + 1e-3 * rng.normal(size=problem.size)
     move = rng.normal(size=problem.size)
-    for part, columns in ((rows[0], [0, 7, 30]), (rows[1], [0])):
-        slack = part.slack(step)
-        instant, row = np.repeat([20, 41, len(slack) - 1], len(columns)), np.tile(columns, 3)
-        offset, slope = part.tangents(step, instant, row)
-        np.testing.assert_allclose(offset + slope @ step, slack[instant, row], atol=1e-12)
-        up, down = (part.slack(step + sign * 1e-6 * move)[instant, row] for sign in (1, -1))
-        np.testing.assert_allclose(slope @ move, (up - down) / 2e-6, atol=1e-4 * np.abs(slope @ move).max())
+    path, *sides = (programme.at(Point((step + h * move)[:, None], 1.1)) for h in (0, 1e-6, -1e-6))
+    assert len(path.blocks) == 6
+    for k, (up, down) in enumerate(zip(*(side.blocks for side in sides), strict=True)):
+        shape = up.values.shape
+        instant, row = (
+            np.repeat([20 % shape[0], 41 % shape[0], shape[0] - 1], 3),
+            np.tile([0, 7 % shape[1], shape[1] - 1], 3),
+        )
+        slope = programme.derivatives(path, path.blocks[k].having(remembers=np.inf), instant, row)[:, :-1]
+        change = (up.values - down.values)[instant, row] / 2e-6
+        np.testing.assert_allclose(slope @ move, change, atol=1e-4 * np.abs(slope @ move).max())
 
 
 def test_what_does_not_know_liquids_says_so(coffee):

@@ -20,9 +20,10 @@ from salver.models.arm.arm import load_arm
 from salver.models.contact_rows import contact_rows
 from salver.planning.fastest import FastestOptions, fastest, transport_problem
 from salver.planning.make import make_plan, plan_baseline, plan_object
+from salver.planning.object.cost import cost_residual
 from salver.planning.object.evaluation import evaluate
 from salver.planning.object.problem import Problem
-from salver.planning.object.solvers import SequentialOptions, solve, solve_sequential
+from salver.planning.object.solvers import SEARCH, solve, solve_sequential
 from salver.planning.plan import Plan, load_plan
 from salver.planning.postures import PoseTarget, candidate_postures
 from salver.scenario import Scenario, load
@@ -116,8 +117,7 @@ COM = {"mass": "10%", "com": [0.002, 0.001, 0.002]}
 
 
 def cost_at(problem: Problem, z: Array) -> float:
-    residual = problem.linearise(z).residual
-    return float(residual @ residual)
+    return problem.at(z).cost
 
 
 @pytest.mark.slow
@@ -138,10 +138,8 @@ def test_lower_bound_of_a_plan_is_the_least_cost_of_any_motion(duration: float) 
     ]
     assert min(around) >= found.lower_bound * (1 - 1e-9)
     # Attained: the cost is a sum of squares of affine functions, whose least value is the normal equations'.
-    r, J = (
-        problem.linearise(np.zeros(problem.size)).residual,
-        problem.linearise(np.zeros(problem.size)).residual_jacobian,
-    )
+    zero = problem.at(np.zeros(problem.size))
+    r, J = zero.residual, zero.residual_jacobian
     least = cost_at(problem, np.linalg.solve(J.T @ J, -J.T @ r))
     assert found.lower_bound == pytest.approx(least, rel=1e-6)
     assert cost_at(problem, np.zeros(problem.size)) > 1.01 * found.lower_bound
@@ -163,25 +161,23 @@ def test_lower_bound_of_a_plan_is_the_least_cost_of_any_motion(duration: float) 
     ids=str,
 )
 def test_what_is_called_convex_is_affine(changes: dict) -> None:
-    """One convex programme is the answer exactly where cost residuals and constraint terms are affine in z."""
+    """One convex programme is the answer exactly where cost residuals are affine in z, and slacks concave."""
     problem = Problem(PAPER.with_changes(**changes), 15)
-    here = problem.linearise(np.zeros(problem.size))
-    rng, affine = np.random.default_rng(1), True
+    rng, affine, concave = np.random.default_rng(1), True, True
     for _ in range(3):
         z = 0.3 * rng.normal(size=problem.size)
-        there = problem.linearise(z)
-        close = [np.allclose(there.residual, here.residual + here.residual_jacobian @ z, rtol=1e-9, atol=1e-12)]
-        for a, b in zip(here.rows, there.rows, strict=True):
-            close.append(np.allclose(a.slack(z), b.slack(), atol=1e-9))
-        affine &= all(close)
-    assert problem.is_affine == affine
+        each = [evaluate(problem.scenario, problem.reference(k * z), len(problem.t)) for k in (0, 0.4, 1)]
+        first, between, last = (cost_residual(one.sensitivity(), problem.weights)[0] for one in each)
+        affine &= np.allclose(between, 0.6 * first + 0.4 * last, rtol=1e-9, atol=1e-12)
+        concave &= bool(np.all(each[1].slack >= 0.6 * each[0].slack + 0.4 * each[2].slack - 1e-9))
+    assert problem.is_affine == (affine and concave)
 
 
 def test_a_step_that_makes_it_worse_is_not_taken() -> None:
     """A tilt that is bounded tightly: the more steps, the less is violated, from the first one on."""
     changes = {"motion__orientation": "free", "motion__duration": 0.7, "motion__max_tilt_deg": 5.0}
     problem = Problem(PAPER.with_changes(**changes), 15)
-    left = [solve_sequential(problem, None, SequentialOptions(steps)).violation for steps in (0, 1, 2, 4, 6)]
+    left = [solve_sequential(problem, None, replace(SEARCH, iterations=steps)).violation for steps in (0, 1, 2, 4, 6)]
     assert left[0] > 0.05
     assert np.all(np.diff(left) <= 1e-9)
     assert left[-1] < 0.8 * left[0]
@@ -284,9 +280,8 @@ def test_tube_and_cost_of_a_correlated_set(kind: str) -> None:
     assert plan.cost == pytest.approx(simpson(square, x=plan.t), rel=1e-6)
     # And the planner's own: its residuals, on its own grid.
     problem = Problem(made, 61)
-    residual = problem.linearise(np.zeros(problem.size)).residual
     at_start = planned(problem.reference(np.zeros(problem.size)), made)
-    assert float(residual @ residual) == pytest.approx(at_start.cost, rel=1e-4)
+    assert cost_at(problem, np.zeros(problem.size)) == pytest.approx(at_start.cost, rel=1e-4)
 
 
 @pytest.mark.parametrize(

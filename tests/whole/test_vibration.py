@@ -22,15 +22,18 @@ from salver.geometry import GRAVITY_S, Array, invert
 from salver.live.committed.commit import verified
 from salver.live.committed.motion import resting
 from salver.models.contact_rows import contact_rows
-from salver.models.tray_motion import FULL_SPEED, at_rest
+from salver.models.tray_motion import at_rest
 from salver.models.uncertain.parameters import Vibration
 from salver.models.uncertain.worst_case import WorstCase
 from salver.planning.fastest import transport_problem
 from salver.planning.make import make_plan
-from salver.planning.object import conditions
+from salver.planning.object.problem import ObjectProgramme, Problem
+from salver.planning.object.solvers import solve
 from salver.planning.plan import Plan
 from salver.planning.stops import stop_from
+from salver.planning.trajopt.constraints.constraints import ContactConstraint
 from salver.planning.trajopt.ends import AtPosture
+from salver.planning.trajopt.objectives import Point
 from salver.playground.world import World
 from salver.sampling import draw
 from salver.scenario import Scenario
@@ -145,16 +148,20 @@ def test_what_contents_that_may_be_any_add_is_no_less_than_of_any_that_are() -> 
 
 
 @pytest.mark.parametrize("name", ["upright-tall-box", "panda-coffee"])
-def test_tangents_of_a_plans_conditions_touch_them(name: str) -> None:
+def test_derivatives_of_a_plans_conditions_are_those_of_their_values(name: str) -> None:
     made = shaking(sv.load_scenario(name), BOTH)
-    rng, t = np.random.default_rng(4), np.linspace(0.0, 1.0, 30)
-    along = conditions.FeltMotion(made.payload, t, np.tile(at_rest(), (30, 1)), 0.3 * rng.standard_normal((30, 12, 2)))
-    step = np.array([0.2, -0.3])
-    for rows in contact_rows(made.payload):
-        condition = conditions.MotionRows.of(rows, along, FULL_SPEED)
-        node, row = (x.ravel() for x in np.indices((30, min(8, len(rows.nominal)))))
-        offset, slope = condition.tangents(step, node, row)
-        assert_allclose(offset + slope @ step, condition.slack(step)[node, row], atol=1e-9)
+    made = made.with_changes(motion__duration=1.5, motion__orientation="fixed", motion__goal_yaw="fixed", arm=None)
+    problem, rng = Problem(made, 11), np.random.default_rng(4)
+    programme = ObjectProgramme.of(problem)
+    z, d, h = solve(problem).z, rng.standard_normal(problem.size), 1e-6
+    path, *sides = (programme.at(Point((z + s * h * d)[:, None], 1.5)) for s in (0, 1, -1))
+    for block, up, down in zip(path.blocks, *(side.blocks for side in sides), strict=True):
+        if isinstance(block.of, ContactConstraint):
+            node, row = (x.ravel() for x in np.indices((len(block.values), min(8, block.values.shape[1]))))
+            change = (up.values - down.values)[node, row] / (2 * h)
+            slope = programme.derivatives(path, block.having(remembers=np.inf), node, row)[:, :-1] @ d
+            wrong = np.abs(slope - change) > 1e-4 * np.abs(change).max()
+            assert np.mean(wrong) < 1e-2  # where another case of the liquid becomes the worst
 
 
 def test_at_rest_friction_bears_a_shake_up_to_what_is_worked_out_by_hand() -> None:

@@ -12,11 +12,11 @@ import numpy as np
 from salver.geometry import Array, log
 from salver.planning.object.conditions import TILT, apart, unit_of
 from salver.planning.object.evaluation import Evaluation, evaluate
+from salver.planning.trajopt.constraints.constraints import REACH_BEYOND_TRAY
 from salver.scenario import Scenario
 from salver.trajectory import Reference
 
-LEVER = 0.2  # m: lever arm that converts an orientation error to a distance; 5 mrad count as 1 mm
-NEAR_ENOUGH = 1e-3  # m: largest distance at which a pose counts as passed; orientation by `LEVER`
+NEAR_ENOUGH = 1e-3  # m: largest distance at which a pose counts as passed; orientation by `REACH_BEYOND_TRAY`
 BOUNDARY_TOLERANCE = 1e-9  # m, rad and their rates
 
 
@@ -125,8 +125,8 @@ def _passes(scenario: Scenario, reference: Reference) -> float | None:
 
 
 def passed(reference: Reference, poses: Sequence[tuple[Array, Array]], yaw_free: bool) -> list[tuple[float, float]]:
-    """The instant, s, and the distance, m (orientation by `LEVER`), of the closest approach to each pose (p_SB,
-    R_SB)."""
+    """The instant, s, and the distance, m (orientation by `REACH_BEYOND_TRAY`), of the closest approach to each
+    pose (p_SB, R_SB)."""
     found = []
     for pose in poses:
         low, high = 0.0, reference.duration
@@ -146,4 +146,4 @@ def _distance(pose: tuple[Array, Array], p_SB: Array, R_SB: Array, yaw_free: boo
     turn = log(np.swapaxes(R_SB, 1, 2) @ R_wanted)
     if yaw_free:
         turn = np.cross(R_SB[:, :, 2], R_wanted[:, 2])
-    return np.hypot(np.linalg.norm(wanted - p_SB, axis=1), LEVER * np.linalg.norm(turn, axis=1))
+    return np.hypot(np.linalg.norm(wanted - p_SB, axis=1), REACH_BEYOND_TRAY * np.linalg.norm(turn, axis=1))

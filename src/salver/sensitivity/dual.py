@@ -38,6 +38,10 @@ class Dual:
             return self + (-other)
         return Dual(self.value - other.value, self.tangent - other.tangent)
 
+    def after(self, step: Array) -> Dual:
+        """The value after a step (n_z,), with no tangent."""
+        return Dual(self.value if self.tangent is None else self.value + self.tangent @ step)
+
     def every(self, k: int) -> Dual:
         """Every k-th instant."""
         return Dual(self.value[::k], None if self.tangent is None else self.tangent[::k])

@@ -63,6 +63,11 @@ class BodyMotion:
             rotation.to_body(dual(samples.v_S, v_tangent)),
         )
 
+    def after(self, step: Array) -> BodyMotion:
+        """The motion after a step (n_z,) of variables that do not turn it."""
+        others = (x.after(step) for x in (self.force, self.omega, self.alpha, self.velocity))
+        return BodyMotion(self.rotation, *others)
+
     def every(self, k: int) -> BodyMotion:
         """The motion at every k-th instant."""
         turned = Dual(self.rotation.matrix, self.rotation.tangent).every(k)
@@ -128,6 +133,11 @@ class TraySensitivity:
     e_v: Dual
     e_R: Dual
     e_w: Dual
+
+    def after(self, step: Array) -> TraySensitivity:
+        """The sensitivity after a step (n_z,) of variables that do not turn the motion: it is affine in them."""
+        errors = (x.after(step) for x in (self.e_p, self.e_v, self.e_R, self.e_w))
+        return TraySensitivity(self.loop, self.motion.after(step), *errors)
 
     @cached_property
     def dp(self) -> Dual:

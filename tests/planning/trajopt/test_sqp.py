@@ -36,18 +36,18 @@ class Plane:
     grid = Grid(np.array([0.0, 1.0]), np.tile([[[1.0]], [[0.0]], [[0.0]], [[0.0]]], (1, 2, 1)), np.array([0]))
 
     @property
-    def problem(self) -> Any:
-        return self
-
-    @property
     def width(self) -> int:
         return self.n
 
-    def at(self, s: Array, z: Array, duration: float, nodes: Indices) -> MotionEvaluation:
-        return MotionEvaluation(None, 0, None, s, duration, z, nodes, True, False)
-
     def motion(self, coefficients: Array, duration: float) -> Array:
         return self.grid.motion(coefficients, duration)
+
+    def evaluated(self, coefficients: Array, duration: float) -> MotionEvaluation:
+        z = self.motion(coefficients, duration)
+        return MotionEvaluation(None, 0, None, self.grid.s, duration, z, self.grid.nodes, True, False)
+
+    def metric(self, duration: float, damping: float) -> Array:
+        return np.full((1, 1), damping)
 
     def by_duration(self, coefficients: Array, duration: float, z: Array) -> Array:
         return np.asarray(-ORDERS * z)

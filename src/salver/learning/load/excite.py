@@ -38,7 +38,7 @@ from salver.planning.fastest.planned import solver_record
 from salver.planning.plan import Plan
 from salver.planning.seeds.starts import ends
 from salver.planning.trajopt.constraints.constraints import ContactConstraint
-from salver.planning.trajopt.curves import Curve
+from salver.planning.trajopt.curves import Curve, JointCurve
 from salver.planning.trajopt.spline import RestSpline
 from salver.scenario import Scenario
 from salver.sensitivity.arm.terms import MotionTerms, motion_terms
@@ -80,10 +80,9 @@ class Information(Objective):
         return float(0.5 * (np.linalg.slogdet(matrix[SOUGHT:, SOUGHT:])[1] - np.linalg.slogdet(matrix)[1]))
 
     def model(self, curve: Curve, at: Point) -> QuadraticModel:
-        matrix, centred, terms = self._seen(curve, at)
+        matrix, centred, terms, time = self._seen(curve, at)
         gain = np.linalg.inv(matrix)
         gain[SOUGHT:, SOUGHT:] -= np.linalg.inv(matrix[SOUGHT:, SOUGHT:])
-        time = curve.grid.weights * at.duration
         by_w = -np.einsum("ckw,kl,tcl,t->tw", self.rows, gain, centred, time, optimize=True)
         count, n = terms.q.shape
         parts = np.zeros((count, 4, n))
@@ -94,8 +93,10 @@ class Information(Objective):
     def scale(self, at: Point, value: float) -> float:
         return 1.0  # of a logarithm
 
-    def _seen(self, curve: Curve, at: Point) -> tuple[Array, Array, MotionTerms]:
-        """Information (10, 10), readings per unit of phi over the noise, without bias (P, 6, 10), and the terms."""
+    def _seen(self, curve: Curve, at: Point) -> tuple[Array, Array, MotionTerms, Array]:
+        """Information (10, 10), readings per unit of phi over the noise, without bias (P, 6, 10), the terms, and the
+        time (P,), s, that each point stands for."""
+        assert isinstance(curve, JointCurve)
         z = curve.motion(at.coefficients, at.duration)
         terms = motion_terms(self.problem.model, self.problem.arm.tray_id, z[0], z[1], z[2])
         time = curve.grid.weights * at.duration
@@ -103,7 +104,7 @@ class Information(Objective):
         total = np.einsum("tck,t->ck", read, time)
         shared = self.bias**2 / (self.density * (self.density + self.bias**2 * time.sum()))
         centred = read / self.density[:, None] - shared[:, None] * total
-        return self.known + np.einsum("tck,tcl,t->kl", read, centred, time), centred, terms
+        return self.known + np.einsum("tck,tcl,t->kl", read, centred, time), centred, terms, time
 
 
 def plan_excite(scenario: Scenario, duration: float, accepted: tuple[float, float] = (0.3, 30.0)) -> Plan:

@@ -122,10 +122,6 @@ class UncertainRows:
         """Worst case (T, n) of every row at w (T, 12)."""
         return WorstCase.of(self, w, drift).values
 
-    def slope(self, w: Array, row: Indices) -> Array:
-        """Derivative (r, 12) by w of the worst case of rows (r,), each at its own w (r, 12)."""
-        return WorstCase(self, w, None, np.empty(0)).attained(np.arange(len(w)), row)
-
     def worst_point(self, w: Array, row: int) -> dict[Parameter, float]:
         """The worst point for a row at w (12,), in half-ranges of each parameter, in the unit box or ball.
 

@@ -16,7 +16,7 @@ from salver.planning.fastest.safest import plan_best, quickest_within
 from salver.planning.object.cost import CostWeights, cost_residual, sensitivity_cost, tray_loop
 from salver.planning.trajopt.curves import Curve, FreeCurve, Grid
 from salver.planning.trajopt.found import FastestMotion
-from salver.planning.trajopt.objectives import Objective, Point, QuadraticModel
+from salver.planning.trajopt.objectives import LeastSquares, Point, QuadraticModel
 from salver.planning.trajopt.problem import TransportProblem
 from salver.planning.trajopt.spline import RestSpline
 from salver.planning.trajopt.watch import Watch
@@ -31,11 +31,9 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
-class SensitivityCost(Objective):
-    """The cost of the first object's closed loop, eq (13), in units of `unit`, for a fixed duration in s.
-
-    The unit must be of the size of the cost: tolerances and the penalty on violations assume values of about 1. steps:
-    of the integral, at least; in a sixtieth of a motion its acceleration is nearly linear.
+class SensitivityCost(LeastSquares):
+    """The cost of the first object's closed loop, eq (13), for a fixed duration in s. steps: of the integral, at least;
+    in a sixtieth of a motion its acceleration is nearly linear.
     """
 
     problem: TransportProblem
@@ -46,23 +44,15 @@ class SensitivityCost(Objective):
     sought = "least sensitive"
     _last: dict[str, tuple[Array, QuadraticModel]] = field(default_factory=dict, repr=False)
 
-    def value(self, curve: Curve, at: Point) -> float:
-        return float(np.sum(np.square(self._residual(at.coefficients, derivatives=False)[0])))
-
     def model(self, curve: Curve, at: Point) -> QuadraticModel:
-        """Gauss-Newton model of the cost."""
         known = self._last.get("model")
         if known is None or known[0] is not at.coefficients:
-            residual, jacobian = self._residual(at.coefficients, derivatives=True)
-            known = at.coefficients, QuadraticModel(2 * residual @ jacobian, 0.0, 2 * jacobian.T @ jacobian)
-            self._last["model"] = known
+            known = self._last["model"] = at.coefficients, super().model(curve, at)
         return known[1]
 
-    def _residual(self, coefficients: Array, derivatives: bool) -> tuple[Array, Array]:
-        """Residuals whose squares add up to the cost, and their Jacobian by the coefficients."""
+    def residual(self, coefficients: Array, derivatives: bool) -> tuple[Array, Array]:
         sensitivity = self.loop.sensitivity(self.fine, self._felt(coefficients, derivatives), len(self.t))
-        residual, jacobian = cost_residual(sensitivity, self._weights, coefficients.size if derivatives else 0)
-        return residual / np.sqrt(self.unit), jacobian / np.sqrt(self.unit)
+        return cost_residual(sensitivity, self._weights, coefficients.size if derivatives else 0)
 
     def _felt(self, coefficients: Array, derivatives: bool) -> BodyMotion:
         """Motion regressor of the object's frame B at the instants `fine`, with derivatives by the coefficients."""

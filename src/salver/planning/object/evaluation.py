@@ -15,7 +15,7 @@ import numpy as np
 from salver.display import Outlined
 from salver.geometry import Array, Mask
 from salver.models.uncertain.parameters import UncertainSet
-from salver.planning.object.conditions import apart, conditions_along
+from salver.planning.object.conditions import apart, cases_of, constraints_of, slack_along, tray_evaluation
 from salver.planning.object.cost import tray_loop
 from salver.scenario import Scenario
 from salver.sensitivity.dual import joined
@@ -95,13 +95,12 @@ def evaluate(scenario: Scenario, reference: Reference, instants: int, rest: floa
     wrench_B = joined(*motion.wrench(loop.body.phi[:, None]))[:, 0]
     first = payload.first
     distribution: Array = np.linalg.pinv(first.contacts.grasp_map).astype(float)
-    rows = conditions_along(scenario, t, motion, sensitivity)
+    tray = tray_evaluation(payload, t, motion, cases_of(payload), lambda _: sensitivity())
     return Evaluation(
         samples,
         wrench_B,
         wrench_B @ distribution.T,
-        np.concatenate([part.slack() for part in rows], axis=1),
-        tuple(owner for part in rows for owner in part.owner),
+        *slack_along(constraints_of(scenario), tray),
         sensitivity,
         distribution,
         payload.uncertain,

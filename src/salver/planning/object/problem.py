@@ -13,18 +13,32 @@ the problem is convex.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 
-from salver.geometry import Array, hat, log, right_jacobian_inverse
+from salver.dynamics.modal_history import CaseGroups
+from salver.geometry import Array, Indices, hat, log, right_jacobian_inverse
 from salver.models.bodies import Body
 from salver.models.uncertain.parameters import UncertainSet
-from salver.planning.object.conditions import Rows, conditions_along
+from salver.planning.object.conditions import (
+    cases_of,
+    constraints_of,
+    size_of,
+    slack_along,
+    tray_evaluation,
+    tray_parts,
+)
 from salver.planning.object.cost import CostWeights, base_radius, cost_residual, tray_loop
+from salver.planning.trajopt.constraints.constraints import Block, Constraint, evaluate
+from salver.planning.trajopt.curves import Curve
+from salver.planning.trajopt.evaluation import MotionEvaluation
+from salver.planning.trajopt.objectives import LeastSquares, Point
+from salver.planning.trajopt.programme import Programme
 from salver.scenario import Scenario
-from salver.sensitivity.tray import BodyMotion, TrayLoop
+from salver.sensitivity.tray import BodyMotion, TrayLoop, TraySensitivity
 from salver.trajectory import (
     MotionSamples,
     PolynomialReference,
@@ -37,31 +51,18 @@ from salver.trajectory import (
 MISSED = 1e-7  # N (or the row's own unit) by which a solution may violate a constraint
 
 
-@dataclass(frozen=True)
-class Linearisation:
-    """Cost and constraints linearised at z.
-
-    residual (n_r,), with cost = |residual|^2. rows: the contact conditions at T instants. goal (m,) and goal_jacobian
-    (m, n_z): the error of the goal orientation; empty when the orientation is fixed.
-    """
-
-    residual: Array
-    residual_jacobian: Array
-    rows: tuple[Rows, ...]
-    goal: Array
-    goal_jacobian: Array
-
-
-@dataclass(frozen=True)
-class Problem:
+@dataclass(frozen=True, eq=False)
+class Problem(Curve):
     """The planning problem of a scenario. Constraints are imposed at the instants `t`, at least `nodes` of them.
 
-    smooth: share of the jerk in the cost; it only decides between references of equal cost.
+    smooth: share of the jerk in the cost; it only decides between references of equal cost. As a curve of the
+    optimiser it has the coefficients z (n_z, 1).
     """
 
     scenario: Scenario
     nodes: int
     smooth: float = 1e-9
+    width = 1
 
     @property
     def margin(self) -> float:
@@ -207,7 +208,48 @@ class Problem:
         own = np.einsum("ij,tm->tijm", np.eye(3), basis).reshape(len(basis), 3, -1)
         return np.pad(own, ((0, 0), (0, 0), (offset, self.size - offset - own.shape[2])))
 
-    # Derivatives -----------------------------------------------------------------------------------------
+    # The curve -------------------------------------------------------------------------------------------
+
+    def at(self, z: Array) -> Candidate:
+        """The reference of z (n_z,) with its cost and constraints; the latest are kept."""
+        return self._latest(np.asarray(z, dtype=float).tobytes())
+
+    @cached_property
+    def _latest(self) -> Callable[[bytes], Candidate]:
+        return lru_cache(maxsize=6)(lambda z: Candidate(self, np.frombuffer(z)))
+
+    @cached_property
+    def constraints(self) -> tuple[Constraint, ...]:
+        return constraints_of(self.scenario)
+
+    @cached_property
+    def cases(self) -> CaseGroups:
+        """All cases of load dynamics."""
+        return cases_of(self.scenario.payload)
+
+    def evaluated(self, coefficients: Array, duration: float) -> MotionEvaluation:
+        return self.at(coefficients[:, 0]).motion
+
+    def metric(self, duration: float, damping: float) -> Array:
+        twists = duration * np.concatenate(self.bases[::2])  # of the size of the change in pose
+        return np.asarray(damping / len(self.fine) * np.tensordot(twists, twists, axes=((0, 1), (0, 1))))
+
+    def columns(self, coefficients: Array, duration: float, parts: Array, point: Indices) -> Array:
+        state = parts[:, :3].reshape(len(parts), 1, -1)
+        return np.asarray((state @ self.at(coefficients[:, 0]).tray_tangents[point])[:, 0])
+
+    def equalities(self, coefficients: Array) -> tuple[Array, Array]:
+        here = self.at(coefficients[:, 0])
+        return here.goal_jacobian, -here.goal
+
+    def repaired(self, coefficients: Array) -> Array:
+        """After least-norm Newton steps until the goal orientation is met to rounding."""
+        here = self.at(coefficients[:, 0])
+        for _ in range(5):
+            if np.abs(here.goal).max(initial=0.0) < 1e-13:
+                break
+            here = Candidate(self, here.z - np.linalg.pinv(here.goal_jacobian) @ here.goal)
+        return here.z[:, None]
 
     @cached_property
     def bases(self) -> tuple[Array, ...]:
@@ -225,28 +267,144 @@ class Problem:
         spin = [rate**k * chebyshev_basis(s, len(null_spin) - 1, k) @ null_spin for k in range(2)]
         return v, a, *(self._blocks(basis, self.n_position) for basis in spin)
 
-    def linearise(self, z: Array) -> Linearisation:
-        """Cost residuals, constraints and their derivatives at z."""
-        samples, (v, a, *spin), theta = self.reference(z).sample(self.fine), self.bases, None
-        if spin:  # dtheta' = domega - omega x dtheta, so R dtheta is the running integral of R domega
-            R_SB, h = samples.R_SB, self.fine[1]
-            f, rate = R_SB @ spin[0], R_SB @ (hat(samples.omega_B) @ spin[0] + spin[1])
-            steps = h / 2 * (f[1:] + f[:-1]) + h**2 / 12 * (rate[:-1] - rate[1:])  # of cubics between instants
-            theta = np.swapaxes(R_SB, 1, 2) @ np.cumsum(np.concatenate([0 * f[:1], steps]), axis=0)
-        sensitivity = self.loop.sensitivity(self.fine, BodyMotion.of(samples, v, a, theta, *spin), len(self.t))
-        residual, jacobian = cost_residual(sensitivity, self.weights, self.size)
-        smooth, smooth_jacobian = self.smoothness
-        residual = np.concatenate([residual, smooth + smooth_jacobian @ z])
-        jacobian = np.concatenate([jacobian, smooth_jacobian])
-        rows = conditions_along(self.scenario, self.t, sensitivity.motion, lambda: sensitivity, self.size)
-        goal, goal_jacobian = np.zeros(0), np.zeros((0, self.size))
-        if theta is not None:
-            goal, goal_jacobian = self._goal(samples.R_SB[-1], theta[-1])
-        return Linearisation(residual, jacobian, rows, goal, goal_jacobian)
 
-    def _goal(self, R_end: Array, theta_end: Array) -> tuple[Array, Array]:
-        """Error of the goal orientation, (3,), or of the vertical, (2,), with free yaw; and its derivative by z."""
-        turn = self.scenario.motion.goal.rotation.T @ R_end
-        if self.scenario.motion.goal_yaw == "fixed":
-            return log(turn), right_jacobian_inverse(log(turn)) @ theta_end
-        return turn[:2, 2], -(turn @ hat([0.0, 0.0, 1.0]) @ theta_end)[:2]
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """The reference of variables z (n_z,), with the cost residuals (n_r,), whose squares add up to the cost, and the
+    error of the goal orientation, (3,), or of the vertical, (2,), with free yaw, (0,) when it is fixed."""
+
+    problem: Problem
+    z: Array
+
+    @cached_property
+    def samples(self) -> MotionSamples:
+        return self.problem.reference(self.z).sample(self.problem.fine)
+
+    @cached_property
+    def turned(self) -> Array | None:
+        """Derivative (T, 3, n_z) of the rotation, in B: dtheta' = domega - omega x dtheta, so R dtheta is the running
+        integral of R domega."""
+        _, _, *spin = self.problem.bases
+        if not spin:
+            return None
+        R_SB, h = self.samples.R_SB, self.problem.fine[1]
+        f, rate = R_SB @ spin[0], R_SB @ (hat(self.samples.omega_B) @ spin[0] + spin[1])
+        steps = h / 2 * (f[1:] + f[:-1]) + h**2 / 12 * (rate[:-1] - rate[1:])  # of cubics between instants
+        return np.asarray(np.swapaxes(R_SB, 1, 2) @ np.cumsum(np.concatenate([0 * f[:1], steps]), axis=0))
+
+    def closed_loop(self, derivatives: bool) -> TraySensitivity:
+        """Pi and Theta at the instants `t`, with their derivatives by z or without."""
+        return self._linear if derivatives else self._plain
+
+    @cached_property
+    def _plain(self) -> TraySensitivity:
+        problem = self.problem
+        if problem.is_affine:
+            return self._linear.after(self.z)
+        return problem.loop.sensitivity(problem.fine, BodyMotion.of(self.samples), len(problem.t))
+
+    @cached_property
+    def _linear(self) -> TraySensitivity:
+        problem, (v, a, *spin) = self.problem, self.problem.bases
+        if problem.is_affine and self.z.any():  # derivatives are the same everywhere
+            return problem.at(np.zeros(problem.size))._linear
+        motion = BodyMotion.of(self.samples, v, a, self.turned, *spin)
+        return problem.loop.sensitivity(problem.fine, motion, len(problem.t))
+
+    @cached_property
+    def residual(self) -> Array:
+        smooth, smooth_jacobian = self.problem.smoothness
+        residual = cost_residual(self._plain, self.problem.weights)[0]
+        return np.concatenate([residual, smooth + smooth_jacobian @ self.z])
+
+    @cached_property
+    def residual_jacobian(self) -> Array:
+        """(n_r, n_z)."""
+        jacobian = cost_residual(self._linear, self.problem.weights, self.problem.size)[1]
+        return np.concatenate([jacobian, self.problem.smoothness[1]])
+
+    @property
+    def cost(self) -> float:
+        return float(self.residual @ self.residual)
+
+    @cached_property
+    def motion(self) -> MotionEvaluation:
+        """The tray's motion, as constraints read it."""
+        problem, motion = self.problem, self._plain.motion
+        return tray_evaluation(problem.scenario.payload, problem.t, motion, problem.cases, self.closed_loop)
+
+    @cached_property
+    def tray_tangents(self) -> Array:
+        """Derivatives (T, 18, n_z) of displacement (of which only the rotation counts), twist and spatial acceleration
+        of the tray."""
+        payload, motion = self.problem.scenario.payload, self.closed_loop(True).motion
+        v, omega, a, alpha = (part.tangent for part in tray_parts(payload, motion))
+        turn = motion.rotation.tangent
+        found = np.zeros((len(self.problem.t), 18, self.problem.size))
+        for k, tangent in enumerate((None, None if turn is None else payload.first.R_EB @ turn, v, omega, a, alpha)):
+            if tangent is not None:
+                found[:, 3 * k : 3 * k + 3] = tangent[:, 0]
+        return found
+
+    @cached_property
+    def slack(self) -> tuple[Array, tuple[str, ...]]:
+        """Slacks (T, n_c) of all rows, and the owner of each."""
+        return slack_along(self.problem.constraints, self.motion)
+
+    @property
+    def violation(self) -> float:
+        """Of the worst row, with the margin."""
+        return max(0.0, self.problem.margin - float(self.slack[0].min()))
+
+    @property
+    def goal(self) -> Array:
+        if not self.problem.rotates:
+            return np.zeros(0)
+        turn = self._beyond_goal
+        return log(turn) if self.problem.scenario.motion.goal_yaw == "fixed" else turn[:2, 2]
+
+    @cached_property
+    def goal_jacobian(self) -> Array:
+        """(m, n_z)."""
+        if self.turned is None:
+            return np.zeros((0, self.problem.size))
+        turn, theta_end = self._beyond_goal, self.turned[-1]
+        if self.problem.scenario.motion.goal_yaw == "fixed":
+            return right_jacobian_inverse(log(turn)) @ theta_end
+        return -(turn @ hat([0.0, 0.0, 1.0]) @ theta_end)[:2]
+
+    @property
+    def _beyond_goal(self) -> Array:
+        """Rotation (3, 3) from the goal to the end."""
+        return np.asarray(self.problem.scenario.motion.goal.rotation.T @ self.samples.R_SB[-1])
+
+
+@dataclass(frozen=True, eq=False)
+class SensitivityIntegral(LeastSquares):
+    """The cost of a problem."""
+
+    problem: Problem
+    unit: float
+    sought = "least sensitive"
+
+    def residual(self, coefficients: Array, derivatives: bool) -> tuple[Array, Array]:
+        here = self.problem.at(coefficients[:, 0])
+        return here.residual, here.residual_jacobian if derivatives else np.zeros((len(here.residual), 0))
+
+
+@dataclass(frozen=True, eq=False)
+class ObjectProgramme(Programme):
+    """The nonlinear programme of a problem, with the scenario's margin instead of those of rows, and `spare` more."""
+
+    margin: float = 0.0
+    spare: float = 0.0
+
+    @classmethod
+    def of(cls, problem: Problem, unit: float = 1.0, spare: float = 0.0) -> ObjectProgramme:
+        """With the cost in units of `unit`."""
+        objective = SensitivityIntegral(problem, unit)
+        return cls(problem, problem.constraints, objective, problem.margin, spare, accuracy=0.02 * spare)
+
+    def blocks(self, motion: MotionEvaluation, point: Point) -> tuple[Block, ...]:
+        rows: Sequence[Block] = evaluate(self.constraints, motion, margins=False)
+        return tuple(block.having(values=block.values + self.spare + self.margin / size_of(block.of)) for block in rows)

@@ -14,6 +14,7 @@ import numpy.typing as npt
 from salver.geometry import Array, Indices
 from salver.models.arm.arm import ArmModel
 from salver.planning.trajopt.ends import AtPosture, End
+from salver.planning.trajopt.evaluation import MotionEvaluation
 from salver.planning.trajopt.problem import TransportProblem
 from salver.planning.trajopt.spline import DERIVATIVES, RestSpline
 from salver.trajectory import smooth_step
@@ -61,12 +62,8 @@ class Grid:
         return np.matmul(basis, parts).reshape(len(point), -1)
 
 
-@dataclass(frozen=True, eq=False)
 class Curve(ABC):
     """A parametrisation as the optimiser uses it; coefficients are (size, m)."""
-
-    problem: TransportProblem
-    grid: Grid
 
     @property
     @abstractmethod
@@ -74,8 +71,13 @@ class Curve(ABC):
         """m, the number of curves."""
 
     @abstractmethod
-    def motion(self, coefficients: Array, duration: float) -> Array:
-        """q, dq, ddq, dddq at the points of the grid, z (4, P, n)."""
+    def evaluated(self, coefficients: Array, duration: float) -> MotionEvaluation:
+        """The motion at the points of the grid, as constraints read it."""
+
+    @abstractmethod
+    def metric(self, duration: float, damping: float) -> Array:
+        """Quadratic form (size, size) that measures steps of one curve, times the damping: the mean square of the
+        change in posture, and less of those in acceleration and jerk."""
 
     def by_duration(self, coefficients: Array, duration: float, z: Array) -> Array:
         """Derivative (4, P, n) of z by log T with fixed coefficients."""
@@ -85,9 +87,9 @@ class Curve(ABC):
     def columns(self, coefficients: Array, duration: float, parts: Array, point: Indices) -> Array:
         """Derivatives (r, size m) by the coefficients from those by z at points, parts (r, 4, n)."""
 
-    @abstractmethod
     def fixed(self) -> tuple[int, int]:
         """Numbers of unknowns, of size m, that are fixed at the beginning and at the end."""
+        return 0, 0
 
     def equalities(self, coefficients: Array) -> tuple[Array, Array]:
         """A (k, size m), b (k,): a step d must satisfy A d = b."""
@@ -103,7 +105,34 @@ class Curve(ABC):
 
 
 @dataclass(frozen=True, eq=False)
-class FreeCurve(Curve):
+class JointCurve(Curve):
+    """A parametrisation of joint motions."""
+
+    problem: TransportProblem
+    grid: Grid
+
+    @abstractmethod
+    def motion(self, coefficients: Array, duration: float) -> Array:
+        """q, dq, ddq, dddq at the points of the grid, z (4, P, n)."""
+
+    def evaluated(self, coefficients: Array, duration: float) -> MotionEvaluation:
+        z = self.motion(coefficients, duration)
+        return self.problem.at(self.grid.s, z, duration, self.grid.nodes)
+
+    def metric(self, duration: float, damping: float) -> Array:
+        # Equal weight: 1 rad/s^2 of acceleration and 0.055 rad of posture; 1000 rad/s^3 of jerk and 0.03 rad.
+        weights = damping * np.array([1.0, 3e-3, 1e-9]) / duration ** np.array([0.0, 4.0, 6.0])
+        return np.tensordot(weights, self._squares, axes=1)
+
+    @cached_property
+    def _squares(self) -> Array:
+        """Quadratic forms (3, size, size): mean squares of the change in posture, acceleration and jerk, for T = 1."""
+        basis = self.grid.basis[[0, 2, 3]]
+        return np.asarray(np.swapaxes(basis, 1, 2) @ basis / basis.shape[1])
+
+
+@dataclass(frozen=True, eq=False)
+class FreeCurve(JointCurve):
     """Joint splines between the problem's ends, with control postures as coefficients (size, n), the ends included.
 
     For a moving start the quintic Hermite functions of its velocity and acceleration are added.
@@ -212,7 +241,7 @@ class JointPath(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class PathCurve(Curve):
+class PathCurve(JointCurve):
     """A monotonic time law u(t) along a given path, from 0 to 1; coefficients (size, 1).
 
     The control values are kept in order, which makes the spline monotonic (variation diminishing property).

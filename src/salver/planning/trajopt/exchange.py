@@ -13,7 +13,7 @@ import numpy as np
 from salver.errors import Status
 from salver.geometry import Array, Indices
 from salver.planning.trajopt.constraints.constraints import evaluate, violated
-from salver.planning.trajopt.curves import Curve, Grid, united
+from salver.planning.trajopt.curves import Grid, JointCurve, united
 from salver.planning.trajopt.evaluation import MotionEvaluation
 from salver.planning.trajopt.found import CurveOf, FastestMotion
 from salver.planning.trajopt.objectives import Duration, Objective, Point, Scalar
@@ -186,7 +186,7 @@ def reached(sought: str, duration: float) -> Status:
 
 
 def _status(
-    solution: SqpSolution, worst: dict[str, float], sought: str, fine: Curve, point: Point, how: ExchangeOptions
+    solution: SqpSolution, worst: dict[str, float], sought: str, fine: JointCurve, point: Point, how: ExchangeOptions
 ) -> Status:
     excess = max(worst.values())
     if excess <= 0.0:
@@ -197,14 +197,14 @@ def _status(
     return Status("infeasible", f"No safe motion was found: the best attempt violates {found}.", False, worst)
 
 
-def _seen(fine: Curve, point: Point) -> MotionEvaluation:
+def _seen(fine: JointCurve, point: Point) -> MotionEvaluation:
     """The motion at a point, on the fine grid."""
     z = fine.motion(point.coefficients, point.duration)
     return fine.problem.at(fine.grid.s, z, point.duration, fine.grid.nodes, imposed=False)
 
 
 def _slowed(
-    fine: Curve,
+    fine: JointCurve,
     objective: Objective,
     point: Point,
     worst: dict[str, float],
@@ -223,7 +223,7 @@ def _slowed(
 
 
 def _between(
-    fine: Curve, objective: Objective, point: Point, motion: MotionEvaluation
+    fine: JointCurve, objective: Objective, point: Point, motion: MotionEvaluation
 ) -> tuple[dict[str, float], tuple[str, ...], float, Indices]:
     """Check on the fine grid: largest row of each block, the blocks that prevent a shorter motion, the relative
     increase of the duration that would meet all rows, and the points of violated peaks."""

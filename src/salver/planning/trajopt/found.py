@@ -10,12 +10,12 @@ import numpy as np
 from salver.errors import Status
 from salver.geometry import Array
 from salver.planning.follow.forward import tray_motion
-from salver.planning.trajopt.curves import Curve, FreeCurve, Grid, united
+from salver.planning.trajopt.curves import FreeCurve, Grid, JointCurve, united
 from salver.planning.trajopt.problem import TransportProblem
 from salver.planning.trajopt.spline import SplineMotion
 from salver.trajectory import JointMotion, MotionSamples, SampledReference
 
-CurveOf = Callable[[TransportProblem, Grid], Curve]
+CurveOf = Callable[[TransportProblem, Grid], JointCurve]
 
 
 @dataclass(frozen=True)

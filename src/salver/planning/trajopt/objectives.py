@@ -84,6 +84,24 @@ class Objective(ABC):
         return tuple(replace(b, values=b.values + margin) if self.counts(b) else b for b in blocks)
 
 
+class LeastSquares(Objective):
+    """A sum of squared residuals in units of `unit`, with the Gauss-Newton model. The unit must be of the size of the
+    sum: tolerances and the penalty on violations assume values of about 1."""
+
+    unit: float
+
+    @abstractmethod
+    def residual(self, coefficients: Array, derivatives: bool) -> tuple[Array, Array]:
+        """Residuals (r,), and their Jacobian (r, size m) by the coefficients, or (r, 0) without derivatives."""
+
+    def value(self, curve: Curve, at: Point) -> float:
+        return float(np.sum(np.square(self.residual(at.coefficients, False)[0] / np.sqrt(self.unit))))
+
+    def model(self, curve: Curve, at: Point) -> QuadraticModel:
+        residual, jacobian = (x / np.sqrt(self.unit) for x in self.residual(at.coefficients, True))
+        return QuadraticModel(2 * residual @ jacobian, 0.0, 2 * jacobian.T @ jacobian)
+
+
 @dataclass(frozen=True)
 class Duration(Objective):
     """The duration T, s."""

@@ -108,22 +108,26 @@ class Programme:
 
     given: whether the arm's response to load dynamics is frozen at that of the first iterate. The derivatives neglect
     its change, so predictions of steps are then accurate; the final motion needs a check with the true response.
+    accuracy: with which steps meet rows; a fiftieth of what counts as converged.
     """
 
     curve: Curve
     constraints: Sequence[Constraint]
     objective: Objective
     given: bool = field(default=False, kw_only=True)
+    accuracy: float = field(default=1e-5, kw_only=True)
 
     def at(self, point: Point, like: MotionEvaluation | None = None) -> Iterate:
         """The iterate at a point, with all rows. like: a motion whose arm response is used."""
-        grid = self.curve.grid
-        z = self.curve.motion(point.coefficients, point.duration)
-        motion = self.curve.problem.at(grid.s, z, point.duration, grid.nodes)
+        motion = self.curve.evaluated(point.coefficients, point.duration)
         if like is not None:
             motion = motion.giving_way_as(like)
-        blocks = self.objective.demanded(evaluate(self.constraints, motion), point.margin)
+        blocks = self.blocks(motion, point)
         return Iterate(point, self.curve, motion, blocks, self.objective.value(self.curve, point))
+
+    def blocks(self, motion: MotionEvaluation, point: Point) -> tuple[Block, ...]:
+        """All rows along the motion at a point."""
+        return self.objective.demanded(evaluate(self.constraints, motion), point.margin)
 
     def begin(self, coefficients: Array, duration: float) -> Iterate:
         """The iterate at coefficients (size, m) and a duration, s; a margin that is maximised starts at its value
@@ -155,6 +159,8 @@ class Programme:
         matrix = self._chained(path, block.gradient(node, column), block.points[node])
         if block.following is not None:
             matrix += self._chained(path, block.following(node, column), block.points[node + 1])
+        if block.whole is not None:
+            matrix[:, :-1] += block.whole(node, column)
         if block.history is not None:
             near = np.flatnonzero(block.values[node, column] > -block.remembers)
             if len(near):
@@ -214,12 +220,6 @@ class Programme:
         moved = np.append((trial.coefficients - path.coefficients).ravel(), scalar)
         return Linearised(matrix, found.bound + matrix @ moved)
 
-    @cached_property
-    def metric(self) -> Array:
-        """Quadratic forms (3, size, size): mean squares of the change in posture, acceleration and jerk, for T = 1."""
-        basis = self.curve.grid.basis[[0, 2, 3]]
-        return np.asarray(np.swapaxes(basis, 1, 2) @ basis / basis.shape[1])
-
     def bends(self, path: Iterate, prices: Sequence[Array]) -> Array:
         """Sum (size m + 1, size m + 1) of the second derivatives of rows that have any, weighted by the multipliers
         `prices`, (N, m) of each block."""
@@ -239,10 +239,7 @@ class Programme:
         """The quadratic programme of an iteration, without rows."""
         m, count = self.curve.width, path.coefficients.size
         model = self.objective.model(self.curve, path.point)
-        # Equal weight: 1 rad/s^2 of acceleration and 0.055 rad of posture; 1000 rad/s^3 of jerk and 0.03 rad.
-        weights = trust.damping * np.array([1.0, 3e-3, 1e-9])
-        weights /= path.duration ** np.array([0.0, 4.0, 6.0])
-        hessian, metric = np.zeros((count + 2, count + 2)), np.tensordot(weights, self.metric, axes=1)
+        hessian, metric = np.zeros((count + 2, count + 2)), self.curve.metric(path.duration, trust.damping)
         for curve in range(m):  # curves are independent in the metric
             hessian[curve:count:m, curve:count:m] = metric
         if model.curvature is not None:
@@ -260,14 +257,15 @@ class Programme:
         free = np.array([*range(first, count - last), *scalar, count + 1])
         equal, target = self.curve.equalities(path.coefficients)
         extra, extra_bound = self.curve.inequalities(path.coefficients)
-        return Subproblem(hessian, cost, low, high, free, equal, target, extra, extra_bound)
+        return Subproblem(hessian, cost, low, high, free, equal, target, extra, extra_bound, self.accuracy)
 
 
 @dataclass(frozen=True, eq=False)
 class Subproblem:
     """A quadratic programme over x = (coefficients, scalar, slack), of which only the entries `free` are variable.
 
-    equal, target: A x = b for the coefficients. extra, extra_bound: A x <= b for them, without slack.
+    equal, target: A x = b for the coefficients. extra, extra_bound: A x <= b for them, without slack. accuracy: with
+    which rows are met.
     """
 
     hessian: Array
@@ -279,6 +277,7 @@ class Subproblem:
     target: Array
     extra: Array
     extra_bound: Array
+    accuracy: float
 
     def solve(self, rows: Linearised) -> tuple[Array, float, Array] | None:
         """The step (coefficients, scalar), the remaining slack, and the rows' multipliers. None when the solver
@@ -305,7 +304,7 @@ class Subproblem:
             self.low[some],
             self.high[some],
         )
-        found = qp.solve(programme, 1e-5)  # of rows: a fiftieth of what counts as converged
+        found = qp.solve(programme, self.accuracy)
         if found is None:
             return None
         step = np.zeros(len(self.cost))

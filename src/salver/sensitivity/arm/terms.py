@@ -91,6 +91,17 @@ class MotionTerms:
         known = Derivatives(*(x + share * (y - x) for x, y in slopes))
         return replace(cls(model, frame_id, *states, *found), known=known)
 
+    @classmethod
+    def of_tray(cls, R_SE: Array, twist: Array, spatial: Array) -> MotionTerms:
+        """Terms of a tray that no arm carries. Its n = 6 coordinates are those of E itself: displacement, twist and
+        spatial acceleration (T, 6), in E. Position and torque, which no load needs, are 0."""
+        still = np.zeros_like(twist)
+        falling = np.array(spatial)
+        falling[:, :3] -= GRAVITY_S @ R_SE
+        made = _of_values(None, 0, still, twist, spatial, still[:, :3], R_SE, twist, falling, still)
+        none, one = (np.broadcast_to(x, (len(twist), 6, 6)) for x in (0.0, np.eye(6)))
+        return replace(made, known=Derivatives(none, none, none, one, np.zeros((len(twist), 6, 18))))
+
     @cached_property
     def derivatives(self) -> Derivatives:
         """The derivatives, by Pinocchio at every instant unless they are known."""

@@ -66,6 +66,7 @@ class Block:
         history: for rows that depend on the motion at other nodes too: additional derivatives (r, c) by c unknowns.
         curvature: for rows that are convex functions of linear ones, such as the size of a swing: factors (r, k, c)
             whose squares, summed over k, are the second derivative.
+        whole: for rows that know their derivatives (r, size m) by the coefficients themselves: these, which are added.
         remembers: history is neglected for rows further than this from their limit, because it is expensive.
         slows: relative increase of the duration that removes a unit of violation.
         reach: rows further than this from their limit are never included, because their derivatives are expensive.
@@ -87,6 +88,7 @@ class Block:
     by_duration: Array | None = None
     history: History | None = None
     curvature: History | None = None
+    whole: Gradient | None = None
     remembers: float = np.inf
     slows: float = 1.5
     reach: float = np.inf

@@ -14,11 +14,10 @@ import numpy as np
 from salver.geometry import Array, Indices
 from salver.models.arm.arm import ArmModel
 from salver.planning.postures import PoseTarget
-from salver.planning.trajopt.constraints.constraints import Block, Constraint
+from salver.planning.trajopt.constraints.constraints import REACH_BEYOND_TRAY, Block, Constraint
 from salver.planning.trajopt.evaluation import MotionEvaluation
-from salver.planning.verification import LEVER
 
-WEIGHTS = np.array([1.0, 1.0, 1.0, LEVER, LEVER, LEVER])
+WEIGHTS = np.array([1.0] * 3 + [REACH_BEYOND_TRAY] * 3)
 
 
 @dataclass(frozen=True, eq=False)
