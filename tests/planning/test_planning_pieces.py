@@ -23,7 +23,7 @@ from salver.planning.follow.limits import _room
 from salver.planning.follow.motion import _unreachable
 from salver.planning.follow.redundancy import TrayPath, first_choice, improved, tray_path
 from salver.planning.object.problem import Problem
-from salver.planning.object.solvers import Solution
+from salver.planning.object.solvers import SEARCH, Solution
 from salver.planning.plan import FINER
 from salver.planning.postures import INSIDE, PoseTarget, posture_at, postures_along
 from salver.planning.seeds import blocked
@@ -171,11 +171,11 @@ def test_a_plan_that_fails_between_its_nodes_is_made_at_all_instants_that_are_ch
 
 @pytest.mark.parametrize("orientation", ["fixed", "free"])
 def test_a_plan_without_a_margin_is_safe_as_well(orientation: str) -> None:
-    """Where the condition binds, what a solver misses it by is kept from it."""
+    """Where the condition binds, what a solver may miss it by is kept from it, and no more."""
     case = CUBE.with_changes(arm=None, contact__margin=0.0, motion__orientation=orientation, contact__condition="exact")
     plan = make.plan_object(case.with_changes(motion__duration=0.8, objects__0__friction=0.3))
     assert plan.ok, plan.status
-    assert plan.verification.slack < 1e-6
+    assert plan.verification.slack < (1e-6 if orientation == "fixed" else SEARCH.violation)
 
 
 @pytest.mark.parametrize("degree", [9, 12])
