@@ -524,6 +524,7 @@ def test_what_cannot_be_is_refused_in_a_sentence(cube):
         ),
         (Moving("x", "sphere"), "type of the obstacle x must be"),
         (Moving("x", "ring", radius=0.1), "type of the obstacle x must be"),
+        (Moving("x", np.array(["box", "box"]), size=(1, 1, 1)), "type of the obstacle x must be"),
         (Moving("x", "box", size=(1, 1, 0)), "type of the obstacle x must be"),
         (Moving("x", "sphere", radius=-1), "radius of the obstacle x must not be negative"),
         (Moving("x", "sphere", radius=0.1, growth=-1), "growth of the obstacle x must not be negative"),

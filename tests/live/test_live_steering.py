@@ -255,7 +255,7 @@ def test_a_level_tray_that_leaned_in_a_trial_is_steered_on(cube):
     for v, omega, seconds in (
         ((0.0, 0.1, 0.0), (0.0, 0.0, -1.5), 0.4),
         ((0.0, -0.03, 0.0), np.zeros(3), 0.4),
-        ((2.0, 0.0, 0.0), np.zeros(3), 0.6),
+        ((1.5, 0.0, 0.0), np.zeros(3), 0.6),
         ((0.0, 0.1, 0.0), np.zeros(3), 0.6),
         ((-0.1, 0.0, 0.0), np.zeros(3), 0.6),
     ):

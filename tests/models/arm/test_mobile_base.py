@@ -262,12 +262,13 @@ def test_a_keep_in_box_may_stand_on_the_floor_that_the_base_drives_on(column):
         )
 
 
-def test_a_twist_moves_a_base_whose_jerk_is_limited_as_bases_are():
-    """While limits of the jerk joined each programme late, 12 % of this twist was followed."""
+def test_a_twist_is_followed_steadily_by_a_base_whose_jerk_is_limited_as_bases_are():
+    """It slowed to 0.12 m/s now and then while only the verdict looked at the jerk just before an earlier increment's
+    end; while limits of the jerk joined each programme late, 12 % of it was followed."""
     live, granted = Live("serving-robot", lead=LEAD), []
-    looks = [(at, lambda live: granted.append(live.state.granted)) for at in np.arange(1.0, 2.0, 0.1)]
-    drive(live, 2.0, sorted([*said(lambda t: (0.4, 0.0, 0.0), 2.0), *looks], key=lambda wish: wish[0]))
-    assert np.mean(granted) > 0.4
+    looks = [(at, lambda live: granted.append(live.state.granted)) for at in np.arange(0.7, 1.6, 0.1)]
+    drive(live, 1.6, sorted([*said(lambda t: (0.4, 0.0, 0.0), 1.6), *looks], key=lambda wish: wish[0]))
+    assert min(granted) > 0.9, granted
 
 
 def test_rounding_of_positions_of_metres_is_no_jerk(column):

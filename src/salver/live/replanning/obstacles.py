@@ -104,10 +104,11 @@ def predicted(seen: Moving, now: float, clock: float | None = None, options: Obs
             if (not shape or name == "size") and np.any(found[name] < 0):
                 raise refused(name, "not be negative")
     radius, size = float(found["radius"]), tuple(map(float, found["size"]))
-    if seen.type == "box" and min(size) > 0:
-        solid: tuple[Any, ...] = ("box", *size)
-    elif seen.type in ("sphere", "capsule") and radius > 0:
-        solid = (seen.type, radius, *([float(found["length"])] if seen.type == "capsule" else []))
+    kind = seen.type if isinstance(seen.type, str) else ""
+    if kind == "box" and min(size) > 0:
+        solid: tuple[Any, ...] = (kind, *size)
+    elif kind in ("sphere", "capsule") and radius > 0:
+        solid = (kind, radius, *([float(found["length"])] if kind == "capsule" else []))
     else:
         raise refused("type", "be sphere or capsule with a radius above 0, or box with a size above 0")
     R = found["rotation"]

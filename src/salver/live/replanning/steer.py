@@ -22,7 +22,6 @@ from salver.live.committed.commit import Finding, verified
 from salver.live.committed.motion import SAME, Committed
 from salver.live.replanning.objective import Wanted, Weights, level
 from salver.live.replanning.replan import Sought
-from salver.models.arm.arm_limits import LIMITS
 from salver.planning import qp
 from salver.planning.fastest import Block, MotionEvaluation, TransportProblem, evaluate
 from salver.planning.trajopt.curves import Grid, united
@@ -30,8 +29,6 @@ from salver.planning.trajopt.evaluation import NOTHING
 from salver.planning.trajopt.spline import RestSpline
 from salver.sensitivity.arm.terms import motion_terms
 from salver.trajectory import JointMotion
-
-LINEAR = {kind.name for kind in LIMITS if kind.of == "position"}  # names of rows that are linear in an increment
 
 
 @dataclass(frozen=True)
@@ -48,7 +45,7 @@ class SteeringOptions:
             0.8 of the time and 1 % more ticks are refused.
         depth: share of its limit by which a constraint may be away from its boundary and is still in the first
             programme; others join when a trial violates them. At 1, a tick takes 1.4 times as long. On a base that
-            drives, all limits of the joints are in it.
+            drives, all limits of the jerk are in it.
         programmes: quadratic programmes in a tick at most: each but the last is followed by a trial of its solution.
             Doubled, the slowest ticks take 1.2 times as long; at 1, 9 % of the ticks are refused instead of 3 %.
         spent: share of a constraint's margin at the nodes that a trial may use up. Doubled, 4 % fewer programmes are
@@ -219,13 +216,17 @@ class Steering:
         """The committed motion in the horizon from `begins` on, as constraints see it."""
         grid, horizon, sought = self.grid, self.options.horizon, base.left(begins, self.sought)
         own = self._ticks(np.array([begins - base.begins])) + horizon * grid.s
-        moving = (own < base.motion.duration)[:, None]
-        z = np.stack([*base.motion.sample(own), base.motion.jerk(own) * moving])
+        ends = base.motion.duration
+        before, after = (base.motion.jerk(t) * (t < ends)[:, None] for t in (own - SAME, own))
+        # It jumps where an earlier increment ends: limits are kept on the side where it is larger.
+        jerk = np.where(np.abs(before) > np.abs(after), before, after)
+        jerk[0] = after[0]
+        z = np.stack([*base.motion.sample(own), jerk])
         motion = replace(sought.at(grid.s, z, horizon, grid.nodes), moving=False)
         if sought.cases and sought.tracking is not None:
             # A mode's filter takes half of a jump of the jerk as before it.
             rates = motion.at_nodes[1:].copy()
-            rates[2] = 0.5 * (rates[2] + base.motion.jerk(own[grid.nodes] - SAME) * moving[grid.nodes])
+            rates[2] = 0.5 * (before + after)[grid.nodes]
             terms, shares = motion.terms, motion.shares
             strayed = sought.tracking.along(horizon * shares, terms, rates, shares=shares)
             motion = motion.knowing(terms=terms, response=strayed)
@@ -255,9 +256,9 @@ class Steering:
             for block, more in zip(blocks, tightened, strict=True)
         ]
         hessian, cost = self._objective(wanted, motion, begins)
-        # Linear rows that join late only shorten the step, by which a base with its low jerk limits hardly moves.
-        first = LINEAR if self.problem.arm.base is not None else set()
-        depths = [np.inf if block.name in first else options.depth for block in blocks]
+        # Rows of the jerk that join late only shorten the step, by which a base with its low limit hardly moves.
+        first = "jerk" if self.problem.arm.base is not None else None
+        depths = [np.inf if block.name == first else options.depth for block in blocks]
         masks = [
             block.near(depth) & np.ones(block.values.shape, dtype=bool)
             for block, depth in zip(blocks, depths, strict=True)
