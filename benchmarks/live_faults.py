@@ -91,8 +91,8 @@ class Faulty:
         right = rng.random() > 0.15
         v, times, n = rng.uniform(-0.8, 0.8, 3), 0.05 * np.arange(1, 6), live.problem.n
         calls = [
-            lambda: live.goto(rng.uniform(*self.region) if right else wrong, source=source),
-            lambda: live.twist(v if right else wrong, source=source),
+            lambda: live.goto(rng.uniform(*self.region) if right else wrong, queued=rng.random() < 0.3, source=source),
+            lambda: live.twist(v if right else wrong, frame=rng.choice(["world", "tray"]), source=source),
             lambda: live.twist(v, rng.uniform(-1, 1, 3) if right else wrong, source=source),
             lambda: live.jog(rng.uniform(-1, 1, n) if right else wrong, source=source),
             lambda: live.chunk(times, np.linspace(*self.region, 5) if right else wrong, source=source),
@@ -103,8 +103,18 @@ class Faulty:
             lambda: live.resume(source=source),
             lambda: live.resume(),
             lambda: live.release(),
+            lambda: live.put(self.crate() if right else wrong, source=source),
+            lambda: live.remove("crate" if right else wrong, source=source),
+            lambda: live.prepare(60.0),
         ]
-        calls[rng.choice(len(calls), p=[0.15, 0.17, 0.05, 0.05, 0.1, 0.06, 0.03, 0.05, 0.02, 0.02, 0.15, 0.15])]()
+        often = [0.14, 0.14, 0.04, 0.04, 0.08, 0.06, 0.03, 0.05, 0.02, 0.02, 0.13, 0.13, 0.04, 0.04, 0.04]
+        calls[rng.choice(len(calls), p=often)]()
+
+    def crate(self) -> Moving:
+        """An obstacle that stands still near the tray."""
+        at = self.live.committed.motion.q[-1] if not self.rows else self.rows[-1][0]
+        p = self.live.problem.arm.tray_pose(at)[0] + self.rng.normal(0.0, 0.35, 3)
+        return Moving("crate", "box", p, size=self.rng.uniform(0.02, 0.3, 3))
 
     def measure(self) -> None:
         rng, q = self.rng, self.rows[-1][0] if self.rows else self.live.committed.motion.q[0]
@@ -170,7 +180,7 @@ def faults_in_words(runs: list[dict[str, Any]]) -> str:
     engine, moved = [x["lost"] for x in runs if "lost" in x], 100 * np.mean([x["moved"] for x in runs])
     violated, failed = sum(x["worst"] > 0 for x in runs), sum(bool(x["failed"]) for x in runs)
     return (
-        f"of {len(runs)} runs in which everything else fails, {violated} violated a constraint, {failed} raised "
-        f"something or moved while stopped, {sum(engine)} of {len(engine)} lost the load in the engine; the arm moved "
-        f"{moved:.0f} % of the time, and {sum(x['refusals'] for x in runs)} requests were refused."
+        f"{violated} violated a constraint, {failed} raised something or moved while stopped, and {sum(engine)} of "
+        f"{len(engine)} lost the load in the engine. The arm moved {moved:.0f} % of the time, and "
+        f"{sum(x['refusals'] for x in runs)} requests were refused."
     )

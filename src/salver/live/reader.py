@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from math import factorial
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
 from salver.geometry import Array
-from salver.trajectory import JointMotion
+from salver.trajectory import JointMotion, Quintics
 
 
 class Pieces:
@@ -16,14 +17,12 @@ class Pieces:
 
     def __init__(self, motion: JointMotion, begins: float) -> None:
         self.knots: list[float] = (begins + motion.t).tolist()
-        # As powers of the time since their knot, highest first: (K, 6, n).
-        lengths = np.diff(motion.t)
-        q, dq, ddq = motion.q, motion.dq, motion.ddq
-        self.coefficients = np.ascontiguousarray(_powers(q, dq, ddq, lengths))
+        pieces = Quintics.through(motion.t, np.stack([motion.q, motion.dq, motion.ddq]))
+        self.coefficients = _powers(pieces.coefficients, np.diff(motion.t)[:, None])
         self.still = np.zeros_like(self.coefficients[:1])[0]
         self.rest = self.still.copy()
-        self.rest[5] = q[-1]
-        self.still[5] = q[0]
+        self.rest[5] = motion.q[-1]
+        self.still[5] = motion.q[0]
 
 
 class Reader:
@@ -68,14 +67,11 @@ class Reader:
         np.copyto(self.tau, pin.rnea(self._model, self._data, self.q, self.dq, self.ddq))
 
 
-def _powers(q: Array, dq: Array, ddq: Array, h: Array) -> Array:
-    """(K, 6, n) coefficients, highest power first, of the quintics between knots (K + 1, n) that are h (K,) apart."""
-    h = h[:, None]
-    p, v, a = q[:-1], dq[:-1], ddq[:-1]
-    gap = q[1:] - (p + v * h + 0.5 * a * h**2)
-    slope = (dq[1:] - (v + a * h)) * h
-    bend = (ddq[1:] - a) * h**2
-    third = 10 * gap - 4 * slope + 0.5 * bend
-    fourth = -15 * gap + 7 * slope - bend
-    fifth = 6 * gap - 3 * slope + 0.5 * bend
-    return np.stack([fifth / h**5, fourth / h**4, third / h**3, 0.5 * a, v, p], axis=1)
+def _powers(bernstein: Array, h: Array) -> Array:
+    """(K, 6, n) coefficients by powers of the time since each knot, highest first, of Bernstein coefficients (6, K, n)
+    of pieces h (K, 1) s long."""
+    powers, left = [], bernstein
+    for k in range(6):
+        powers.append(left[0] / factorial(k))
+        left = np.diff(left, axis=0) * ((5 - k) / h)
+    return np.ascontiguousarray(np.stack(powers[::-1], axis=1))
