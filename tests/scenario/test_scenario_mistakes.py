@@ -80,7 +80,7 @@ BAD = [
         "most "
         "0.00123, four times that of the whole mass in the furthest corner.",
     ),
-    ("arm.model", "a\x00.urdf", 'arm.model = "a\\u0000.urdf": must be a known arm, or the path of a URDF.'),
+    ("arm.model", "a\x00.urdf", 'arm.model = "a\\u0000.urdf": must be a known arm, or the path of a URDF or MJCF.'),
     ("summary", "x" * 20_000, f'summary = "{"x" * 76}...: must be text of at most 10000 letters.'),
     ("obstacles", [{}] * 101, f"obstacles = [{'{}, ' * 19}...: must be a list of tables, at most 100."),
     # names and choices

@@ -186,7 +186,7 @@ def tray_to_object(p_EB: Array, R_EB: Array) -> Array:
 
 
 def load_arm(arm: Arm, tray: Tray) -> ArmModel:
-    """The arm of a scenario with its tray. `arm.model` is a name of `KNOWN_ARMS` or a URDF file, which needs
+    """The arm of a scenario with its tray. `arm.model` is a name of `KNOWN_ARMS` or a URDF or MJCF file, which needs
     `arm.flange`, the link that carries the tray.
 
     Raises ScenarioError (unknown arm, unreadable URDF, no such flange), MissingDependencyError.

@@ -78,7 +78,7 @@ class MobileBase(Model):
 
 
 class Arm(Model):
-    """The arm: a known name (see `salver.models.arm.arm`) or a URDF file with the frame that carries the tray.
+    """The arm: a known name (see `salver.models.arm.arm`) or a URDF or MJCF file with the frame that carries the tray.
 
     package_dirs: folders of the packages whose meshes the URDF names. collisions: how links whose geometry cannot be
     read are treated: refused, replaced by capsules, or not checked. base_position, base_rpy_deg: pose of the URDF's
@@ -86,7 +86,7 @@ class Arm(Model):
     joints are at 0; they come before those of the URDF, in start_posture too.
     """
 
-    model: File = Field(default="panda", description="a known arm, or the path of a URDF")
+    model: File = Field(default="panda", description="a known arm, or the path of a URDF or MJCF")
     flange: Name | None = None
     package_dirs: list[File] = Field(default=[], max_length=50, description="a list of folders, at most 50")
     srdf: File | None = None

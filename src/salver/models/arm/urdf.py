@@ -20,6 +20,7 @@ import numpy as np
 
 from salver.errors import ScenarioError, reason
 from salver.models.arm.known_arms import OWN_FOLDER
+from salver.models.arm.mjcf import read_mjcf
 from salver.models.shapes.mesh_files import LARGEST
 
 SUFFIXES = (".urdf", ".xml")
@@ -51,7 +52,7 @@ class Chain:
 
 
 def read_chain(path: Path, flange: str, package_dirs: Sequence[Path] = (), longest: int = 200) -> Chain:
-    """Read a URDF and keep the chain from its root to the flange.
+    """Read a URDF, or an MJCF (`salver.models.arm.mjcf`), and keep the chain from its root to the flange.
 
     What hangs beyond the flange (a gripper) is left off; joints beside the chain are fixed at zero. A continuous
     joint becomes a revolute one of `TURNS` turns either way; soft limits of a safety controller that are narrower than
@@ -60,7 +61,7 @@ def read_chain(path: Path, flange: str, package_dirs: Sequence[Path] = (), longe
     Raises ScenarioError: no URDF, no such link, a chain that closes or branches back, a joint on it that follows
     another one, has no axis or limits that cannot be in rad.
     """
-    root = _parse(path)
+    root = _parse(path, flange)
     for element in root:
         name = element.get("name", "")
         if len(name) > longest:
@@ -171,13 +172,15 @@ def _ros_folders() -> list[Path]:
     return [folder for folder in (*ament, *ros) if folder.is_dir()]
 
 
-def _parse(path: Path) -> ElementTree.Element:
+def _parse(path: Path, flange: str) -> ElementTree.Element:
     try:
         root = _tree(path)
     except (OSError, expat.ExpatError, UnicodeError) as error:
         raise ScenarioError(
             f"The URDF {path} cannot be read ({reason(error)}); it must be an XML file of a robot."
         ) from None
+    if root.tag == "mujoco":
+        return read_mjcf(path, flange)
     if any(element.tag.startswith("xacro:") for element in root.iter()):
         raise ScenarioError(
             f"The file {path} is written in xacro, which has to be run to give a URDF; do that once, with "

@@ -1,0 +1,213 @@
+"""Arms from MJCF files: what MuJoCo says of them, and the same arm as a URDF."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import mujoco
+import numpy as np
+import pytest
+
+from salver import scenario
+from salver.errors import MissingDependencyError, ScenarioError
+from salver.models.arm.arm import ArmModel, load_arm
+from salver.models.arm.arm_geometry import arm_geometry
+from salver.models.arm.known_arms import KNOWN_ARMS, robot_file
+from salver.models.arm.tables import Arm
+from salver.models.arm.urdf import read_chain
+from salver.models.described import Tray
+from salver.planning.make import make_plan
+from salver.planning.plan import load_plan
+from salver.simulation.physics import simulate
+
+WEIGHTLESS_TRAY = Tray(mass=0.0, inertia=(0.0, 0.0, 0.0))
+
+SCENE = """<mujoco model="a cell">
+  <include file="arm.xml"/>
+  <worldbody>
+    <geom name="ground" type="plane" size="0 0 0.05"/>
+    <geom name="shelf" type="box" size="0.2 0.3 0.1" pos="-0.5 0.1 0.1"/>
+    <body name="cube" pos="0.5 0 0.1"><freejoint/><geom type="box" size="0.02 0.02 0.02"/></body>
+  </worldbody>
+</mujoco>"""
+ARM = """<mujoco model="arm">
+  <compiler angle="degree" autolimits="true"/>
+  <default>
+    <default class="arm">
+      <joint axis="0 1 0" range="-170 170"/>
+      <geom type="capsule" density="700"/>
+      <default class="look"><geom contype="0" conaffinity="0" mass="0"/></default>
+      <default class="wrist"><joint range="-120 100"/></default>
+    </default>
+  </default>
+  <worldbody>
+    <body name="base" pos="0.1 0.2 0.3" euler="0 10 30" childclass="arm">
+      <geom type="cylinder" size="0.08 0.05"/>
+      <body name="turret" pos="0 0 0.1">
+        <joint name="pan" axis="0 0 1"/>
+        <geom fromto="0 0 0 0 0 0.3" size="0.06"/>
+        <body name="upper" pos="0 0.1 0.3" axisangle="0 1 0 90">
+          <joint name="lift" pos="0 0.02 0.03" axis="0 2 0.5"/>
+          <geom fromto="0 0 0 0 0 0.4" size="0.05"/>
+          <geom class="look" type="sphere" size="0.3"/>
+          <body name="fore" pos="0 -0.1 0.4">
+            <inertial pos="0.01 0.02 0.15" mass="2.5" fullinertia="0.03 0.02 0.025 0.001 -0.002 0.003"/>
+            <joint name="elbow"/>
+            <joint name="roll" class="wrist" pos="0 0 0.1" axis="0 0 1"/>
+            <geom type="ellipsoid" size="0.05 0.06 0.15" pos="0 0 0.15"/>
+            <body name="hand" pos="0 0 0.35" xyaxes="0 1 0 0 0 1">
+              <joint name="reach" type="slide" axis="1 0 0" range="-0.05 0.2"/>
+              <geom type="box" size="0.04 0.05 0.02"/>
+              <body name="tip" pos="0.05 0 0">
+                <joint name="turn" class="wrist" axis="1 0 0"/>
+                <geom type="sphere" size="0.03"/>
+                <site name="plate" pos="0.06 0 0.01" zaxis="1 0 0"/>
+              </body>
+              <body name="left" pos="0 0.02 0"><joint name="left" type="slide" range="0 0.02"/>
+                <geom type="box" size="0.01 0.01 0.01"/></body>
+              <body name="right" pos="0 -0.02 0"><joint name="right" type="slide" range="0 0.02" ref="0.01"/>
+                <geom type="box" size="0.01 0.01 0.01"/></body>
+            </body>
+          </body>
+        </body>
+      </body>
+    </body>
+  </worldbody>
+  <equality><joint joint1="left" joint2="right"/></equality>
+  <actuator>
+    <position joint="pan" forcerange="-150 150" kp="1000"/>
+    <motor joint="lift" gear="50" ctrllimited="true" ctrlrange="-2 2"/>
+    <position joint="elbow" gear="2" forcerange="-40 60" kp="1000"/>
+  </actuator>
+</mujoco>"""
+JOINTS = ["pan", "lift", "elbow", "roll", "reach", "turn"]
+
+
+def written(folder: Path, arm: str = ARM) -> str:
+    (folder / "arm.xml").write_text(arm)
+    (folder / "scene.xml").write_text(SCENE)
+    return str(folder / "scene.xml")
+
+
+def loaded(path: str, flange: str = "plate") -> ArmModel:
+    return load_arm(Arm(model=path, flange=flange), WEIGHTLESS_TRAY)
+
+
+def test_the_arm_moves_and_weighs_as_in_mujoco(tmp_path: Path) -> None:
+    """Poses, masses and gravity, of joints with and without an anchor, two on one body, hinges and a slide."""
+    path = written(tmp_path)
+    arm, model = loaded(path), mujoco.MjModel.from_xml_path(path)
+    data = mujoco.MjData(model)
+    assert list(arm.joint_names) == JOINTS
+    places = [model.joint(name).qposadr[0] for name in JOINTS]
+    dofs = [model.joint(name).dofadr[0] for name in JOINTS]
+    rng = np.random.default_rng(3)
+    for _ in range(5):
+        q = rng.uniform(arm.limits.q_min, arm.limits.q_max)
+        data.qpos[:], data.qvel[:] = model.qpos0, 0.0
+        data.qpos[places] = q
+        mujoco.mj_forward(model, data)
+        p, R = arm.link_pose(q, "plate")
+        site = data.site("plate")
+        np.testing.assert_allclose(p, site.xpos, atol=1e-9)
+        np.testing.assert_allclose(R, site.xmat.reshape(3, 3), atol=1e-9)
+        # What hangs on the hand beside the chain is part of it, fixed at zero; the link between two joints of a body
+        # has a millionth of its mass.
+        full = np.zeros((model.nv, model.nv))
+        mujoco.mj_fullM(model, data, full)
+        np.testing.assert_allclose(arm.mass_matrix(q), full[np.ix_(dofs, dofs)], atol=1e-5)
+        np.testing.assert_allclose(arm.gravity(q), data.qfrc_bias[dofs], atol=1e-4)
+
+
+def test_its_ranges_and_torques_are_those_of_joints_and_actuators(tmp_path: Path) -> None:
+    limits = loaded(written(tmp_path)).limits
+    np.testing.assert_allclose(np.rad2deg(limits.q_min[[0, 3]]), [-170, -120])
+    np.testing.assert_allclose([limits.q_min[4], limits.q_max[4]], [-0.05, 0.2])
+    np.testing.assert_allclose(limits.torque, [150, 100, 80, np.inf, np.inf, np.inf])
+    assert np.all(np.isinf(limits.velocity))
+
+
+def test_its_shapes_are_the_geoms_that_touch(tmp_path: Path) -> None:
+    """Neither the plane nor the free cube nor a sphere that only looks; the shelf of the scene does."""
+    geometry = arm_geometry(loaded(written(tmp_path)), (), ())
+    assert {"world", "base", "turret", "upper", "fore", "hand", "tip"} <= set(geometry.names)
+    assert "cube" not in geometry.names
+    assert geometry.names.count("upper") == 1
+    compared = {frozenset((geometry.names[i], geometry.names[j])) for i, j in geometry.pairs}
+    assert {frozenset(("world", "hand")), frozenset(("turret", "hand"))} <= compared
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ('<joint name="elbow"/>', '<joint name="elbow" ref="20"/>', "ref of the joint elbow is 0.349"),
+        (
+            '<joint name="elbow"/>',
+            '<joint name="elbow" type="ball" range="0 90"/>',
+            "plate hangs on a free or ball joint of tip",
+        ),
+        ('<joint name="pan" axis="0 0 1"/>', '<freejoint name="pan"/>', "cannot be read"),
+        ('range="-0.05 0.2"', 'limited="false"', "the joint reach slides and has no range"),
+        ('joint1="left" joint2="right"', 'joint1="lift" joint2="elbow"', "holds lift, which lies between"),
+        ('type="ellipsoid" size="0.05 0.06 0.15"', 'type="mesh" mesh="none"', "cannot be read"),
+        ('class="look" type="sphere"', 'class="nothing" type="sphere"', "cannot be read"),
+        ('name="plate"', 'name="dish"', 'arm.flange = "plate" is no link of'),
+    ],
+)
+def test_an_arm_that_cannot_be_used_is_a_sentence(tmp_path: Path, old: str, new: str, words: str) -> None:
+    assert ARM.count(old) == 1
+    changed = ARM.replace(old, new)
+    if 'type="ball"' in new:
+        changed = changed.replace('<joint name="roll" class="wrist" pos="0 0 0.1" axis="0 0 1"/>', "")
+        changed = changed.replace('<position joint="elbow" gear="2" forcerange="-40 60" kp="1000"/>', "")
+    with pytest.raises(ScenarioError, match=words) as told:
+        loaded(written(tmp_path, changed))
+    assert str(tmp_path) in str(told.value)
+    assert "\n" not in str(told.value)
+
+
+def test_without_mujoco_it_is_said_how_to_get_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "mujoco", None)
+    with pytest.raises(
+        MissingDependencyError, match=r"An arm from an MJCF needs mujoco.*pip install 'salver\[engine\]'"
+    ):
+        loaded(written(tmp_path))
+
+
+def as_mjcf(urdf: Path, flange: str, folder: Path) -> Path:
+    """The file that MuJoCo writes of a URDF."""
+    root = ElementTree.fromstring(read_chain(urdf, flange).urdf)
+    for link in root.iter("link"):
+        for visual in link.findall("visual"):  # in formats that it does not read
+            link.remove(visual)
+    spec = mujoco.MjSpec.from_string(ElementTree.tostring(root, encoding="unicode"))
+    spec.compiler.fusestatic, spec.strippath = False, False
+    spec.compile()
+    path = folder / "arm.xml"
+    path.write_text(spec.to_xml())
+    return path
+
+
+@pytest.mark.slow
+def test_the_same_arm_as_urdf_and_as_mjcf_has_the_same_plan(tmp_path: Path) -> None:
+    """And the load stays in the engine."""
+    known = KNOWN_ARMS["ur5"]
+    case = scenario.load("ur5-bottle")
+    limits = {key: value for key, value in known.limits.items() if not key.startswith("q_")}
+    plans: list[Any] = []
+    for model in (robot_file(known), as_mjcf(robot_file(known), known.flange, tmp_path)):
+        given = case.with_changes(arm__model=str(model), arm__flange=known.flange, arm__limits=limits)
+        plans.append(make_plan(given, "fastest"))
+    urdf, mjcf = plans
+    assert mjcf.joint is not None
+    assert mjcf.ok
+    assert mjcf.duration == pytest.approx(urdf.duration, abs=1e-3)
+    t = np.linspace(0, urdf.duration, 50)
+    p = [np.array([arm.tray_pose(q)[0] for q in plan.joint.sample(t)[0]]) for plan in plans
+         for arm in [load_arm(plan.scenario.arm, plan.scenario.tray)]]  # fmt: skip
+    np.testing.assert_allclose(p[0], p[1], atol=1e-3)
+    mjcf.save(tmp_path / "run")
+    assert simulate(load_plan(tmp_path / "run")).summary["outcome"] == "holds"
