@@ -349,4 +349,4 @@ def test_a_file_too_large_for_a_robot_is_not_read(tmp_path, monkeypatch):
     (tmp_path / "arm.urdf").write_text("<robot name='x'>" + 1000 * "<link name='a'/>" + "</robot>")
     monkeypatch.setattr(urdf, "LARGEST", 10_000)
     with pytest.raises(ScenarioError, match=r"arm\.urdf is larger than 0 MB"):
-        urdf._parse(tmp_path / "arm.urdf")
+        urdf._parse(tmp_path / "arm.urdf", "a")
