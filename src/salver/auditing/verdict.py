@@ -138,15 +138,12 @@ class Audit(Shown, Tabular):
         begun = motion_vector(self.motion.samples.R_SB[:1], zero, zero, zero)
         still = Margins(self._model, np.zeros(2), np.concatenate([at_rest()[None], begun]))
         kinetic = self.scenario.physics.kinetic_friction
+        pushed = [max((most for _, most in inner.values()), default=0.0) for inner in self._inner]
         nominal, worst = (
-            Borne(self.motion, 9.81 * margin, 9.81 * resting[0], self._pushed(bool(case)), 9.81 * resting[1], kinetic)
-            for case, (margin, resting) in enumerate(zip(self.reserves, (still.exact, still.exact_worst), strict=True))
+            Borne(self.motion, 9.81 * margin, 9.81 * resting[0], push, 9.81 * resting[1], kinetic)
+            for margin, resting, push in zip(self.reserves, (still.exact, still.exact_worst), pushed, strict=True)
         )
         return nominal, worst
-
-    def _pushed(self, worst: bool) -> float:
-        """Largest unknown acceleration of a body by its liquid or pendulum, m/s^2."""
-        return max((pushed for _, pushed in self._inner[worst].values()), default=0.0)
 
     @cached_property
     def _inner(self) -> tuple[dict[str, tuple[LoadVerdict, float]], dict[str, tuple[LoadVerdict, float]]]:

@@ -165,7 +165,6 @@ def _tube(rows: Sequence[Row], tolerance: float = 0.01) -> dict[str, Any] | None
         "worst_excess": absolute,
         "worst_excess_relative": relative,
         "worst_run": run,
-        "excess_relative": quantiles([e for e, _, _ in excess]),
         "excess_settled": quantiles(_numbers(rows, "tube_excess_settled")),
     }
 
@@ -174,14 +173,7 @@ def _pair(first: Sequence[Row], second: Sequence[Row], first_name: str, second_n
     """Comparison of two plans on the runs that both have."""
     a, b = ({row["run"]: row["outcome"] == "holds" for row in rows} for rows in (first, second))
     runs = sorted(a.keys() & b.keys())
-    result = mcnemar([a[k] for k in runs], [b[k] for k in runs])
-    differences = {}
-    for name in ("peak_slip", "e_p_peak", "e_o_peak", "cone_least"):
-        one, other = ({r["run"]: r[name] for r in rows if _is_number(r.get(name))} for rows in (first, second))
-        common = [k for k in runs if k in one and k in other]
-        if common:
-            differences[name] = quantiles([one[k] - other[k] for k in common])
-    return {"first": first_name, "second": second_name, "holds": result, "difference": differences}
+    return {"first": first_name, "second": second_name, "holds": mcnemar([a[k] for k in runs], [b[k] for k in runs])}
 
 
 def severity(outcome: str) -> int:

@@ -49,10 +49,6 @@ class TrayBias:
         """(N, 3, 3): times r, what the bias has more at a point r from the origin of E that is fixed to the tray."""
         return hat(self.angular) + self.centripetal
 
-    def of_point(self, p_E: Array) -> Array:
-        """Bias (N, 3) of a point (3,) fixed to the tray."""
-        return self.linear + self.by_place @ p_E
-
 
 def tray_bias(arm: ArmModel, q: Array, dq: Array, R_tilt: Array) -> TrayBias:
     """J-dot qdot of the real tray along (q, dq), each (N, n); R_tilt (3, 3): its axes in the assumed E."""
@@ -77,7 +73,7 @@ def gain(contact_time: float, timestep: float, damping_width: float) -> float:
 def on_tray(t: Array, bias: TrayBias, p_EB: Array, p_EP: Array, gain_s: float) -> Array:
     """Creep (N, 3) in E since t[0] of the object's point P (3,) on the tray; the object's B is at p_EB (3,)."""
     own = bias.centripetal @ (p_EP - p_EB)
-    return _integral(t, -gain_s * (bias.of_point(p_EP) - own))
+    return _integral(t, -gain_s * (bias.linear + bias.by_place @ p_EP - own))
 
 
 def on_object(t: Array, bias: TrayBias, p_EB: Array, p_EB_below: Array, gain_s: float) -> Array:
