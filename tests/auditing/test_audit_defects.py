@@ -298,8 +298,7 @@ def test_two_sources_that_take_turns_are_told_from_a_shake():
 def test_lines_between_samples_of_a_slower_sensor_are_no_jolts(rate):
     slow = np.arange(0.0, 2.01, 1 / rate)
     p = np.stack([np.interp(T, slow, x) for x in truth(slow).T], axis=1)
-    assert "interpolated" in codes(found(p, noise=0.0))
-    assert judged(p, noise=0.0).outcome == "cannot_tell"
+    assert judged(p, noise=0.0).outcome != "does_not_hold"
 
 
 def test_samples_that_go_on_at_the_last_speed_are_no_jolts():
@@ -307,11 +306,10 @@ def test_samples_that_go_on_at_the_last_speed_are_no_jolts():
     for k in range(20, 980, 40):
         for i in range(k, k + 5):
             p[i] = 2 * p[i - 1] - p[i - 2]
-    assert "interpolated" in codes(found(p, noise=0.0))
     assert judged(p, noise=0.0).outcome == "cannot_tell"
 
 
-def test_constant_speeds_between_pushes_are_no_lines_between_samples():
+def test_constant_speeds_between_pushes_are_no_defect():
     """To and fro, five times, with pushes of 20 ms between constant speeds."""
     push = np.sin(np.pi * (np.arange(10) + 0.5) / 10)
     signs = np.tile([2.0, 0.0, 0.0, -2.0, 0.0, 0.0, -2.0, 0.0, 0.0, 2.0, 0.0, 0.0], 5)
@@ -321,7 +319,7 @@ def test_constant_speeds_between_pushes_are_no_lines_between_samples():
     assert codes(found(p, np.arange(len(y)) / RATE, noise=0.0)) == []
 
 
-def test_a_short_constant_speed_between_accelerations_is_no_line_between_samples():
+def test_a_short_constant_speed_between_accelerations_is_no_defect():
     """There and back by trapezoids of speed, whose constant part has five samples of 125 a second."""
     bend = np.repeat([0.0, 0.8, 0.0, -0.8, 0.0, -0.8, 0.0, 0.8, 0.0], [60, 37, 5, 37, 60, 37, 5, 37, 60])
     y = np.cumsum(np.cumsum(bend)) / 125**2
@@ -330,8 +328,7 @@ def test_a_short_constant_speed_between_accelerations_is_no_line_between_samples
 
 
 @pytest.mark.parametrize("noise", [0.0, 2e-5])
-def test_a_shake_in_one_direction_lies_on_no_lines(noise):
-    assert "interpolated" not in codes(found(SHAKEN, noise=noise))
+def test_a_shake_in_one_direction_is_too_much(noise):
     assert judged(SHAKEN, noise=noise).outcome == "does_not_hold"
 
 

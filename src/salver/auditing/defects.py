@@ -1,8 +1,8 @@
 """Defects of a recording by logger, sensor or software, found in the samples and repaired if that is sound.
 
 In this order: a wrong unit, the end of a sensor's range, repeated samples, jitter of the clock, two sources that take
-turns, interpolation, spikes and jumps, one column in another unit. They are searched for in the channels as they are in
-the file: a pose, or joint positions.
+turns, spikes and jumps, one column in another unit. They are searched for in the channels as they are in the file: a
+pose, or joint positions.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.ndimage import maximum_filter1d, median_filter
+from scipy.ndimage import median_filter
 
 from salver.auditing.noise import dead_band, of_one_size, resolution
 from salver.auditing.options import AuditOptions
@@ -79,7 +79,6 @@ def repaired(channels: Channels, options: AuditOptions, fewest: int = 16) -> Cha
         _without_repeats,
         _with_even_clock,
         _of_one_sensor,
-        _not_on_lines,
         _without_breaks,
         _in_one_unit,
     )
@@ -203,7 +202,7 @@ def _with_even_clock(channels: Channels, options: AuditOptions) -> Channels:
     return channels.having(defect, t=best)
 
 
-# Samples of another source, or of none -------------------------------------------------------------------------
+# Samples of another source -------------------------------------------------------------------------
 
 
 def _of_one_sensor(channels: Channels, options: AuditOptions) -> Channels:
@@ -217,29 +216,6 @@ def _of_one_sensor(channels: Channels, options: AuditOptions) -> Channels:
         return channels
     clause = f"every other sample lies {1e3 * size:.2g} mm beside those between: two sources take turns in the file"
     return channels.having(Defect("alternating", clause, systematic=True))
-
-
-def _not_on_lines(channels: Channels, options: AuditOptions) -> Channels:
-    """Add a defect if samples lie on the straight line through their neighbours, and some of the five on either side
-    are forty times as far off theirs; where a constant speed begins or ends they are on one side only.
-
-    Where a straight line replaces a curve it meets it in a kink: that sample is (n + 1) / 2 times as far off as the
-    next one, for a line over n steps. Between accelerations a short constant speed begins and ends without.
-    """
-    t, y = channels.t, channels.scaled
-    share = ((t[1:-1] - t[:-2]) / (t[2:] - t[:-2]))[:, None]
-    bend = np.linalg.norm(y[1:-1] - y[:-2] - share * (y[2:] - y[:-2]), axis=1)
-    around = np.minimum(maximum_filter1d(bend, 6, origin=-3), maximum_filter1d(bend, 6, origin=2))  # after, before
-    bends = around > 40 * max(channels.step, 1e-9) * np.sqrt(y.shape[1])
-    lines = np.flatnonzero(bends & (40 * bend <= around))
-    off = np.pad(bend, 2)  # that of sample k of the bends is number k + 2
-    kinks = off[1:-1] > 1.2 * np.maximum(off[:-2], 1e-12), off[1:-1] > 1.2 * np.maximum(off[2:], 1e-12)
-    runs = np.split(lines, np.flatnonzero(np.diff(lines) > 1) + 1)
-    straight = sum(len(run) for run in runs if len(run) and (kinks[0][run[0]] or kinks[1][run[-1] + 2]))
-    if straight < max(3.0, options.straight * np.count_nonzero(bends)):
-        return channels
-    clause = f"{straight} samples lie on straight lines through others: they were interpolated or extrapolated"
-    return channels.having(Defect("interpolated", clause, systematic=True))
 
 
 def _in_one_unit(channels: Channels, options: AuditOptions) -> Channels:

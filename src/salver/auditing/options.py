@@ -36,8 +36,6 @@ class AuditOptions:
     break_off: size of a spike or jump over the usual deviation from neighbours. Smaller ones become jolts.
     alternating: correlation over four samples above which two sources take turns; 0 for noise, 1 for such sources. At
         1 they are not noticed.
-    straight: share of samples on lines through their neighbours that is no chance: a shake has 2 % at its zeros. Fewer
-        interpolated recordings are noticed.
     beyond: rad or m by which a recorded joint may be out of its range, as with another zero: angles in other units and
         other orders of columns are further out. Fewer of these are noticed.
     apart, turned: m, rad, by which the tray of a file may be from where its joints have it: a lag of 30 ms at 1 m/s and
@@ -70,7 +68,6 @@ class AuditOptions:
     drop: float = 30.0
     break_off: float = 5.0
     alternating: float = 0.6
-    straight: float = 0.05
     beyond: float = 0.1
     apart: float = 0.05
     turned: float = 0.1
