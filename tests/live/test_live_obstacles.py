@@ -16,7 +16,7 @@ from salver.live.replanning.lookout import Lookout, Sighting
 from salver.live.replanning.obstacles import Movable, MovingClearance, predicted
 from salver.live.replanning.planner import Job
 from salver.live.replanning.steer import TICK
-from salver.live.replanning.wishes import Evade, Halt
+from salver.live.replanning.wishes import Evade, Follow, Halt
 from salver.models.arm.arm_geometry import arm_geometry
 from salver.planning.fastest import evaluate, transport_problem
 from salver.planning.trajopt.constraints.constraints import strayed
@@ -247,12 +247,62 @@ def test_a_motion_that_comes_too_late_is_done_later_only_where_it_keeps_clear_th
     assert live.committed.at_rest == comes
 
 
+def test_a_goal_is_reached_from_rest_by_a_machine_that_plans_and_judges_slowly(cube, monkeypatch):
+    """Planning takes longer than the longest lead, so each motion comes late; a verdict takes 0.12 s."""
+    live = Live(cube)
+    live.command(0.0)
+
+    def lasting(seconds):
+        end = live.now + seconds
+        while live.now < end:
+            live.command(live.now + 1e-3)
+
+    def slow(job):
+        answer = live._planner.answer(job)
+        lasting(1.5)
+        return answer
+
+    def judged(*given, **named):
+        begun, found = time.perf_counter(), verified(*given, **named)
+        time.sleep(max(0.0, 0.12 + begun - time.perf_counter()))
+        lasting(0.12)
+        return found
+
+    monkeypatch.setattr("salver.live.live.verified", judged)
+    live.goto((0.45, 0.1, 0.45))
+    for _ in range(3):
+        live.plan(60.0, slow)
+        lasting(0.3)
+        if not live.committed.at_rest:
+            break
+    assert live.state.requests[0].outcome == "followed"
+
+
 def going(cube, **given):
     """A live motion on its way to a goal, and the ball that hits it there 0.6 s later."""
     live = Live(cube, **given)
     drive(live, 0.2, [(0.0, lambda live: live.goto((0.45, 0.1, 0.45)))])
     at = live.problem.arm.tray_pose(live.committed.state(live.now + 0.6)[0])[0]
     return live, thrown(at, 0.6, (1.5, 0.3, 0.2))
+
+
+def test_the_rest_of_a_chunk_is_followed_after_an_evasion(cube):
+    """It ended with the evasion, in silence."""
+    live = Live(cube, lead=2 * TICK)
+    q0, times = live.problem.start.q, np.arange(0.05, 2.4, 0.05)
+    q = q0 + np.outer(0.2 * (1.0 - np.cos(np.pi * times / 1.2)) + 0.05 * times, np.eye(7)[0])
+    drive(live, 0.5, [(0.0, lambda live: live.chunk(times, joints=q))])
+    p = live.problem.arm.tray_pose(live.committed.state(live.now)[0])[0] + [0.0, 0.0, 0.08]
+    assert live.obstacles(
+        [Moving("ball", "sphere", np.add(p, (1.05, 0.0, 0.0)), (-1.5, 0, 0), radius=0.05, lasts=0.9)]
+    ).ok
+    assert live.state.passing
+    drive(live, 1.8, begins=0.5)
+    assert isinstance(live._running.wish, Follow)
+    now = live.command(2.301)[0]
+    assert np.abs(now[0] - np.interp(live.now, times, q[:, 0])) < 0.01
+    drive(live, 1.4, begins=2.302)
+    assert live.state.requests[0].outcome == "reached"
 
 
 def test_however_fast_planning_is_one_tick_of_an_evasion_is_taken_for_each_hand_over(cube):

@@ -450,8 +450,7 @@ class Live(Requested):
         answered = answer(Job(wish, base, begins, budget, sighting.obstacles, threats, self._now, self._factor))
         found, status = answered.found, answered.status
         if found is not None and not sealed(found, base, self._problem):  # whoever proposed it
-            again = verified(self._problem, found.motion, found.begins, base, profile=found.profile)
-            found, status = again.committed, Status("refused", again.sentence, False)
+            found, status = self._verified(found, found.begins, base)
         denied = "" if found is None else self._denied(found)
         if denied:
             found, status = None, Status("refused", denied, False)
@@ -462,10 +461,9 @@ class Live(Requested):
         if late and found is not None:
             # It came late, but the arm was at rest and is: the same motion, from a little later on; unless swings,
             # which go on, are then such that it would not do.
-            later = self._hand_over(base, "tick")
-            profile = None if found.profile is None else replace(found.profile, begins=later)
-            again = verified(self._problem, found.motion, later, base, profile=profile)
-            found, status = again.committed, Status("refused", again.sentence, False)
+            began = time.perf_counter()
+            found, status = self._verified(found, self._hand_over(base, "speed"), base)  # a verdict is most of that too
+            self._lead.took("speed", time.perf_counter() - began)
         offered = None
         if found is not None:
             same = running.wish if isinstance(wish, Retime) else None  # as before, at another speed
@@ -481,7 +479,7 @@ class Live(Requested):
                 self._resigned = (running, sighting.news)
             if offered is not None:
                 self._offered = self._offer = offered
-                self._done = None if isinstance(self._wish, Goal) else self._wish
+                self._done = None if isinstance(self._wish, Goal | Follow) else self._wish
         elif offered is not None:
             if not isinstance(wish, Halt):  # of a stop it stays said why the arm is stopped
                 self._refused = ""
@@ -493,6 +491,12 @@ class Live(Requested):
             if status.code == "unreachable" or resting or self._failed[1] >= self.options.attempts:
                 self._give_up(wish, status.sentence.rstrip("."))
                 self._refuse(status.sentence, f"The goal {wish.what}" if isinstance(wish, Goal) else "The stop")
+
+    def _verified(self, found: Committed, begins: float, base: Committed) -> tuple[Committed | None, Status]:
+        """A proposed motion from another instant on, if it passes the verdict here; or why it does not."""
+        profile = None if found.profile is None else replace(found.profile, begins=begins)
+        again = verified(self._problem, found.motion, begins, base, profile=profile)
+        return again.committed, Status("refused", again.sentence, False)
 
     def _give_up(self, wish: Wish, why: str) -> None:
         """Drop a request, which neither a release nor an evasion brings back."""
