@@ -1,11 +1,13 @@
 """What docs/liquids.md says in numbers, written into that page: one command, two tables and a sentence.
 
-    python benchmarks/liquids.py [--only flow|runs|survey|leaning] [-n 1000] [--beside 20] [--minutes 60] [--loads 60]
+    python benchmarks/liquids.py [--only flow|cones|runs|survey|leaning] [-n 1000] [--beside 20] [--minutes 60]
+        [--loads 60]
 
 flow: how high a liquid rises, as predicted and as nonlinear potential flow shows it (potential_flow.py), on the
 straight min-jerk line over 0.48 m, level, in a box of 80 mm by 60 mm, along its longer side and at 35 degrees to it,
 in a cup of 80 mm and in a paper cup of panda-paper-cups, whose heights are those at the radius of its level. The flow
 of a cup is unstable in steep waves (its points are few): where it ends, a dash.
+cones: how much higher the crests of free waves are than linear waves, in cones.
 runs: each ready-made scenario with a liquid in the physics engine, n random draws of all that is uncertain: its fastest
 plan, with the processor time that it takes, the median of seven after a first; of the first draws the fastest plan of
 somebody who takes the liquid for a solid, and the straight line in the same time. What was run is kept in
@@ -32,6 +34,7 @@ from typing import Any
 import numpy as np
 
 from salver.dynamics.liquid import sloshing
+from salver.dynamics.liquid.interiors import Round
 from salver.dynamics.liquid.liquid import STEEPEST
 from salver.dynamics.liquid.surface import SurfaceMotion
 from salver.dynamics.load_cases import LoadCase
@@ -107,6 +110,30 @@ def flow_rows() -> Iterator[str]:
                 ratio = f"{waves.crest.max() / during:.2f}" if shown[1] != "–" else "–"
                 steep = f"{0.3 * waves.free_height.max() / waves.cases.steepest[0]:.2f}"
                 yield f"| {name}, {1e3 * fill:.0f} mm | {duration} | {steep} | {' | '.join(shown)} | {ratio} |"
+
+
+def cone_rows(R: float = 0.04, slopes: tuple[float, ...] = (0.01, 0.1, 0.25)) -> Iterator[str]:
+    """kappa of free waves of 0.1 R and 0.2 R in cones: the highest crest of five periods, and what is assumed."""
+    yield f"| depth / R | assumed | {' | '.join(f't = {slope:g}' for slope in slopes)} |"
+    yield f"|---|---|{len(slopes) * '---|'}"
+    for depth in (0.5, 1.0, 1.5):
+        cells = [f"{Round(R).modes(depth * R, 998.0).peaking[0]:.2f}"]
+        for slope in slopes:
+            inside, h, level = Round(R - slope * depth * R, slope), depth * R, R / slope
+            basis, omega = cone(np.arctan(slope), level, 1 - h / level), inside.modes(h, 998.0).omega[0, 0]
+            first, times = np.zeros(len(basis.nu)), np.linspace(0, 10 * np.pi / omega, 2500)
+            first[6] = R * 9.81 / omega  # of the first function with m = 1, which is nearly the mode
+            with np.errstate(all="ignore"):
+                small, *highest = (
+                    simulate_cone(basis, lambda t: (0.0, 9.81), times, 0.005, a * first).max() for a in (1e-3, 0.1, 0.2)
+                )
+            found = []
+            for share, high in zip((0.1, 0.2), highest, strict=True):
+                a = 1e3 * share * small
+                kappa = (inside.level_rise(h, high) / a - 1) * R / a
+                found.append(f"{kappa:.2f}" if abs(high) < R else "–")
+            cells.append(", ".join(found))
+        yield f"| {depth} | {' | '.join(cells)} |"
 
 
 def taken_for_solid(scenario: Scenario) -> Plan:
@@ -309,7 +336,7 @@ def leaning_said(loads: int) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--only", choices=["flow", "runs", "survey", "leaning"])
+    parser.add_argument("--only", choices=["flow", "cones", "runs", "survey", "leaning"])
     parser.add_argument("-n", type=int, default=1000, help="runs of each plan")
     parser.add_argument("--beside", type=int, default=20, help="runs of each of the other motions")
     parser.add_argument("--minutes", type=float, default=1e6, help="write what there is after so many")
@@ -317,6 +344,8 @@ def main() -> None:
     options = parser.parse_args()
     if options.only in (None, "flow"):
         written(PAGE, "flow", "\n".join(flow_rows()))
+    if options.only in (None, "cones"):
+        written(PAGE, "cones", "\n".join(cone_rows()))
     if options.only in (None, "survey"):
         written(PAGE, "survey", survey_said(options.loads))
     if options.only in (None, "runs"):
