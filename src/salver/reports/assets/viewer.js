@@ -144,8 +144,8 @@ function revolve(profile, sides = 28) {
   return shade(points, triangles);
 }
 
-// A prism or a truncated cone, from its base to its top; `open`: its side alone.
-function prism(polygon, top, low, high, open = false) {
+// An upright prism, or with another `top` a truncated cone; `open`: its side alone.
+function prism(polygon, low, high, open = false, top = polygon) {
   const n = polygon.length, points = [], triangles = [];
   for (const [ring, z] of [[polygon, low], [top, high]]) for (const [x, y] of ring) points.push(x, y, z);
   for (let i = 0; i < n; i++) {
@@ -302,8 +302,7 @@ function createViewer(canvas, scene) {
     reach = Vec.norm(Vec.sub(bounds[1], bounds[0]));
     const box = ([[x, y, z], size]) => {
       const [a, b, c] = size.map((s) => s / 2);
-      const ring = [[x + a, y + b], [x - a, y + b], [x - a, y - b], [x + a, y - b]];
-      return prism(ring, ring, z - c, z + c);
+      return prism([[x + a, y + b], [x - a, y + b], [x - a, y - b], [x + a, y - b]], z - c, z + c);
     };
     around = 1.45 * Math.max(reach, 1);
     shapes = {
@@ -319,7 +318,7 @@ function createViewer(canvas, scene) {
     obstacles = scene.obstacles.map((mesh) => ({ name: mesh.name, shape: made(unpackMesh(mesh)), colour: mesh.colour }));
     objects = scene.objects.map((o) => ({
       name: o.name,
-      shape: made(o.polygon ? prism(o.polygon, o.top, o.low, o.high, o.open) : shade(o.points.flat(), o.triangles.flat())),
+      shape: made(o.polygon ? prism(o.polygon, o.low, o.high, o.open, o.top) : shade(o.points.flat(), o.triangles.flat())),
       edges: o.polygon ? o.polygon.flatMap((p, i) => {
         const n = o.polygon.length, up = [...o.top[i], o.high], low = [...p, o.low];
         const rims = [[o.polygon, o.low], [o.top, o.high]].map(([ring, z]) => [[...ring[i], z], [...ring[(i + 1) % n], z]]);
