@@ -27,6 +27,7 @@ from salver.planning.object.solvers import SEARCH, solve, solve_sequential
 from salver.planning.plan import Plan, load_plan
 from salver.planning.postures import PoseTarget, candidate_postures
 from salver.scenario import Scenario, load
+from salver.simulation.physics import simulate
 from salver.trajectory import PolynomialReference, boundary_solution, min_jerk_line
 
 PAPER = load("panda-cube").with_changes(arm=None, motion__goal_yaw="fixed")
@@ -36,6 +37,30 @@ LEVEL = np.eye(3)
 
 def planned(reference: PolynomialReference, made: Scenario = PAPER) -> Plan:
     return Plan(made, "robust", reference, Status("made", "Made by hand.", True))
+
+
+def test_a_start_whose_heading_is_free_is_no_detour() -> None:
+    """A heading that is hard to reach costs a second; free, it costs nothing, and the load stays in the engine."""
+    start = {"position": [0.54237, -0.370574, 0.4], "rpy_deg": [0, 0, 170]}
+    case = load("panda-cube").with_changes(
+        arm__start_posture=None, motion__duration=None, motion__goal_yaw="fixed", motion__start=start
+    )
+    fixed, free = (make_plan(case.with_changes(motion__start_yaw=yaw), "fastest") for yaw in (None, "free"))
+    assert fixed.ok
+    assert free.ok
+    assert free.duration < 0.65 < 1.2 < fixed.duration
+    begins = free.reference.sample(np.zeros(1))
+    assert_allclose(begins.p_SB[0], start["position"], atol=1e-9)
+    assert_allclose(begins.R_SB[0, :, 2], [0, 0, 1], atol=1e-9)
+    assert begins.R_SB[0, 0, 0] > 0.9  # it points the other way
+    tilted = case.with_changes(motion__start_yaw="free", motion__start={**start, "rpy_deg": [0, 10, 170]})
+    assert replace(free, scenario=tilted).verification.boundary_error > 0.1
+    assert simulate(free).summary["outcome"] == "holds"
+
+
+def test_only_the_first_leg_may_begin_with_any_heading() -> None:
+    legs = load("waiters-round").with_changes(motion__start_yaw="free").each_leg
+    assert [leg.motion.start_yaw for leg in legs] == ["free"] + [None] * (len(legs) - 1)
 
 
 # The ends ------------------------------------------------------------------------------------------------------

@@ -96,8 +96,9 @@ def _boundary_error(scenario: Scenario, checked: Evaluation) -> float:
     goals = np.array([motion.start.position, motion.goal.position])
     rotations = np.stack([motion.start.rotation, motion.goal.rotation])
     turn = log(np.swapaxes(rotations, 1, 2) @ samples.R_SB[ends])
-    if motion.goal_yaw == "free":
-        turn[1] = np.cross(rotations[1, :, 2], samples.R_SB[-1, :, 2])
+    for end, yaw in enumerate((motion.start_yaw, motion.goal_yaw)):
+        if yaw == "free":
+            turn[end] = np.cross(rotations[end, :, 2], samples.R_SB[ends[end], :, 2])
     still = [x[ends] for x in (samples.v_S, samples.a_S, samples.omega_B, samples.alpha_B)]
     return max(float(np.abs(x).max()) for x in (samples.p_SB[ends] - goals, turn, *still))
 

@@ -238,6 +238,8 @@ class Scenario(Shown, Model):
 
     def _leg(self, name: str, start: Pose, through: list[Pose], goal: Pose, load: list[CarriedObject]) -> Scenario:
         ends = {"start": start, "through": through, "goal": goal, "duration": None}
+        if start is not self.motion.start:  # it starts with the heading in which the leg before ends
+            ends["start_yaw"] = None
         motion = self.motion.model_copy(update=ends)
         return self.model_copy(update={"name": name, "motion": motion, "legs": [], "objects": load})
 

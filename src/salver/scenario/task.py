@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import ConfigDict, Field, field_validator, model_validator
 
-from salver.fields import Degrees, Model, Number, Point, Turns, Whole
+from salver.fields import Degrees, Model, Number, Point, Turns, Whole, leaving_out
 from salver.geometry import matrix_from_quat_wxyz, matrix_from_rpy
 
 
@@ -45,9 +45,11 @@ class Motion(Model):
     With legs, `goal` is that of the last leg and may be left out.
     speeds: "any": the plan must hold at every constant speed factor from 0 to 1, and at factors that change by up to
         speed_rate, 1/s. "full": it must hold at full speed only.
+    start_yaw: "free": the tray may begin with any heading, unless `duration` is given and the motion is the object's.
     """
 
     model_config = ConfigDict(json_schema_extra=lambda schema: schema["required"].remove("goal"))
+    _stated = leaving_out("start_yaw")
 
     start: Pose
     goal: Pose
@@ -58,6 +60,7 @@ class Motion(Model):
     orientation: Literal["fixed", "free"] | None = None
     max_tilt_deg: Annotated[Number, Field(gt=0, le=90)] | None = None
     goal_yaw: Literal["fixed", "free"] = "fixed"
+    start_yaw: Literal["fixed", "free"] | None = None
     speeds: Literal["any", "full"] = "any"
     speed_rate: Annotated[Number, Field(ge=0, le=10)] = 0.25
 

@@ -237,7 +237,8 @@ def transport_problem(
     motion, first = scenario.motion, payload.bodies[0]
     _level_enough(motion, max_tilt)
     yaw_free = motion.goal_yaw == "free"
-    begin = PoseTarget(np.array(motion.start.position), motion.start.rotation, first.p_EB, first.R_EB)
+    at_start, free = np.array(motion.start.position), motion.start_yaw == "free"
+    begin = PoseTarget(at_start, motion.start.rotation, first.p_EB, first.R_EB, free)
     end = PoseTarget(np.array(motion.goal.position), motion.goal.rotation, first.p_EB, first.R_EB, yaw_free)
     start: End = AtPose(begin)
     if scenario.arm.start_posture is not None:
