@@ -201,6 +201,14 @@ def test_sequential_answer_is_a_local_optimum():
     assert feasible_and_better == 0
 
 
+def test_a_step_that_removes_a_violation_is_not_the_last():
+    """The second step met all rows, at a price; the search ended there, and another one from there saved a fifth."""
+    free = {"motion__orientation": "free", "contact__condition": "exact", "motion__duration": 0.72}
+    problem = Problem(load("prisma-cube").with_changes(**free), 61)
+    found = solve(problem)
+    assert solve(problem, found.z).cost > (1 - 1e-3) * found.cost
+
+
 def test_weightings_differ_as_documented():
     def weights(weighting):
         return CostWeights.of(changed(objective__weighting=weighting), np.linspace(0, 1, 11))

@@ -23,7 +23,7 @@ from salver.planning.trajopt.sqp import SqpOptions, minimise
 from salver.planning.trajopt.trust import Trust
 
 TOLERANCE = 1e-9  # N (or the row's own unit): violation of a convex programme's constraint that is allowed
-SEARCH = SqpOptions(gain=1e-5, violation=1e-5, least_damping=1e-9)
+SEARCH = SqpOptions(gain=1e-5, violation=1e-5, least_damping=1e-9, thorough=True)
 """Options of the sequential solver; rows keep what its solution may violate."""
 
 

@@ -29,10 +29,11 @@ class SqpOptions:
     doubled, it ends up to twice as far from the optimum. violation: largest violation of a row, with its margin, that
     counts as converged; doubled, more is left to added nodes. penalty: initial penalty on the violation, in the unit of
     the objective; it is adapted at every step. least_damping: of the proximal term. mending: whether to end with the
-    first step that satisfies all rows. poor, bent: a second-order correction is tried when a step brings less than the
-    share `poor` of the predicted improvement, or violates rows by `bent` more than the subproblem predicts. kept: a row
-    that was added is removed when it is further from its limit than this; doubled, programmes have more rows. beat: the
-    search ends when no objective below this is to be expected.
+    first step that satisfies all rows. thorough: whether the search goes on after a step that was predicted to worsen
+    the objective, as those are that remove a violation; it need not be near the optimum. poor, bent: a second-order
+    correction is tried when a step brings less than the share `poor` of the predicted improvement, or violates rows by
+    `bent` more than the subproblem predicts. kept: a row that was added is removed when it is further from its limit
+    than this; doubled, programmes have more rows. beat: the search ends when no objective below this is to be expected.
     """
 
     iterations: int = 60
@@ -42,6 +43,7 @@ class SqpOptions:
     penalty: float = 20.0
     least_damping: float = 1e-5
     mending: bool = False
+    thorough: bool = False
     poor: float = 0.8
     bent: float = 2e-4
     kept: float = 0.3
@@ -129,7 +131,8 @@ def minimise(programme: Programme, start: Iterate, options: SqpOptions, trust: T
             idle += attempt.predicted < enough
             mended = False
         little = (3.0 if path is attempt.trial else 6.0) * enough  # a rejected step is weaker evidence
-        if path.violation <= options.violation and (mended or attempt.hoped < little):
+        hoped = abs(attempt.hoped) if options.thorough else attempt.hoped
+        if path.violation <= options.violation and (mended or hoped < little):
             idle = 2
         if idle >= 2 or trust.hopeless:
             if path.violation > options.violation and trust.dearer():
