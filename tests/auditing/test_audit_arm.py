@@ -43,7 +43,8 @@ def commanded(scenario, way):
     return JointSamples(T, names, START + q, dq, ddq, "command", commanded=True)
 
 
-@pytest.mark.parametrize("told", [False, pytest.param(True, marks=pytest.mark.slow)], ids=["recorded", "commanded"])
+@pytest.mark.slow
+@pytest.mark.parametrize("told", [False, True], ids=["recorded", "commanded"])
 def test_an_arm_that_goes_into_its_table_is_said_to_whatever_becomes_of_the_load(ur10, told):
     """The load would ride into the table as safely as anywhere."""
     found = audit_samples(commanded(ur10, LEVEL_DOWN), ur10) if told else sv.audit(columns(ur10, LEVEL_DOWN), ur10)
@@ -59,6 +60,7 @@ def test_an_arm_that_goes_into_its_table_is_said_to_whatever_becomes_of_the_load
     assert summary["arm"] == {"code": found.arm.code, "ok": False, "sentence": found.arm.sentence}
 
 
+@pytest.mark.slow
 def test_joints_beside_a_tray_motion_tell_of_the_arm(ur10, tmp_path):
     """As `salver export` writes both in one table; joints in degrees, or of another arm, tell nothing, and that is
     said."""

@@ -198,7 +198,7 @@ def test_a_motion_that_was_computed_was_not_filtered(fastest, name, rest):
     assert "filtered" not in found.nominal.details.get("reasons", ())
 
 
-@pytest.mark.parametrize(("of", "rate"), [("joints", 100.0), ("tray", 1000.0)])
+@pytest.mark.parametrize(("of", "rate"), [pytest.param("joints", 100.0, marks=pytest.mark.slow), ("tray", 1000.0)])
 def test_a_plan_in_four_digits_is_not_said_to_lose_its_load(fastest, of, rate):
     """The plan uses all its margin; where it rests before and after, and moves slowly, rounding is no white noise."""
     plan = fastest("ur5-bottle")
@@ -283,6 +283,7 @@ def test_axes_of_which_another_is_up_give_no_verdict():
     assert "leans by 90 deg at its first sample" in verdict.sentence
 
 
+@pytest.mark.slow
 def test_two_sources_that_take_turns_are_told_from_a_shake():
     p = truth(T)
     p[1::2] = truth(T - 0.008)[1::2]
@@ -294,13 +295,14 @@ def test_two_sources_that_take_turns_are_told_from_a_shake():
         assert "alternating" not in codes(found(at_a_share_of_the_rate))
 
 
-@pytest.mark.parametrize("rate", [70.0, 210.0])
+@pytest.mark.parametrize("rate", [pytest.param(70.0, marks=pytest.mark.slow), 210.0])
 def test_lines_between_samples_of_a_slower_sensor_are_no_jolts(rate):
     slow = np.arange(0.0, 2.01, 1 / rate)
     p = np.stack([np.interp(T, slow, x) for x in truth(slow).T], axis=1)
     assert judged(p, noise=0.0).outcome != "does_not_hold"
 
 
+@pytest.mark.slow
 def test_samples_that_go_on_at_the_last_speed_are_no_jolts():
     p = truth(T, shake=2e-4)
     for k in range(20, 980, 40):

@@ -142,6 +142,7 @@ def test_a_stop_keeps_the_load_on_a_ur(directory: Path, plan: Plan, controller: 
     assert not result.achieved
 
 
+@pytest.mark.slow
 def test_the_speed_slider_is_honoured(directory: Path, plan: Plan, controller: Make) -> None:
     """The slider and the controller's own scaling, 0.8 of 0.9: the plan in 1 / 0.72 of its time."""
     robot = controller()

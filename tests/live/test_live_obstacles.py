@@ -505,6 +505,7 @@ def test_while_a_stop_is_latched_what_comes_is_announced_and_not_evaded(cube):
     assert jobs == ["Evade"]
 
 
+@pytest.mark.slow
 def test_a_stop_is_made_where_neither_it_nor_going_on_keeps_clear_of_an_obstacle(cube):
     """A ball hangs above the load, on its way; the stop was refused, and the arm went on for 7 s."""
     live = Live(cube, lead=0.1)
@@ -538,6 +539,7 @@ def test_after_an_evasion_on_its_way_the_arm_goes_on_to_its_goal(cube):
     assert there == pytest.approx(live.problem.arm.tray_pose(goal)[0], abs=1e-3)
 
 
+@pytest.mark.slow
 def test_what_stands_still_and_is_reported_a_hundred_times_a_second_takes_no_planning(cube):
     """Neither do twenty things that stand still; ticks go on."""
     live, jobs = Live(cube, lead=0.02), []

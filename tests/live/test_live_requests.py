@@ -157,6 +157,7 @@ def test_a_goal_is_not_reached_by_a_hold_on_the_way(cube):
     assert outcomes(live) == [(1, "reached")]
 
 
+@pytest.mark.slow
 def test_twists_are_one_request_until_there_are_none_for_a_while(cube):
     live = Live(cube, lead=0.02)
     hand = [(t, lambda live: live.twist((0.1, 0.0, 0.0))) for t in np.arange(0.0, 0.2, 0.01)]

@@ -185,6 +185,7 @@ def test_a_slow_motion_stops_on_its_path_at_once(cube, full, factor):
     check(live, told)
 
 
+@pytest.mark.slow
 def test_a_slow_motion_that_was_steered_stops_at_once():
     """It ends 6 s later, so the search for a stop from there finds none; the arm went on for all of them."""
     live = Live("ur10-bottle", lead=0.1)

@@ -249,6 +249,7 @@ def test_a_hand_that_becomes_gentle_is_followed_soon_after(cube):
     assert np.abs(np.array(speeds) - [0.0, 0.1, 0.0]).max() < 0.01
 
 
+@pytest.mark.slow
 def test_a_level_tray_that_leaned_in_a_trial_is_steered_on(cube):
     """An overshoot by more than the tolerance of level, 0.06 deg, tightened it until no step was left, for ever."""
     live, begins = Live(cube, lead=TICK), 0.0

@@ -334,6 +334,7 @@ def test_samples_of_any_contents_are_contents_that_can_be(method: str) -> None:
     assert values[:, [3, 5, 8]].min() > 0
 
 
+@pytest.mark.slow
 def test_the_largest_row_of_an_instant_is_that_of_a_search_of_all_rows(monkeypatch: pytest.MonkeyPatch) -> None:
     """Most rows get a bound only; a search ends within 1e-3 of a row's curvature, here 1e-5 of the weight."""
     rng = np.random.default_rng(4)

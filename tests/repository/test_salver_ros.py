@@ -180,6 +180,7 @@ def test_stop_latches_and_refuses_goals_and_twists() -> None:
     assert arm.holds()
 
 
+@pytest.mark.slow
 def test_a_twist_is_followed_and_decays_when_it_is_not_repeated() -> None:
     arm = Arm()
     arm.asked = lambda: arm.carrier.twist("world", arm.t, (0.0, 0.1, 0.0), (0.0, 0.0, 0.0), arm.t)
@@ -416,6 +417,7 @@ def test_a_planned_motion_is_audited_and_one_that_is_twice_as_fast_is_not_safe(p
     assert "slide" in told
 
 
+@pytest.mark.slow
 def test_a_gentle_motion_is_slower(planned: Any) -> None:
     carrier, motion = planned
     ok, told, gentle = plan(carrier.scenario, motion.q[0], motion.q[-1], True, 0.3, 5.0)
@@ -662,6 +664,7 @@ def test_the_node_stops_when_its_controller_refuses(
     assert len(Client.goals) == 1
 
 
+@pytest.mark.slow
 def test_the_node_plans_and_audits(node: ModuleType, resting: Carrier) -> None:
     found = node.Salver()
     names, q = list(resting.joints), resting.command

@@ -63,6 +63,7 @@ def test_collisions_know_the_rim() -> None:
     assert_allclose(moved.translation, [0.0, 0.0, 0.0125], atol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_goal_may_lean_towards_the_rim_and_not_away_from_it() -> None:
     """By 25 degrees, where a book with a friction of 0.153 to 0.207 slides without a rim."""
     towards, away = ({"motion__goal__rpy_deg": [roll, 0.0, 0.0]} for roll in (25.0, -25.0))

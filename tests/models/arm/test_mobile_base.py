@@ -207,6 +207,7 @@ def test_the_engine_drives_the_base_to_the_goal_with_the_load_in_place(column):
     assert record.q[-1] == pytest.approx([0.8, 0.6, 0.0], abs=1e-3)
 
 
+@pytest.mark.slow
 def test_a_base_drives_around_a_table_that_it_was_far_from_at_first():
     """The first path keeps far from the table, and a shorter one through it is 0.6 s faster."""
     case = scenario.load("serving-robot").with_changes(arm__base__kind="omnidirectional")
@@ -262,6 +263,7 @@ def test_a_keep_in_box_may_stand_on_the_floor_that_the_base_drives_on(column):
         )
 
 
+@pytest.mark.slow
 def test_a_twist_is_followed_steadily_by_a_base_whose_jerk_is_limited_as_bases_are():
     """It slowed to 0.12 m/s now and then while only the verdict looked at the jerk just before an earlier increment's
     end; while limits of the jerk joined each programme late, 12 % of it was followed."""

@@ -123,6 +123,7 @@ def test_a_program_says_what_the_speed_slider_does(run: Path) -> None:
     assert "# Speed slider: the load is kept at any constant setting" in other
 
 
+@pytest.mark.slow
 def test_it_is_not_sent_unless_full_speed_only_is_given(run: Path, plan: Plan) -> None:
     arm = load_arm(plan.scenario.arm, plan.scenario.tray)  # type: ignore[arg-type]
     checks = check_plan(plan, arm, plan.scenario.payload.bodies)
