@@ -51,7 +51,7 @@ def test_a_given_path_is_run_so_slowly_that_nothing_spills(coffee):
     """Straight in joint space by a quarter radian: alone as fast as the joints go; with the coffee slower, and the
     engine agrees at the fullest. Faster than that, the verdict says, it spills."""
     q = np.array(coffee.arm.start_posture) + np.outer(np.linspace(0, 1, 9), [0.9, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
-    plan = plan_retimed(coffee, q)
+    plan = plan_retimed(coffee.with_changes(motion__speeds="full"), q)
     assert plan.status.ok, plan.status.sentence
     assert plan.duration > 1.05 * plan.solver["lower_bound"]
     assert plan.margins.verdict(worst=True).ok
@@ -66,7 +66,9 @@ def test_a_given_path_is_run_so_slowly_that_nothing_spills(coffee):
 @pytest.mark.slow
 def test_the_safest_motion_of_a_coffee_keeps_as_much_of_its_room_as_of_its_weight(coffee):
     """At every fill and damping that a verdict looks at, in the given time."""
-    plan = plan_safest(coffee.with_changes(motion__duration=1.0), options=replace(EFFORTS["quick"], spans=8))
+    plan = plan_safest(
+        coffee.with_changes(motion__duration=1.0, motion__speeds="full"), options=replace(EFFORTS["quick"], spans=8)
+    )
     assert plan.status.ok, plan.status.sentence
     kept = plan.solver["margin"]
     assert kept > 0.1
