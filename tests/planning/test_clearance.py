@@ -20,9 +20,10 @@ from salver.planning.follow.clearance import sweep
 from salver.planning.follow.limits import verdict
 from salver.planning.make import make_plan
 from salver.planning.seeds.around import FreeSpace
-from salver.planning.seeds.blocked import why_blocked, why_touching, why_unreached
+from salver.planning.seeds.blocked import why_blocked, why_roundabout, why_touching, why_unreached
 from salver.planning.seeds.starts import _stray_at_rest, ends
 from salver.planning.trajopt.ends import AtPose
+from salver.planning.trajopt.watch import Watch
 from salver.reports.pages import charts
 from salver.reports.pages.meshes import obstacle_meshes
 from salver.reports.run import read_run
@@ -316,7 +317,7 @@ def test_an_end_that_no_posture_reaches_without_a_collision_is_told_where_no_pai
     x, y, z = cube.motion.goal.position
     ball = {"type": "sphere", "name": "ball", "radius": 0.07, "position": (x, y, z - 0.13)}
     why = why_unreached(transport_problem(cube.with_changes(obstacles=[ball])))
-    told = r"No posture was found at the goal in which nothing touches: panda_\w+ and ball do in the best"
+    told = r"No posture was found at the goal in which nothing touches: panda_\w+ and ball touch in the best"
     assert re.match(told, why.sentence)
 
 
@@ -361,10 +362,31 @@ def test_what_touches_in_every_posture_at_an_end_is_told() -> None:
     ball = {"type": "sphere", "name": "ball", "radius": 0.07, "position": (x, y, z - 0.13)}
     found = fastest(transport_problem(cube.with_changes(obstacles=[ball])), FastestOptions(spans=8, pairs=1))
     assert not found.status.ok
-    told = (
-        r"No posture was found at the goal in which nothing touches: panda_\w+ and ball do in the best; 0.2 m higher .+"
-    )
+    told = r"No posture was found at the goal in which nothing touches: panda_\w+ and ball touch in the best; 0.2 m .+"
     assert re.fullmatch(told, found.status.sentence)
+
+
+def test_what_keeps_the_arm_from_the_nearest_posture_at_the_goal_is_told_with_a_motion_that_was_not_found() -> None:
+    """A ball where the forearm would be at the goal and one in the way; no time is left to turn over around it."""
+    bottle = scenario.load("ur5-bottle").with_changes(motion__duration=None, surroundings__floor=-1.0)
+    free = transport_problem(bottle)
+    pair = ends(free, np.random.default_rng(0), few=1)[0]
+    assert why_roundabout(free, pair) == ""
+    free.arm.tray_pose(pair.goal)
+    forearm = 0.5 * (free.arm.data.oMi[3].translation + free.arm.data.oMi[4].translation)
+    ball = {"type": "sphere", "name": "ball", "radius": 0.05, "position": tuple(forearm)}
+    blocked = bottle.with_changes(obstacles=[ball], arm__start_posture=tuple(pair.start))
+    turned_over = ends(transport_problem(blocked), np.random.default_rng(0))
+    for k, other in enumerate(turned_over):
+        halfway = free.arm.tray_pose(0.5 * (other.start + other.goal))[0]
+        ball = {"type": "sphere", "name": f"ball{k}", "radius": 0.05, "position": tuple(halfway)}
+        blocked = blocked.with_changes(obstacles=[*blocked.obstacles, ball])
+    found = fastest(transport_problem(blocked), watch=Watch(time_limit=0.0))
+    assert not found.status.ok
+    assert found.status.sentence.endswith(
+        " The motions that were tried end in another posture, since forearm_link and ball touch in the goal posture "
+        "that is nearest to the start's."
+    )
 
 
 def test_a_tray_beside_an_obstacle_is_not_inside_it() -> None:

@@ -22,7 +22,6 @@ from salver.planning.seeds.starts import (
     _cost,
     _Found,
     _shape,
-    _slid_free,
     _sought,
     _stray_at_rest,
     _unwound,
@@ -30,6 +29,7 @@ from salver.planning.seeds.starts import (
     braking_time,
     ends,
     guess,
+    slid_free,
     straight,
     touches,
 )
@@ -173,14 +173,14 @@ def test_of_postures_in_which_an_arm_stands_and_moves_alike_one_is_kept() -> Non
     assert 2 < len(found) < 15  # of 20
 
 
-def test_a_posture_that_is_slid_free_has_the_room_that_an_end_needs(behind_a_post) -> None:
+def test_a_posture_that_isslid_free_has_the_room_that_an_end_needs(behind_a_post) -> None:
     problem = transport_problem(behind_a_post.scenario.with_changes(arm__start_posture=None, motion__goal_yaw="fixed"))
     rng, free = np.random.default_rng(1), 0
     for attempt in range(12):
         q = problem.start.nearest(problem.arm, problem.limits, guess(problem, rng, attempt))
         if q is None or problem.keep_out.distances(q[None]).min() >= CLEARANCE.enough_at_ends:
             continue
-        slid = _slid_free(problem, problem.start, q)
+        slid = slid_free(problem, problem.start, q)
         assert np.abs(problem.start.residual(problem.arm, slid)[0]).max() < 1e-6
         left = problem.keep_out.distances(slid[None]).min()
         assert not -0.01 < left < CLEARANCE.enough_at_ends  # not left as soon as it hardly touches

@@ -17,7 +17,7 @@ from salver.errors import Status
 from salver.geometry import Array
 from salver.planning.fastest.optimum import DEGREE, few_pieces, optimum, refitted
 from salver.planning.fastest.options import FastestOptions
-from salver.planning.seeds.blocked import why_blocked, why_touching, why_unreached
+from salver.planning.seeds.blocked import why_blocked, why_roundabout, why_touching, why_unreached
 from salver.planning.seeds.starts import (
     Ends,
     Start,
@@ -66,7 +66,11 @@ def fastest(
         spline, wall = RestSpline(DEGREE, options.spans), time.perf_counter() - begun
         none = np.zeros((spline.size, problem.n))
         return FastestMotion(spline, none, np.inf, problem, blocked, wall_time=wall)
-    return replace(_Search(problem, options, watch, pairs, rng).best(), wall_time=time.perf_counter() - begun)
+    best = _Search(problem, options, watch, pairs, rng).best()
+    if not best.status.ok:
+        told = best.status.sentence + why_roundabout(problem, pairs[0])
+        best = replace(best, status=replace(best.status, sentence=told))
+    return replace(best, wall_time=time.perf_counter() - begun)
 
 
 def possible_ends(

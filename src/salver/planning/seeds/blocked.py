@@ -16,7 +16,7 @@ from salver.models.tray_motion import N_MOTION
 from salver.models.uncertain.worst_case import WorstCase
 from salver.planning.follow.limits import COLLISION, blocked_end
 from salver.planning.postures import REACHED, START_DISTANCE, PoseTarget, posture_at
-from salver.planning.seeds.starts import Ends, guess, room
+from salver.planning.seeds.starts import Ends, fine, guess, room, slid_free
 from salver.planning.trajopt.ends import AtPose, AtPosture, End
 from salver.planning.trajopt.problem import TransportProblem
 
@@ -128,17 +128,35 @@ def _touching(problem: TransportProblem, where: str, postures: Array) -> Status 
     """Status that names what touches in the best of postures (N, n) at an end; None if nothing does in one of them."""
     if problem.keep_out is None:
         return None
-    parts, left = problem.keep_out.parts, [room(problem, q) for q in postures]
-    at = postures[int(np.argmax(left))][None]
-    distance = parts.clearance(at)[0]
+    left = [room(problem, q) for q in postures]
     if max(left) > 0.0:
         return None
-    first, second = (parts.names[k] for k in parts.pairs[int(distance.argmin())])
-    near = float(distance.min())
-    apart = f"are {1e3 * near:.2g} mm apart in the best, where the arm strays by {1e3 * (near - max(left)):.2g} mm"
-    best = f"{first} and {second} {apart if near > 0.0 else 'do in the best'}"
+    best = _nearest(problem, postures[int(np.argmax(left))], "in the best")
     told = f"No posture was found at the {where} in which nothing touches: {best}{_higher(problem, where)}."
     return Status(COLLISION, told, False)
+
+
+def _nearest(problem: TransportProblem, q: Array, where: str) -> str:
+    """In words, the two parts that come nearest to each other in a posture (n,) that is not free. where: "in ..."."""
+    assert problem.keep_out is not None
+    parts = problem.keep_out.parts
+    distance = parts.clearance(q[None])[0]
+    first, second = (parts.names[k] for k in parts.pairs[int(distance.argmin())])
+    near = float(distance.min())
+    strays = 1e3 * (near - room(problem, q))
+    apart = f"are {1e3 * near:.2g} mm apart {where}, where the arm strays by {strays:.2g} mm"
+    return f"{first} and {second} {apart if near > 0.0 else f'touch {where}'}"
+
+
+def why_roundabout(problem: TransportProblem, pair: Ends) -> str:
+    """A sentence that says what touches in a goal posture that is nearer to the start posture than the goal posture of
+    a pair, if the joints take far longer between the two than friction requires; "" if nothing does."""
+    near = None if fine(problem, pair) else problem.goal.nearest(problem.arm, problem.limits, pair.start)
+    near = None if near is None else slid_free(problem, problem.goal, near)
+    if near is None or problem.keep_out is None or room(problem, near) > 0.0:
+        return ""
+    told = _nearest(problem, near, "in the goal posture that is nearest to the start's")
+    return f" The motions that were tried end in another posture, since {told}."
 
 
 def _higher(problem: TransportProblem, where: str) -> str:

@@ -141,7 +141,7 @@ def ends(
                 given,
                 problem.goal.nearest(problem.arm, problem.limits, (1 - spread) * (given + coasting) + spread * random),
             )
-            if few is not None and len(found.pairs) >= few and _fine(problem, found.pairs[0], options):
+            if few is not None and len(found.pairs) >= few and fine(problem, found.pairs[0], options):
                 break
     pairs = found.pairs
     if more or not any(pair.free for pair in pairs):
@@ -152,12 +152,12 @@ def ends(
         for goal in _free_postures(problem, problem.goal, [e.goal for e in pairs], rng, options):
             for start in starts:
                 found.add(start, goal)
-    if given is None or not all(_fine(problem, pair, options) for pair in pairs[:1]):
+    if given is None or not all(fine(problem, pair, options) for pair in pairs[:1]):
         pairs.sort(key=lambda pair: pair.cost)
     return [pair for pair in pairs if pair.free] or pairs
 
 
-def _fine(problem: TransportProblem, pair: Ends, options: EndOptions) -> bool:
+def fine(problem: TransportProblem, pair: Ends, options: EndOptions = USUAL) -> bool:
     """Whether both postures are collision-free and the joints do not take far longer between them than friction
     requires; if they do, another goal posture is probably nearer."""
     way = float(np.linalg.norm(np.subtract(*(problem.arm.tray_pose(q)[0] for q in (pair.start, pair.goal)))))
@@ -231,14 +231,14 @@ class _Found:
         for cost, start, goal in sought:
             if few is not None and sum(pair.free and pair.cost <= cost for pair in self.pairs) >= few:
                 break
-            free = _slid_free(problem, problem.start, start, self.options)
+            free = slid_free(problem, problem.start, start, self.options)
             self.add(free, goal if free is start else problem.goal.nearest(problem.arm, problem.limits, free))
         return len(self.pairs) > before
 
     def add(self, start: Array, goal: Array | None) -> None:
         """Add a pair, its goal moved out of collisions where possible, unless a similar pair is known."""
         problem = self.problem
-        goal = None if goal is None else _slid_free(problem, problem.goal, goal, self.options)
+        goal = None if goal is None else slid_free(problem, problem.goal, goal, self.options)
         if goal is None:
             return
         goal = _nearer(problem, start, goal)
@@ -275,7 +275,7 @@ def _free_postures(
     return found
 
 
-def _slid_free(problem: TransportProblem, end: End, q: Array, options: EndOptions = USUAL) -> Array:
+def slid_free(problem: TransportProblem, end: End, q: Array, options: EndOptions = USUAL) -> Array:
     """The posture moved out of collisions within the freedom that the end leaves; with a collision left when that
     failed."""
     keep_out, arm = problem.keep_out, problem.arm
@@ -306,7 +306,7 @@ def standing_at(problem: TransportProblem, end: End, rng: np.random.Generator) -
     """Postures at an end: the one nearest to the middle of the joint ranges, the same moved out of collisions, then
     other collision-free ones."""
     middle = end.nearest(problem.arm, problem.limits, problem.limits.range(POSITION)[0])
-    known = [] if middle is None else [middle, _slid_free(problem, end, middle)]
+    known = [] if middle is None else [middle, slid_free(problem, end, middle)]
     yield from known
     yield from _free_postures(problem, end, known[1:], rng)
 

@@ -145,6 +145,7 @@ class Constraint(ABC):
         return self
 
 
+@np.errstate(over="ignore", invalid="ignore")  # along a motion on which waves grow beyond all bounds
 def evaluate(constraints: Sequence[Constraint], motion: MotionEvaluation, margins: bool = True) -> tuple[Block, ...]:
     """Rows of all constraints along a motion, by default with their margins. NaN counts as a violation."""
     blocks = []
