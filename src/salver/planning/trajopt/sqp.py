@@ -147,6 +147,7 @@ def minimise(programme: Programme, start: Iterate, options: SqpOptions, trust: T
     return SqpSolution(path, _status(code, path, options, sought), done, programmes, time.perf_counter() - begun)
 
 
+@np.errstate(over="ignore", invalid="ignore")  # a diverging trial is rejected
 def _attempt(
     programme: Programme,
     path: Iterate,
