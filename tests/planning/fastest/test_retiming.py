@@ -343,13 +343,25 @@ def test_broken_waypoint_files_are_refused(tmp_path, text):
     assert CliRunner().invoke(app, [str(file), "--scenario", "panda-cube"]).exit_code == 2
 
 
-def test_a_required_margin_is_kept_by_every_contact_and_costs_time(problem):
-    q, took = swing(problem, 0.6).derivatives(np.linspace(0, 1, 4), 0)[0], []
-    for share in (0.0, 0.2):
-        asked = load("panda-cube").with_changes(contact__condition="exact", contact__margin=share)
-        plan = plan_retimed(asked, q, robust=False)
+def test_a_reserve_is_kept_by_every_contact_and_costs_time(problem, tmp_path):
+    q = swing(problem, 0.6).derivatives(np.linspace(0, 1, 4), 0)[0]
+    file = tmp_path / "waypoints.csv"
+    np.savetxt(file, q, delimiter=",")
+    app = typer.Typer()
+    app.command()(handled(retime_command))
+    words = [str(file), "--scenario", "panda-cube", "--no-robust", "--json"]
+    took = []
+    for share in ("0", "20%"):
+        run = tmp_path / share.rstrip("%")
+        assert CliRunner().invoke(app, [*words, "--reserve", share, "-o", str(run)]).exit_code == 0
+        plan = load_plan(run)
         took.append((plan.duration, float(plan.margins.exact.min())))
+    assert plan.scenario.contact.margin == 0.2
     (fast, without), (slow, kept) = took
     assert without < 0.2 < kept
     assert plan.verification.slack == pytest.approx(0.2, abs=0.002)  # and no more while the speed changes
     assert fast < slow
+    for wrong in ("much", "100%", "-1%"):
+        refused = CliRunner().invoke(app, [*words, "--reserve", wrong])
+        assert refused.exit_code == 2
+        assert "must be a share from 0 to below 100%" in " ".join(refused.output.split())

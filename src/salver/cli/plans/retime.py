@@ -29,6 +29,13 @@ def retime(
     ] = None,
     out: Annotated[Path | None, typer.Option("-o", "--out", help="Run directory; default runs/NAME-retimed.")] = None,
     robust: Annotated[bool, typer.Option(help="Plan for the whole uncertain set, or only for nominal values.")] = True,
+    reserve: Annotated[
+        str | None,
+        typer.Option(
+            help="Required worst-case margin of every contact, as a share of the normal force at rest, such as 10%. "
+            "Default: margin of the scenario's [contact]."
+        ),
+    ] = None,
     topic: Topic = None,
     units: Units = None,
     stops: Stops = False,
@@ -51,6 +58,8 @@ def retime(
             raise ScenarioError(f"{path} is not a run directory; for a file of a motion give --scenario.")
         scenario = str(path / SCENARIO)
     chosen = scenarios.load(scenario)
+    if reserve is not None:
+        chosen = chosen.with_changes(contact__condition="exact", contact__margin=_share(reserve))
     directory = out if out is not None else Path("runs") / f"{chosen.name}-retimed"
     check_free(directory)
     plan: Plan | MultiLegPlan
@@ -72,6 +81,16 @@ def retime(
         say(f"Written to {directory}; next: salver simulate {quote(str(directory))}")
     if not plan.ok:
         raise typer.Exit(ExitCode.NO_SAFE_PLAN)
+
+
+def _share(reserve: str) -> float:
+    try:
+        share = float(reserve.removesuffix("%")) / (100 if reserve.endswith("%") else 1)
+    except ValueError:
+        share = -1.0
+    if not 0 <= share < 1:
+        raise ScenarioError(f'--reserve "{reserve}" must be a share from 0 to below 100%, such as 10% or 0.1.')
+    return share
 
 
 def _tell(plan: Plan) -> None:
