@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from pathlib import Path
 from typing import Any
@@ -10,9 +11,11 @@ from xml.etree import ElementTree
 import mujoco
 import numpy as np
 import pytest
+import trimesh
 
 from salver import scenario
 from salver.errors import MissingDependencyError, ScenarioError
+from salver.geometry import matrix_from_rpy
 from salver.models.arm.arm import ArmModel, load_arm
 from salver.models.arm.arm_geometry import arm_geometry
 from salver.models.arm.known_arms import KNOWN_ARMS, robot_file
@@ -140,6 +143,53 @@ def test_its_shapes_are_the_geoms_that_touch(tmp_path: Path) -> None:
     assert {frozenset(("world", "hand")), frozenset(("turret", "hand"))} <= compared
 
 
+def test_nothing_is_printed_of_capsules(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """Pinocchio's parser complains of each; they are compared all the same."""
+    arm = loaded(written(tmp_path))
+    assert "<capsule" in arm.urdf
+    assert capfd.readouterr().err == ""
+
+
+@pytest.mark.parametrize("given", ["", 'refpos="0.1 0.02 0.03"', 'refpos="0.1 0.02 0.03" refquat="0.9 0.1 0.2 0.3"'])
+def test_meshes_are_where_mujoco_has_them(tmp_path: Path, given: str) -> None:
+    corners = np.array([[0.3, -0.2, 0.1], [1.3, -0.2, 0.1], [0.3, 0.5, 0.1], [0.5, -0.1, 0.6]])
+    faces = [[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]]
+    trimesh.Trimesh(corners, faces).export(tmp_path / "wedge.obj")
+    scale = "0.1 0.1 0.1" if "refquat" in given else "0.1 -0.15 0.2"
+    changed = ARM.replace(
+        "<worldbody>", f'<asset><mesh name="w" file="wedge.obj" scale="{scale}" {given}/></asset><worldbody>'
+    )
+    shape = 'type="ellipsoid" size="0.05 0.06 0.15" pos="0 0 0.15"'
+    path = written(tmp_path, changed.replace(shape, 'type="mesh" mesh="w" pos="0.01 0.02 0.1" euler="10 20 30"'))
+    model, urdf = mujoco.MjModel.from_xml_path(path), ElementTree.fromstring(loaded(path).urdf)
+    geom = int(np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_MESH)[0])
+    turn = np.zeros(9)
+    mujoco.mju_quat2Mat(turn, model.geom_quat[geom])
+    seen = model.mesh_vert @ turn.reshape(3, 3).T + model.geom_pos[geom]
+    element = next(e for e in urdf.iter("collision") if e.find("geometry/mesh") is not None)
+    xyz, rpy = (np.array(element.find("origin").get(key).split(), dtype=float) for key in ("xyz", "rpy"))  # type: ignore[union-attr]
+    factors = np.array(element.find("geometry/mesh").get("scale").split(), dtype=float)  # type: ignore[union-attr]
+    ours = (corners * factors) @ matrix_from_rpy(rpy).T + xyz
+    assert np.linalg.norm(ours[:, None] - seen, axis=2).min(axis=1).max() < 1e-7
+
+
+def test_a_target_that_a_hand_drags_is_no_obstacle(tmp_path: Path) -> None:
+    target = '<body name="target" mocap="true"><geom type="sphere" size="0.02"/></body>'
+    path = written(tmp_path, ARM.replace("</worldbody>", f"{target}</worldbody>"))
+    assert "target" not in loaded(path).urdf
+    with pytest.raises(ScenarioError, match="target hangs on a free or ball joint of target, or that is a mocap body"):
+        loaded(path, "target")
+
+
+def test_a_file_that_is_included_may_change(tmp_path: Path) -> None:
+    path = written(tmp_path)
+    assert loaded(path).limits.torque[0] == 150
+    written(tmp_path, ARM.replace('joint="pan" forcerange="-150 150"', 'jointinparent="pan" forcerange="-70 99"'))
+    os.utime(tmp_path / "arm.xml", ns=(0, 0))
+    os.utime(tmp_path / "scene.xml", ns=(0, 0))
+    assert loaded(path).limits.torque[0] == 70
+
+
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
@@ -155,10 +205,19 @@ def test_its_shapes_are_the_geoms_that_touch(tmp_path: Path) -> None:
         ('type="ellipsoid" size="0.05 0.06 0.15"', 'type="mesh" mesh="none"', "cannot be read"),
         ('class="look" type="sphere"', 'class="nothing" type="sphere"', "cannot be read"),
         ('name="plate"', 'name="dish"', 'arm.flange = "plate" is no link of'),
+        ('forcerange="-150 150"', 'forcerange="0 150"', "torque of the joint pan is limited to one sign"),
+        ("<default>\n    <default", '<include file="none.xml"/><default>\n    <default', "cannot be read"),
+        (
+            "<worldbody>",
+            '<asset><mesh name="w" file="w.obj" scale="1 1 2" refquat="0 1 0 1"/></asset><worldbody>'
+            '<body name="w"><geom type="mesh" mesh="w"/></body>',
+            "the mesh w has a refquat, and a scale that differs",
+        ),
     ],
 )
 def test_an_arm_that_cannot_be_used_is_a_sentence(tmp_path: Path, old: str, new: str, words: str) -> None:
     assert ARM.count(old) == 1
+    trimesh.creation.box((0.1, 0.2, 0.3)).export(tmp_path / "w.obj")
     changed = ARM.replace(old, new)
     if 'type="ball"' in new:
         changed = changed.replace('<joint name="roll" class="wrist" pos="0 0 0.1" axis="0 0 1"/>', "")

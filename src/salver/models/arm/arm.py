@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from xml.etree import ElementTree
 
 import numpy as np
 import pinocchio as pin
@@ -22,7 +23,7 @@ from salver.models.arm.arm_limits import JointLimits, VelocityByPosition, joint_
 from salver.models.arm.known_arms import KNOWN_ARMS, robot_file
 from salver.models.arm.mobile_base import JOINTS, on_base
 from salver.models.arm.tables import Arm, ArmLimits, MobileBase
-from salver.models.arm.urdf import LARGEST_LINK, SUFFIXES, read_chain, read_disabled_pairs
+from salver.models.arm.urdf import LARGEST_LINK, SUFFIXES, read_chain, read_disabled_pairs, without_shapes
 from salver.models.contact.contact import ContactSet
 from salver.models.described import Tray
 
@@ -313,7 +314,7 @@ def _folders(package_dirs: Sequence[str]) -> list[Path]:
 
 def _build(text: str, path: Path) -> Any:
     try:
-        model = pin.buildModelFromXML(text)
+        model = pin.buildModelFromXML(ElementTree.tostring(without_shapes(text), encoding="unicode"))
     except (ValueError, RuntimeError) as error:
         reason = str(error).strip().splitlines()[0] if str(error).strip() else "not a valid URDF"
         raise ScenarioError(f"The URDF {path} cannot be used ({reason}); it must describe one tree of links.") from None

@@ -25,20 +25,21 @@ def read_mjcf(path: Path, flange: str) -> ElementTree.Element:
 
     Bodies become links, sites links without mass. A joint whose anchor is not its body's origin, or of several on one
     body, gets a link of its own. Torque limits are those of the joints and of their actuators. Bodies that hang on a
-    free or ball joint (objects of a scene) and planes are left out. Armature, damping and friction of joints have no
-    place in a URDF.
+    free or ball joint (objects of a scene), mocap bodies, planes and height fields are left out. Armature, damping and
+    friction of joints have no place in a URDF.
 
     Raises ScenarioError: a file that MuJoCo does not read, a floating flange, a joint whose zero is not its initial
-    position, a chain that is closed. MissingDependencyError without MuJoCo.
+    position or whose torque is limited to one sign, a chain that is closed, a mesh that is sheared.
+    MissingDependencyError without MuJoCo.
     """
-    model = _compiled(path, path.stat().st_mtime_ns)
-    parts = _Parts(model, path)
+    parts = _Parts(path)
+    model = parts.model
     chain = parts.chain(flange)
     loose = parts.loose()
     if held := [body for body in chain if body in loose]:
         raise ScenarioError(
-            f"The MJCF {path}: {flange} hangs on a free or ball joint of {parts.name(held[0])}; an arm has hinges and "
-            "slides only, and its first body stands in the world."
+            f"The MJCF {path}: {flange} hangs on a free or ball joint of {parts.name(held[0])}, or that is a mocap "
+            "body; an arm has hinges and slides only, and its first body stands in the world."
         )
     parts.demand_usable(chain)
     robot = ElementTree.Element("robot", name=path.stem)
@@ -54,31 +55,44 @@ def read_mjcf(path: Path, flange: str) -> ElementTree.Element:
     return robot
 
 
-@lru_cache(maxsize=4)
-def _compiled(path: Path, changed: int) -> Any:
+def _compiled(path: Path) -> tuple[Any, Any]:
+    """MuJoCo's specification of a file, and its model."""
     with needs("engine", "An arm from an MJCF"):
         import mujoco
     try:
-        spec = mujoco.MjSpec.from_file(str(path))
-        # Geoms that only look are left out where no body has nothing else; their meshes are large.
-        shapes = [[bool(geom.contype or geom.conaffinity) for geom in body.geoms] for body in spec.bodies]
-        spec.compiler.discardvisual = all(any(shape) for shape in shapes if shape)
-        return spec.compile()
-    except (ValueError, RuntimeError, OSError) as error:
-        said = reason(error).strip().splitlines()[0]
+        files = [path.parent / file for file in mujoco.mju_getXMLDependencies(str(path))]
+        return _compiled_once(path, tuple(file.stat().st_mtime_ns for file in files if file.is_file()))
+    except (ValueError, RuntimeError, OSError, mujoco.FatalError) as error:
+        said = " ".join(reason(error).split())
         raise ScenarioError(
             f"The MJCF {path} cannot be read ({said}); MuJoCo must be able to load the file, with its meshes beside it."
         ) from None
 
 
+@lru_cache(maxsize=4)
+def _compiled_once(path: Path, changed: tuple[int, ...]) -> tuple[Any, Any]:
+    import mujoco
+
+    spec = mujoco.MjSpec.from_file(str(path))
+    # Geoms that only look are left out where no body has nothing else; their meshes are large.
+    shapes = [[bool(geom.contype or geom.conaffinity) for geom in body.geoms] for body in spec.bodies]
+    spec.compiler.discardvisual = all(any(shape) for shape in shapes if shape)
+    return spec, spec.compile()
+
+
 class _Parts:
     """Elements of the URDF of a compiled model."""
 
-    def __init__(self, model: Any, path: Path) -> None:
-        self._m, self._path = model, path
+    def __init__(self, path: Path) -> None:
+        self._spec, self._m = _compiled(path)
+        self._path = path
         import mujoco
 
         self._enums = mujoco
+
+    @property
+    def model(self) -> Any:
+        return self._m
 
     def name(self, body: int) -> str:
         return self._m.body(body).name or f"body_{body}"
@@ -104,19 +118,19 @@ class _Parts:
         return chain
 
     def loose(self) -> set[int]:
-        """Bodies with a free or ball joint, and what hangs on them."""
+        """Mocap bodies, bodies with a free or ball joint, and what hangs on them."""
         model, kinds = self._m, self._enums.mjtJoint
         several = (kinds.mjJNT_FREE, kinds.mjJNT_BALL)
         loose: set[int] = set()
         for body in range(1, model.nbody):  # parents come before their children
             own = any(model.jnt_type[joint] == kind for joint in self.joints(body) for kind in several)
-            if own or int(model.body_parentid[body]) in loose:
+            if own or model.body_mocapid[body] >= 0 or int(model.body_parentid[body]) in loose:
                 loose.add(body)
         return loose
 
     def demand_usable(self, chain: list[int]) -> None:
-        """Raise ScenarioError for a joint of the chain that has no range or another zero, and when a constraint closes
-        the chain or couples its joints."""
+        """Raise ScenarioError for a joint of the chain that has no range, another zero or torque of one sign only, and
+        when a constraint closes the chain or couples its joints."""
         model, objects = self._m, self._enums.mjtObj
         for joint in (joint for body in chain for joint in self.joints(body)):
             name, zero = self.joint_name(joint), float(model.qpos0[model.jnt_qposadr[joint]])
@@ -128,6 +142,11 @@ class _Parts:
             if self.slides(joint) and not model.jnt_limited[joint]:
                 raise ScenarioError(
                     f"The MJCF {self._path}: the joint {name} slides and has no range; give it one, in m."
+                )
+            if not self._torque(joint):
+                raise ScenarioError(
+                    f"The MJCF {self._path}: the torque of the joint {name} is limited to one sign; give a range with "
+                    "0 inside."
                 )
         moving = {body for body in chain if body > 0}
         on_body = {objects.mjOBJ_BODY: lambda k: k, objects.mjOBJ_SITE: lambda k: model.site_bodyid[k],
@@ -182,24 +201,28 @@ class _Parts:
         kind = "prismatic" if self.slides(joint) else "revolute" if limited else "continuous"
         made = _joint(self.joint_name(joint), parent, child, place, kind)
         ElementTree.SubElement(made, "axis", xyz=_text(model.jnt_axis[joint]))
-        limit = ElementTree.SubElement(made, "limit", effort=repr(self._torque(joint)), velocity="0")
+        limit = ElementTree.SubElement(made, "limit", velocity="0")
+        torque = self._torque(joint)
+        limit.set("effort", repr(torque if np.isfinite(torque) else 0.0))
         if limited:
             limit.attrib.update(zip(("lower", "upper"), map(repr, model.jnt_range[joint].tolist()), strict=True))
         return made
 
     def _torque(self, joint: int) -> float:
-        """The least limit of a joint's torque, N m or N, that the joint or its actuators have; 0 without one."""
+        """The least limit of a joint's torque, N m or N, that the joint or its actuators have; infinite without one."""
         model, enums = self._m, self._enums
+        on_joint = (enums.mjtTrn.mjTRN_JOINT, enums.mjtTrn.mjTRN_JOINTINPARENT)
         found = [model.jnt_actfrcrange[joint]] if model.jnt_actfrclimited[joint] else []
         for k in range(model.nu):
-            if model.actuator_trntype[k] == enums.mjtTrn.mjTRN_JOINT and model.actuator_trnid[k, 0] == joint:
+            on = any(model.actuator_trntype[k] == kind for kind in on_joint)  # an enum is no number to `in`
+            if on and model.actuator_trnid[k, 0] == joint:
                 gear = abs(float(model.actuator_gear[k, 0]))
                 plain = model.actuator_biastype[k] == enums.mjtBias.mjBIAS_NONE
                 if model.actuator_forcelimited[k]:
                     found.append(gear * model.actuator_forcerange[k])
                 elif plain and model.actuator_ctrllimited[k]:  # a motor
                     found.append(gear * abs(model.actuator_gainprm[k, 0]) * model.actuator_ctrlrange[k])
-        return float(min((np.abs(limits).min() for limits in found), default=0.0))
+        return float(min((max(min(-low, high), 0.0) for low, high in found), default=np.inf))
 
     def _shapes(self, body: int) -> list[ElementTree.Element]:
         """The geoms that touch something, or else those that only look."""
@@ -220,7 +243,16 @@ class _Parts:
         place, mesh = _place(model.geom_pos[geom], model.geom_quat[geom]), int(model.geom_dataid[geom])
         if model.geom_type[geom] != self._enums.mjtGeom.mjGEOM_MESH:
             return place
-        return place * _place(model.mesh_pos[mesh], model.mesh_quat[mesh]).inverse()  # of the file's own frame
+        name, scale = model.mesh(mesh).name, model.mesh_scale[mesh]
+        given = self._spec.mesh(name)
+        if np.any(scale != scale[0]) and np.any(given.refquat[1:]):
+            raise ScenarioError(
+                f"The MJCF {self._path}: the mesh {name} has a refquat, and a scale that differs between axes; give it "
+                "one scale, or turn its geom instead."
+            )
+        # MuJoCo takes the vertices scale * v relative to scale * refpos and refquat, then to their centre and axes.
+        reference = _place(scale * given.refpos, given.refquat)
+        return place * (reference * _place(model.mesh_pos[mesh], model.mesh_quat[mesh])).inverse()
 
     def _shape(self, geom: int) -> ElementTree.Element | None:
         """A geom's geometry; None for planes, height fields and signed distances. An ellipsoid is the box around it."""

@@ -325,6 +325,15 @@ def _by_position(joint: ElementTree.Element, path: Path) -> tuple[float, float] 
     return offset, deceleration
 
 
+def without_shapes(urdf: str) -> ElementTree.Element:
+    """A URDF without the shapes of its links: Pinocchio's parser complains of capsules."""
+    root = ElementTree.fromstring(urdf)
+    for link in root.iter("link"):
+        for shape in [*link.findall("visual"), *link.findall("collision")]:
+            link.remove(shape)
+    return root
+
+
 def end_of(joint: ElementTree.Element, which: str) -> str:
     """Name of the link at an end of a joint: "parent" or "child"."""
     element = joint.find(which)

@@ -20,6 +20,7 @@ import pinocchio as pin
 
 from salver.geometry import Array, matrix_from_rpy, quat_wxyz_from_matrix
 from salver.models.arm.arm import STAND_IN, ArmModel, moved_links
+from salver.models.arm.urdf import without_shapes
 from salver.models.bodies import TRAY
 from salver.models.described import SIDES
 from salver.models.load_dynamics import Rod
@@ -91,11 +92,7 @@ def set_inertia(body: Any, mass: float, com: Array, inertia: Array) -> None:
 
 def add_arm(spec: Any, arm: ArmModel, friction: Array, visual: bool) -> Any:
     """Attach the arm's URDF at its base; returns the flange's body."""
-    root = ElementTree.fromstring(arm.urdf)
-    for link in root.iter("link"):
-        for tag in ("visual", "collision"):
-            for element in link.findall(tag):
-                link.remove(element)
+    root = without_shapes(arm.urdf)
     _merge_fixed_links(root)
     for link in root.iter("link"):
         if link.get("name") in arm.weightless:
