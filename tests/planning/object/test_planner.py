@@ -209,6 +209,16 @@ def test_a_step_that_removes_a_violation_is_not_the_last():
     assert solve(problem, found.z).cost > (1 - 1e-3) * found.cost
 
 
+def test_without_freedom_the_one_reference_is_judged():
+    """At degree 5 the boundary conditions leave nothing free; with an uncertain centre of mass the problem is not
+    convex."""
+    for duration, safe in ((2.5, True), (0.8, False)):
+        scenario = load("panda-cube-10-parameters").with_changes(motion__degree=5, motion__duration=duration)
+        plan = plan_object(scenario)
+        assert (plan.status.ok, plan.verification.ok) == (safe, safe)
+        assert plan.cost == pytest.approx(plan_baseline(scenario).cost, rel=1e-9)
+
+
 def test_weightings_differ_as_documented():
     def weights(weighting):
         return CostWeights.of(changed(objective__weighting=weighting), np.linspace(0, 1, 11))

@@ -285,7 +285,7 @@ class Subproblem:
         free, count = self.free, len(rows.bound)
         some = slice(free[0], free[-1] + 1) if free[-1] - free[0] < len(free) else free
         known = free[free < self.extra.shape[1]]  # coefficients, which come first and are contiguous
-        inner = slice(known[0], known[-1] + 1)
+        inner = slice(known[0], known[-1] + 1) if len(known) else slice(0)
         columns = np.empty((len(free), count + len(self.extra)))  # column-major, as sparse solvers need them
         columns[: len(known), :count] = rows.matrix[:, inner].T
         columns[len(known) : -1, :count] = rows.matrix[:, free[len(known) : -1]].T
