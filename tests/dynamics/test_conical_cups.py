@@ -14,7 +14,7 @@ from salver import load_scenario
 from salver.dynamics.liquid.axisymmetric import sloshing
 from salver.dynamics.liquid.drawn_surface import DrawnSurface
 from salver.dynamics.liquid.interiors import Round
-from salver.dynamics.liquid.sloshing import Liquid
+from salver.dynamics.liquid.sloshing import Liquid, SloshingResponse
 from salver.dynamics.liquid.surface import SurfaceMotion
 from salver.dynamics.load_cases import LoadCase
 from salver.errors import ScenarioError
@@ -258,6 +258,26 @@ def test_a_cup_stands_on_its_base_and_weighs_what_its_wall_and_bottom_do(coffee)
     assert (body.com_G + body.own.com_B)[2] + 0.05 == pytest.approx(over_base)
 
 
+def test_a_wave_that_must_settle_is_as_high_at_the_leaning_wall(coffee):
+    """As the room up to the brim, and the highest wave, are."""
+    cup = paper_cup(coffee, {"settled_wave": 0.006}).payload.first
+    t = np.linspace(0, 1, 21)
+    waves = SurfaceMotion.along((LoadCase(cup, 0.06, 0.01),), t, np.tile(at_rest(), (len(t), 1)))
+    part = SloshingResponse.of(waves)
+    wanted = cup.inner.inside.level_rise(0.06, 0.006)
+    assert wanted < 0.00595
+    assert SloshingResponse.verdict("cup", (part,)).settled == pytest.approx(wanted)
+    (limit,) = (each for each in part.limits() if each.name == "settled waves")
+    assert limit.most == pytest.approx([wanted])
+
+
+def test_a_very_deep_liquid_needs_no_more_than_its_surface_does():
+    """A wave does not feel the bottom 200 R below: omega^2 R / g is the root of J1'; found in 0.1 s, not in 8 s."""
+    deep = sloshing(0.01, 0.0, 2.0, 3)
+    np.testing.assert_allclose(deep.kappa[:2] * 0.01, jnp_zeros(1, 2), rtol=1e-5)
+    np.testing.assert_allclose(deep.inertia, np.pi * 0.01**2 * 2.0**3 / 3, rtol=1e-3)
+
+
 @pytest.mark.parametrize(
     ("liquid", "shape", "words"),
     [
@@ -265,7 +285,7 @@ def test_a_cup_stands_on_its_base_and_weighs_what_its_wall_and_bottom_do(coffee)
         ({"brim_radius": 0.0405}, {}, "at its brim it is .* the inside must be smaller"),
         ({"radius": 0.031}, {}, "at its bottom it is .* the inside must be smaller"),
         ({"brim_radius": 0.14}, {"top_radius": 0.142}, "leans out by 48.4 deg"),
-        ({"radius": None, "brim_radius": 0.03, "size": [0.05, 0.05]}, {}, "at least liquid.radius"),
+        ({"radius": None, "brim_radius": 0.03, "size": [0.05, 0.05]}, {}, "radius and brim_radius of a cone"),
         ({"radius": None, "brim_radius": None, "size": [0.05, 0.05]}, {}, "needs an inside radius"),
         ({"fill": 0.02}, {}, "too shallow"),
     ],

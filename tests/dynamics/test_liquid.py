@@ -93,7 +93,7 @@ def liquid(**changes):
         (liquid(viscosity=0.01), "too viscous for the sloshing model"),
         (liquid(radius=0.05), "the inside must be smaller"),
         (liquid(brim=0.09), "is only 0.085 m high"),
-        (liquid(size=[0.05, 0.05]), "radius of a cylinder, or size of a box"),
+        (liquid(size=[0.05, 0.05]), "radius of a cylinder, radius and brim_radius of a cone, or size of a box"),
         (liquid(damping=[0.02, 0.01]), "give the smaller share of critical damping first"),
         (
             liquid(damping=[0.0, 0.9]),

@@ -49,9 +49,12 @@ class LiquidIn(InnerDynamics):
 
     @model_validator(mode="after")
     def _possible(self) -> LiquidIn:
-        if (self.radius is None) == (self.size is None):
-            raise ValueError("liquid needs the inside of its container: radius of a cylinder, or size of a box")
-        if self.brim_radius is not None and (self.radius is None or self.brim_radius < self.radius):
+        if (self.radius is None) == (self.size is None) or (self.size is not None and self.brim_radius is not None):
+            raise ValueError(
+                "liquid needs the inside of its container: radius of a cylinder, radius and brim_radius of a cone, or "
+                "size of a box"
+            )
+        if self.radius is not None and self.brim_radius is not None and self.brim_radius < self.radius:
             raise ValueError(
                 f"liquid.brim_radius = {self.brim_radius:g} m; it must be at least liquid.radius, which is that of the "
                 "bottom: nothing is known of waves in a container that narrows upwards"

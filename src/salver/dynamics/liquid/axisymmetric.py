@@ -49,9 +49,10 @@ def sloshing(radius: float, slope: float, depth: float, count: int, radial: int 
         depth: h, m; the radius at the bottom, R - t h, is at least 0.
         count: number of modes, at most `radial`.
         radial: number of polynomials across the container; 8 give the third mode to 1e-7, 6 to 1e-3.
-        axial: number of polynomials along the axis, to which three are added for each R of depth.
+        axial: number of polynomials along the axis, to which three are added for each R of depth; in deep liquids
+            fewer, since they are denser near the surface.
     """
-    across, along = _across(radial), _along(axial + int(np.ceil(3 * depth / radius)))
+    across, along = _across(radial), _along(axial + int(np.ceil(min(3 * depth / radius, 8 * np.sqrt(depth / radius)))))
     q, by_z, weight = along.value, along.slope * 2 / depth, along.weight * depth / 2
     z = 0.5 * depth * (along.place - 1)
     wall = radius + slope * z

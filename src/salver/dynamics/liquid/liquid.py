@@ -87,6 +87,10 @@ class Container(LoadDynamics):
         """Height over the level at rest to which waves may rise at a fill, by linear theory, m."""
         return self._risen(value, min(self.brim - value - self.margin, self.highest))
 
+    def settled_rise(self, value: float) -> float:
+        """`settled` at a fill, by linear theory, m."""
+        return np.inf if np.isinf(self.settled) else self.inside.level_rise(value, self.settled)
+
     def _risen(self, value: float, rise: float) -> float:
         return np.inf if self.sealed else self.inside.level_rise(value, rise)
 

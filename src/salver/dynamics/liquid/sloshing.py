@@ -78,7 +78,7 @@ class SloshingResponse(LoadResponse):
             found.append(LoadLimit("waves", self.crest, which.room, self.crest_by, self.crest_bends, HIGH))
         for name, most, seconds in (
             ("waves left", which.room, None),
-            ("settled waves", np.full(len(which.each), liquid.settled), liquid.within),
+            ("settled waves", which.settled, liquid.within),
         ):
             if np.isfinite(most).all():
                 by, bends = (of_end(partial(of, seconds=seconds)) for of in (self.left_by, self.left_bends))
@@ -91,7 +91,7 @@ class SloshingResponse(LoadResponse):
         liquid, room = which[0].liquid, np.concatenate([x.room for x in which])
         crest, rest = (np.concatenate(x) for x in ([p.crest for p in parts], [p.left() for p in parts]))
         left, after = room[:, None] - crest, room - rest
-        settled = liquid.settled - max(float(p.left(liquid.within).max()) for p in parts)
+        settled = min(float((p.modes.cases.settled - p.left(liquid.within)).min()) for p in parts)
         steep, light, below = (
             np.concatenate([slacks(part, group) for part in parts]).min(axis=0) for group in (STEEP, LIGHT, HIGH)
         )
@@ -99,7 +99,7 @@ class SloshingResponse(LoadResponse):
         kept = {HIGH: float(below.min()), STEEP: 1 - float((1 - steep).max()), LIGHT: 1 - float((1 - light).max())}
         dry = left.min(axis=0), float(after.min())
         t = parts[0].modes.t
-        return Spill(name, liquid, t, slack, kept, crest.max(axis=0), *dry, 1 - steep, 1 - light, float(settled))
+        return Spill(name, liquid, t, slack, kept, crest.max(axis=0), *dry, 1 - steep, 1 - light, settled)
 
     @cached_property
     def crest(self) -> Array:

@@ -41,6 +41,11 @@ class SurfaceCases(ModalCases):
         """Largest free wave (K,) for which the model is valid, m."""
         return np.asarray(STEEPEST * self.half.min(axis=1))
 
+    @cached_property
+    def settled(self) -> Array:
+        """(K,) m, see `Container.settled_rise`."""
+        return np.array([cast(Container, case.dynamics).settled_rise(case.value) for case in self.each])
+
     @property
     def wide(self) -> Array:
         """The larger of `half`, (K,), m."""
