@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from salver.dynamics.liquid.interiors import Interior, Rectangle, Round
+from salver.dynamics.liquid.interiors import LEANING_WALL, Interior, Rectangle, Round
 from salver.dynamics.liquid.liquid import FLUIDS, SHALLOWEST, damping_of, damping_range
 from salver.fields import Metres, Number, leaving_out
 from salver.models.load_dynamics import THICKEST
@@ -137,10 +137,11 @@ class LiquidIn(InnerDynamics):
                 f"{here}: {least:g} m deep in a container {2 * half:g} m wide is too shallow for this model, which is "
                 f"valid from {SHALLOWEST * half:g} m on; in shallower ones waves break"
             )
-        if not self.inside.planar(most):
+        if self.inside.slope > LEANING_WALL:
             raise ValueError(
                 f"{here}: the wall leans out by {np.rad2deg(np.arctan(self.inside.slope)):.3g} deg, so far that a wave "
-                "would rise along it in ways that the model does not have; give a steeper wall (27 deg always works)"
+                "would rise along it in ways that the model does not have; give a steeper wall, of at most "
+                f"{np.rad2deg(np.arctan(LEANING_WALL)):.3g} deg"
             )
 
     def dynamics(self, height: float) -> Liquid:
