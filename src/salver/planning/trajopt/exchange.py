@@ -142,7 +142,7 @@ def optimise(
         options, repair = _repair(problem, how, exchange, iterations, gain, watch)
         start = SplineMotion(spline, point.coefficients, point.duration)
         programme = programme_of(problem, curve_of, start, nodes, objective)
-        programme = replace(programme, given=bool(problem.cases))
+        programme = replace(programme, given=bool(problem.cases) and exchange > 0)  # a repair moves the arm little
         begun = programme.begin(start.coefficients, start.duration)
         solution = minimise(programme, begun, options, Trust(repair, 0.02))  # only rows near their limit
         done += solution.iterations
