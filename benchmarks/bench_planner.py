@@ -49,7 +49,7 @@ def ipopt(problem: Problem):
     value_slope = (rule.distribution @ rule.wrench @ felt).reshape(len(value), -1)
     by_parameter, none = rule.by_parameter[0], np.zeros((len(w), 1, 3, problem.size))
     tangents = [none if part.tangent is None else part.tangent for part in (loop.df, loop.dtau)]
-    wrong = rule.factor[0, 0] * rule.distribution
+    wrong = rule.uncertain.factor[0, 0] * rule.distribution
     spread = ((w @ by_parameter.T + loop.wrench[..., 0]) @ wrong.T).ravel()
     spread_slope = (wrong @ (by_parameter @ felt + np.concatenate(tangents, axis=2)[:, 0])).reshape(len(value), -1)
     offset = np.concatenate([value - spread, value + spread])
