@@ -16,6 +16,7 @@ from salver.errors import Status
 from salver.geometry import exp
 from salver.planning.extent import extent
 from salver.planning.make import make_plan
+from salver.scenario import Cylinder
 from salver.trajectory import MotionSamples
 
 X, Z = np.eye(3)[0], np.eye(3)[2]
@@ -93,6 +94,16 @@ def test_an_open_cup_needs_the_room_that_a_still_surface_takes_on_the_leaning_ac
 def test_the_widest_cylinder_without_a_liquid_is_the_cup() -> None:
     assert make_plan(scenario.load("ur10-bottle").with_changes(arm=None)).extent.brim is not None
     assert make_plan(scenario.load("panda-cube").with_changes(arm=None)).extent.brim is None
+
+
+def test_the_brim_of_a_cone_without_a_liquid_is_at_its_top() -> None:
+    plan = make_plan(scenario.load("ur10-bottle").with_changes(arm=None))
+    shape = plan.scenario.objects[0].shape
+    assert isinstance(shape, Cylinder)
+    cone = {"type": "cone", "radius": shape.radius, "top_radius": 1.5 * shape.radius, "height": shape.height}
+    wider = replace(plan, scenario=plan.scenario.with_changes(objects__0__shape=cone))
+    assert plan.extent.brim
+    assert wider.extent.brim == pytest.approx(1.5 * plan.extent.brim)
 
 
 @pytest.mark.slow

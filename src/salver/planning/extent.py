@@ -67,7 +67,7 @@ def extent(samples: MotionSamples, R_EB: Array, arm: Status | None, radius: floa
         samples: motion of the first object's frame B in S at T instants.
         R_EB: (3, 3) orientation of B on the tray.
         arm: verdict on the arm's motion (`salver.planning.follow.limits.verdict`), whose details have the distances.
-        radius: of the widest cylinder that is carried as a solid, m; None without one.
+        radius: of the widest cylinder or cone that is carried as a solid, at its top, m; None without one.
 
     Returns:
         The largest value of each quantity over the T instants.

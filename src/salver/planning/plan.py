@@ -23,7 +23,7 @@ from salver.planning.plan_files import NEEDED, PlanFiles, read_plan, save_files
 from salver.planning.stop_library import StopLibrary
 from salver.planning.verification import Verification
 from salver.plots import Curves, Plotted
-from salver.scenario import Cylinder, Scenario
+from salver.scenario import Cone, Cylinder, Scenario
 from salver.scenario.warnings import warnings_of
 from salver.tables import Table, Tabular, dimensioned
 from salver.trajectory import (
@@ -260,7 +260,8 @@ class Plan(Shown, Tabular, Plotted):
         """Extremes of the motion: the tray's tilt, heading and height, its speed, and the least distance to
         obstacles."""
         solid = [o.shape for o in self.scenario.objects if o.liquid is None and o.pendulum is None]
-        radius = max((shape.radius for shape in solid if isinstance(shape, Cylinder)), default=None)
+        cups = [shape for shape in solid if isinstance(shape, Cylinder | Cone)]
+        radius = max((float(cup.outside.half(cup.height)[0]) for cup in cups), default=None)
         return extent(self._checked.samples, self.scenario.payload.first.R_EB, self.arm_status, radius)
 
     @property

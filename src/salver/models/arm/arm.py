@@ -295,10 +295,11 @@ def _urdf_file(name: str) -> Path:
     path = Path(name)
     if path.suffix not in (*SUFFIXES, ".xacro"):
         raise ScenarioError(
-            f'arm.model = "{name}" is not known; known are {", ".join(sorted(KNOWN_ARMS))}, or give a .urdf file.'
+            f'arm.model = "{name}" is not known; known are {", ".join(sorted(KNOWN_ARMS))}, or give a file, .urdf or '
+            ".xml (MJCF)."
         )
     if not path.is_file():
-        raise ScenarioError(f'arm.model = "{name}": there is no such file; give an existing .urdf file.')
+        raise ScenarioError(f'arm.model = "{name}": there is no such file; give an existing URDF or MJCF.')
     return path.resolve()
 
 
