@@ -202,6 +202,18 @@ def test_a_file_that_is_included_may_change(tmp_path: Path) -> None:
         ('<joint name="pan" axis="0 0 1"/>', '<freejoint name="pan"/>', "cannot be read"),
         ('range="-0.05 0.2"', 'limited="false"', "the joint reach slides and has no range"),
         ('joint1="left" joint2="right"', 'joint1="lift" joint2="elbow"', "holds lift, which lies between"),
+        (
+            '<equality><joint joint1="left" joint2="right"/>',
+            '<tendon><fixed name="t"><joint joint="pan" coef="1"/><joint joint="lift" coef="1"/></fixed></tendon>'
+            '<equality><tendon tendon1="t"/>',
+            "holds pan, which lies between",
+        ),
+        (
+            '<equality><joint joint1="left" joint2="right"/>',
+            "<worldbody><body>" + 12 * "<site/>" + '<site name="wall"/></body></worldbody>'
+            '<equality><weld site1="plate" site2="wall"/>',
+            "holds plate, which lies between",
+        ),
         ('type="ellipsoid" size="0.05 0.06 0.15"', 'type="mesh" mesh="none"', "cannot be read"),
         ('class="look" type="sphere"', 'class="nothing" type="sphere"', "cannot be read"),
         ('name="plate"', 'name="dish"', 'arm.flange = "plate" is no link of'),

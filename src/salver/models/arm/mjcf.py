@@ -151,16 +151,25 @@ class _Parts:
         moving = {body for body in chain if body > 0}
         on_body = {objects.mjOBJ_BODY: lambda k: k, objects.mjOBJ_SITE: lambda k: model.site_bodyid[k],
                    objects.mjOBJ_JOINT: lambda k: model.jnt_bodyid[k]}  # fmt: skip
-        coupled = self._enums.mjtEq.mjEQ_JOINT
+        named = {objects.mjOBJ_BODY: model.body, objects.mjOBJ_SITE: model.site, objects.mjOBJ_JOINT: model.joint}
+        coupled, tendons = self._enums.mjtEq.mjEQ_JOINT, self._enums.mjtEq.mjEQ_TENDON
         for k in np.flatnonzero(model.eq_active0):
             kind = objects.mjOBJ_JOINT if model.eq_type[k] == coupled else objects(int(model.eq_objtype[k]))
             ends = [int(x) for x in (model.eq_obj1id[k], model.eq_obj2id[k]) if x >= 0]
+            if model.eq_type[k] == tendons:
+                kind, ends = objects.mjOBJ_JOINT, [joint for tendon in ends for joint in self._joints_of(tendon)]
             if kind in on_body and (held := [end for end in ends if int(on_body[kind](end)) in moving]):
-                name = (model.joint if kind == objects.mjOBJ_JOINT else model.body)(held[0]).name
+                name = named[kind](held[0]).name
                 raise ScenarioError(
                     f"The MJCF {self._path}: a constraint of <equality> holds {name}, which lies between the world and "
                     "the flange; joints of an arm must move on their own."
                 )
+
+    def _joints_of(self, tendon: int) -> list[int]:
+        """Joints that a tendon couples."""
+        model, first = self._m, int(self._m.tendon_adr[tendon])
+        wraps = range(first, first + int(model.tendon_num[tendon]))
+        return [int(model.wrap_objid[k]) for k in wraps if model.wrap_type[k] == self._enums.mjtWrap.mjWRAP_JOINT]
 
     def of_body(self, body: int, carriage: float = 1e-6) -> list[ElementTree.Element]:
         """A body's link, with the joints that it hangs on and the links between those. carriage: mass of a link between
