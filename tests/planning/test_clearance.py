@@ -21,7 +21,7 @@ from salver.planning.follow.limits import verdict
 from salver.planning.make import make_plan
 from salver.planning.seeds.around import FreeSpace
 from salver.planning.seeds.blocked import why_blocked, why_roundabout, why_touching, why_unreached
-from salver.planning.seeds.starts import _stray_at_rest, ends
+from salver.planning.seeds.starts import Ends, _stray_at_rest, ends, guess, room
 from salver.planning.trajopt.ends import AtPose
 from salver.planning.trajopt.watch import Watch
 from salver.reports.pages import charts
@@ -352,6 +352,21 @@ def test_an_end_that_is_nearer_to_an_obstacle_than_the_arm_strays_there_is_refus
             told = r"No posture was found at the goal in which nothing touches: tray and ball are [\d.]+ mm apart in "
             told += r"the best, where the arm strays by [\d.]+ mm; 0.05 m higher one was found\."
             assert re.fullmatch(told, why.sentence)
+
+
+def test_an_end_that_is_free_in_one_of_the_postures_is_not_said_to_be_blocked() -> None:
+    """Also where another pair of postures overlaps less, but at that end."""
+    problem = transport_problem(scenario.load("panda-cube").with_changes(arm__start_posture=None))
+    rng = np.random.default_rng(0)
+    postures = sorted((guess(problem, rng, k) for k in range(1, 200)), key=lambda q: room(problem, q))
+    deep, free = postures[0], postures[-1]
+    slight = max((q for q in postures if room(problem, q) < 0.0), key=lambda q: room(problem, q))
+    assert room(problem, deep) < room(problem, slight) < 0.0 < room(problem, free)
+    both = Ends(slight, slight, 1.0, False)
+    for pair, where in ((Ends(free, deep, 1.0, False), "goal"), (Ends(deep, free, 1.0, False), "start")):
+        why = why_touching(problem, [pair, both])
+        assert why is not None
+        assert why.sentence.startswith(f"No posture was found at the {where} in which nothing touches")
 
 
 @pytest.mark.slow

@@ -114,11 +114,14 @@ def _missed(found: tuple[Array, float]) -> float:
 
 
 def why_touching(problem: TransportProblem, pairs: list[Ends]) -> Status | None:
-    """Status that names the least overlap among all pairs of end postures; None if one pair is free."""
+    """Status that names the least overlap among all pairs of end postures, at an end that is free in none of them; None
+    if one pair is free."""
     if any(pair.free for pair in pairs):
         return None
     assert problem.keep_out is not None
     left = np.array([[room(problem, pair.start), room(problem, pair.goal)] for pair in pairs])
+    blocked = left.max(axis=0) <= 0.0
+    left = np.where(blocked | ~blocked.any(), left, np.inf)
     best = int(left.min(axis=1).argmax())
     end = int(left[best].argmin())
     return _touching(problem, ("start", "goal")[end], np.stack([pairs[best].start, pairs[best].goal])[end : end + 1])
