@@ -18,6 +18,7 @@ from salver.campaigns import parameters_of_run, run_campaign, seed_of_run
 from salver.campaigns.definition import Definition
 from salver.campaigns.journal import Journal
 from salver.campaigns.summary import read_table
+from salver.campaigns.workers import _single_threaded
 from salver.errors import SalverError
 from salver.planning.make import make_plan
 from salver.sampling import METHODS
@@ -386,3 +387,12 @@ def test_a_full_disk_loses_nothing_that_was_finished(finished, run_dir, monkeypa
     run_campaign(run_dir, n=N, jobs=1)
     assert (run_dir / "campaign" / "journal.jsonl").read_bytes().startswith(kept[: kept.rfind(b"\n") + 1])
     assert parquet(run_dir) == (finished.folder / "runs.parquet").read_bytes()
+
+
+def test_what_the_environment_becomes_meanwhile_stays(monkeypatch):
+    monkeypatch.setenv("OMP_NUM_THREADS", "7")
+    monkeypatch.setenv("SALVER_OTHER", "before")
+    with _single_threaded():
+        assert os.environ["OMP_NUM_THREADS"] == "1"
+        os.environ["SALVER_OTHER"] = "after"
+    assert (os.environ["OMP_NUM_THREADS"], os.environ["SALVER_OTHER"]) == ("7", "after")

@@ -173,6 +173,18 @@ def test_what_pages_take_from_the_program_is_what_it_says_now():
     assert done.returncode == 0, done.stdout + done.stderr
 
 
+@pytest.mark.slow
+def test_the_page_of_the_engine_is_made_of_a_campaign(planned, tmp_path, monkeypatch):
+    """No other test takes the figures of the page from a campaign."""
+    monkeypatch.syspath_prepend(ROOT / "docs")
+    page = importlib.import_module("make_physics")
+    monkeypatch.setattr(page, "RUNS", 2)
+    written = page.campaign(shutil.copytree(planned, tmp_path / "run"))
+    assert re.search(r"\| holds \| 2 of 2 \(.*\| 2 of 2 \(", written)
+    low, high = map(float, re.search(r"\(from ([-+.\d]+) to ([-+.\d]+) µm\)", written).groups())
+    assert -50 < low <= high < 50
+
+
 @pytest.mark.parametrize("name", ["performance", "physics", "reproduction"])
 def test_findings_written_by_hand_are_numbers_of_their_page(name):
     """Each number of the list that opens the page stands in what a command wrote into it, too."""

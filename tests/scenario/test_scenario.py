@@ -12,6 +12,12 @@ from salver.errors import ScenarioError
 from salver.planning.plan_files import write_scenario
 
 
+def test_a_scenario_may_begin_with_a_byte_order_mark(tmp_path):
+    (tmp_path / "mine.toml").write_text(CUBE, encoding="utf-8-sig")
+    read, shipped = scenario.load(tmp_path / "mine.toml"), scenario.load("panda-cube")
+    assert read.model_dump() == shipped.model_dump()
+
+
 @pytest.mark.parametrize(
     ("content", "sentence"),
     [

@@ -42,13 +42,13 @@ def processes(context: Context, items: Sequence[Item], jobs: int) -> Iterator[di
 @contextmanager
 def _single_threaded() -> Iterator[None]:
     """A context in which processes are started with one thread of linear algebra each."""
-    before = dict(os.environ)
+    before = {name: os.environ[name] for name in _ONE_THREAD if name in os.environ}
     os.environ.update(dict.fromkeys(_ONE_THREAD, "1"))
     try:
         yield
     finally:
         for name in _ONE_THREAD:
-            del os.environ[name]
+            os.environ.pop(name, None)
         os.environ.update(before)
 
 

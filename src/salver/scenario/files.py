@@ -33,7 +33,7 @@ def text_of(path: Path, most: int = 1_000_000) -> str:
     try:
         if path.stat().st_size > most:
             raise ScenarioError(f"{path} is larger than {most // 1000} kB; a scenario is a .toml file.")
-        return path.read_text(encoding="utf-8")
+        return path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError:
         raise ScenarioError(f"{path} is not a text file in UTF-8; a scenario is a .toml file.") from None
     except (OSError, ValueError) as error:
