@@ -14,8 +14,7 @@ from salver.errors import ScenarioError
 from salver.geometry import Array
 from salver.models.tray_motion import Speed
 from salver.planning.fastest import FastestMotion, FastestOptions, fastest, nearby, object_motion, plan_fastest
-from salver.planning.fastest import planned as module
-from salver.planning.fastest.planned import each_kind, joint_plan, judged, plan_problem, slow_enough, tightened
+from salver.planning.fastest.planned import each_kind, joint_plan, judged, slow_enough, tightened
 from salver.planning.make import make_plan
 from salver.planning.plan import Plan
 from salver.planning.postures import REACHED, PoseTarget, posture_at
@@ -335,24 +334,6 @@ def test_what_oversteps_a_limit_by_a_hair_between_the_optimisers_instants_is_mad
     assert planned(again).ok, "within less of the limit it keeps the whole of it between the nodes too"
     assert again.duration < 1.002 * found.duration
     assert tightened(much[0]) is None
-
-
-def test_where_slowing_down_does_not_help_a_motion_is_planned_within_less_of_the_limit(
-    monkeypatch,
-) -> None:
-    """A liquid may then peak elsewhere. The first motion here is too quick by a hair, and may not be slowed down."""
-    scenario = cube().with_changes(motion__duration=None, motion__speeds="full")
-    problem, options = transport_problem(scenario), FastestOptions(spans=8)
-    best = fastest(problem, options)
-    hasty = [replace(best, duration=0.9995 * best.duration)]
-    monkeypatch.setattr(module, "fastest", lambda *given, **named: hasty.pop() if hasty else fastest(*given, **named))
-    monkeypatch.setattr(module, "_sterner", lambda *_: None)
-    monkeypatch.setattr(module, "slow_enough", lambda found, plan, *_: (found, plan))
-    plan = plan_problem(problem, options=options)
-    assert not hasty
-    assert plan.ok, plan.status.sentence
-    assert plan.duration == pytest.approx(best.duration, rel=0.01)
-    assert f"{plan.duration:.4f} s" in plan.status.sentence
 
 
 def test_a_plan_whose_motion_fails_the_verdict_is_unsafe():
