@@ -365,7 +365,7 @@ def sloshing() -> Any:
 
     scenario = scenarios.load("panda-coffee")
     cup = scenario.payload.first.inner
-    radius, modes = cup.half[0], cup.modes(cup.fill)
+    radius, modes = cup.inside.half(cup.fill)[0], cup.modes(cup.fill)
     *drawn, curve = _figure(6.9, 2.6).subplots(1, 3, width_ratios=(1, 1, 1.7))
     x = np.linspace(-radius, radius, 121)
     for n, axes in enumerate(drawn):
