@@ -15,6 +15,8 @@ from numpy.polynomial import legendre
 from scipy.linalg import eigh
 from scipy.special import jnp_zeros, jv, jvp
 
+from salver.geometry import Array
+
 
 @dataclass(frozen=True)
 class Basis:
@@ -114,14 +116,18 @@ def simulate(
 
     state, out = np.zeros(2 * J), np.zeros(len(times))
     for i in range(len(times) - 1):
-        t, dt = times[i], times[i + 1] - times[i]
-        one = rates(t, state)
-        two = rates(t + dt / 2, state + dt / 2 * one)
-        three = rates(t + dt / 2, state + dt / 2 * two)
-        four = rates(t + dt, state + dt * three)
-        state = state + dt / 6 * (one + 2 * two + 2 * three + four)
+        state = _later(rates, times[i], times[i + 1] - times[i], state)
         out[i + 1] = np.max(basis.wall @ state[:J])
     return out
+
+
+def _later(rates: Callable[[float, Array], Array], t: float, dt: float, state: Array) -> Array:
+    """The state after a step of Runge and Kutta's method of order 4."""
+    one = rates(t, state)
+    two = rates(t + dt / 2, state + dt / 2 * one)
+    three = rates(t + dt / 2, state + dt / 2 * two)
+    four = rates(t + dt, state + dt * three)
+    return np.asarray(state + dt / 6 * (one + 2 * two + 2 * three + four))
 
 
 @dataclass(frozen=True)
@@ -223,12 +229,7 @@ def simulate_cone(
     if begin is not None:
         state[J + 1 :] = begin
     for i in range(len(times) - 1):
-        t, dt = times[i], times[i + 1] - times[i]
-        one = rates(t, state)
-        two = rates(t + dt / 2, state + dt / 2 * one)
-        three = rates(t + dt / 2, state + dt / 2 * two)
-        four = rates(t + dt, state + dt * three)
-        state = state + dt / 6 * (one + 2 * two + 2 * three + four)
+        state = _later(rates, times[i], times[i + 1] - times[i], state)
         R = basis.level / np.cos(basis.lean) + basis.wall @ state[:J] + state[J]
         out[i + 1] = np.max(R) * np.cos(basis.lean) - basis.level
     return out
