@@ -58,7 +58,7 @@ ARM = """<mujoco model="arm">
           <geom class="look" type="sphere" size="0.3"/>
           <body name="fore" pos="0 -0.1 0.4">
             <inertial pos="0.01 0.02 0.15" mass="2.5" fullinertia="0.03 0.02 0.025 0.001 -0.002 0.003"/>
-            <joint name="elbow"/>
+            <joint name="elbow" pos="0.01 0 -0.02"/>
             <joint name="roll" class="wrist" pos="0 0 0.1" axis="0 0 1"/>
             <geom type="ellipsoid" size="0.05 0.06 0.15" pos="0 0 0.15"/>
             <body name="hand" pos="0 0 0.35" xyaxes="0 1 0 0 0 1">
@@ -193,9 +193,9 @@ def test_a_file_that_is_included_may_change(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ('<joint name="elbow"/>', '<joint name="elbow" ref="20"/>', "ref of the joint elbow is 0.349"),
+        ('<joint name="elbow" pos="0.01 0 -0.02"/>', '<joint name="elbow" ref="20"/>', "ref of the joint elbow is 0.3"),
         (
-            '<joint name="elbow"/>',
+            '<joint name="elbow" pos="0.01 0 -0.02"/>',
             '<joint name="elbow" type="ball" range="0 90"/>',
             "plate hangs on a free or ball joint of tip",
         ),
