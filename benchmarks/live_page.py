@@ -132,21 +132,18 @@ def machine(runs: list[dict[str, Any]]) -> str:
 
 
 def evasions(runs: Runs) -> str:
-    """What became of balls and posts, in a sentence."""
+    """What became of balls and posts in real time, in sentences."""
     from live_obstacles import delays, evaded, missed, silent
 
-    real, virtual = (
-        [x for each in of_kind(runs, kind).values() for x in each if x["would"]] for kind in ("obstacles", "virtual")
-    )
-    hit = sum(x["hit"] is not None for x in (*real, *virtual))
-    late, ways = delays(real), missed([*real, *virtual])
+    real = [x for each in of_kind(runs, "obstacles").values() for x in each if x["would"]]
+    late, (ways, searched) = delays(real), missed(real)
+    away, hit = sum(map(evaded, real)), sum(x["hit"] is not None for x in real)
     return (
-        f"Of the balls and posts that came at the load, {sum(map(evaded, virtual))} of {len(virtual)} were evaded "
-        f"where planning takes its processor time, and {sum(map(evaded, real))} of {len(real)} in real time on "
-        f"{machine(real)}. Of those that hit, a search without time limit was run for {ways[1]} and found a way out of "
-        f"{ways[0]}. {sum(map(silent, (*real, *virtual)))} of "
-        f"{hit} hits came unannounced; in real time 99 % of the announcements came within {np.quantile(late, 0.99):.0f}"
-        f" ms after the obstacle was first seen, and each within {late.max():.0f} ms."
+        f"Of {len(real)} balls and posts that came at the load, {away} were evaded, in real time on {machine(real)}. A "
+        f"search without time limit was run for {searched} of the {hit} that hit and found a way out of {ways}: so "
+        f"{100 * away / (away + ways * hit / searched):.0f} % of those that could be evaded were. "
+        f"{sum(map(silent, real))} of the {hit} hits came unannounced; 99 % of the announcements came within "
+        f"{np.quantile(late, 0.99):.0f} ms after the obstacle was first seen, and each within {late.max():.0f} ms."
     )
 
 
