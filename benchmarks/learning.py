@@ -30,7 +30,6 @@ from salver.learning.load.estimate import _normal
 from salver.learning.load.excite import plan_excite
 from salver.learning.load.identify import LoggedRun, _felt, identify, identify_runs
 from salver.learning.load.narrowing import prior
-from salver.learning.load.sensors import SensedArm, Sensors
 from salver.learning.load.systematic import SensorBounds
 from salver.models.physical import random_inertia
 from salver.models.uncertain.parameters import INERTIAL, inertial_vector, phi_of
@@ -39,6 +38,7 @@ from salver.planning.plan import Plan
 from salver.scenario import Scenario, load
 
 sys.path.append(str(Path(__file__).parents[1] / "tests" / "helpers"))
+from sensed_arm import SensedArm, Sensors
 from wrong_sensors import Defects, WrongArm
 
 DOCS = Path(__file__).parents[1] / "docs"

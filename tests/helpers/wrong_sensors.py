@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 
 from salver.geometry import Array, interpolated
-from salver.learning.load.sensors import SensedArm, heavier
+from salver.learning.load.sensors import heavier
 from salver.planning.plan import Plan
+from sensed_arm import SensedArm
 
 LEVER = 0.05  # m, ratio of the ranges of moments and forces of a wrist sensor
 

@@ -14,7 +14,6 @@ from salver.cli import app
 from salver.errors import ScenarioError
 from salver.learning import identify
 from salver.learning.load.excite import Information, plan_excite
-from salver.learning.load.sensors import SensedArm, Sensors, nominal_load
 from salver.planning.fastest import AtPosture, Point, transport_problem
 from salver.planning.plan import Plan
 from salver.planning.trajopt.curves import FreeCurve, Grid
@@ -22,6 +21,7 @@ from salver.planning.trajopt.spline import RestSpline
 from salver.sampling import draw
 from salver.scenario import load
 from salver.simulation.physics import Experiment
+from sensed_arm import SensedArm, Sensors, nominal_load
 
 WIDE = {"mass": "50%", "com": [0.015, 0.015, 0.015], "friction": "10%"}
 

@@ -20,12 +20,12 @@ from salver.learning import Log, SensorBounds, identify, read_log
 from salver.learning.load.identify import OPTIONS, LoggedRun, _of_this_arm, identify_runs
 from salver.learning.load.narrowing import prior
 from salver.learning.load.ranges import NAMES, WIDTH, fieller
-from salver.learning.load.sensors import SensedArm, Sensors
 from salver.models.arm.arm import load_arm
 from salver.models.uncertain.parameters import inertial_vector
 from salver.planning.plan import Plan, load_plan
 from salver.scenario import load
 from salver.trajectory import JointMotion
+from sensed_arm import SensedArm, Sensors
 
 WIDE = {"mass": "50%", "com": [0.015, 0.015, 0.015]}
 QUIET = Sensors(times=0.0, links=0.0, friction_change=0.0)

@@ -13,9 +13,9 @@ from rosbags.typesys import Stores, get_typestore
 import salver as sv
 from salver.errors import FileFormatError
 from salver.learning import Log, read_log
-from salver.learning.load.sensors import SensedArm, Sensors, nominal_load
 from salver.models.arm.arm import load_arm
 from salver.planning.plan import Plan
+from sensed_arm import SensedArm, Sensors, nominal_load
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 JOINTS, WRENCH = "sensor_msgs/msg/JointState", "geometry_msgs/msg/WrenchStamped"

@@ -12,11 +12,11 @@ from salver.learning.load.excite import plan_excite
 from salver.learning.load.identify import LoggedRun, identify_runs
 from salver.learning.load.noise import BlockNoise, ChannelNoise, SensorNoise
 from salver.learning.load.ranges import NAMES
-from salver.learning.load.sensors import SensedArm, Sensors
 from salver.models.uncertain.parameters import inertial_vector, phi_of
 from salver.planning.fastest import plan_fastest
 from salver.planning.plan import Plan
 from salver.scenario import Scenario, load
+from sensed_arm import SensedArm, Sensors
 
 COLOUR = SensorNoise().colour
 FAST = Sensors(rate=1000.0)

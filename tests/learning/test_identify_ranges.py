@@ -18,13 +18,13 @@ from salver.geometry import Array
 from salver.learning import Identified, SensorBounds, identify
 from salver.learning.load.narrowing import _within
 from salver.learning.load.ranges import WIDTH, Estimate, consistent, intervals, slid
-from salver.learning.load.sensors import SensedArm, Sensors
 from salver.models.bodies import Body
 from salver.models.physical import hull_faces, nearest, random_inertia, realisable
 from salver.models.rigid_body import RigidBody
 from salver.models.uncertain.parameters import INERTIAL, inertial_vector, phi_of
 from salver.planning.plan import Plan
 from salver.scenario import load
+from sensed_arm import SensedArm, Sensors
 
 WIDE = {"mass": "50%", "com": [0.015, 0.015, 0.015]}
 QUIET = Sensors(wrist_coloured=0.0, rate=1000.0, force_bias=0.001, moment_bias=4e-5)

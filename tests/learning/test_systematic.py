@@ -14,11 +14,11 @@ from salver.cli import app
 from salver.errors import FileFormatError, ScenarioError
 from salver.geometry import Array
 from salver.learning import SensorBounds, identify
-from salver.learning.load.sensors import Sensors
 from salver.learning.load.systematic import Felt, wrist_errors
 from salver.models.physical import random_inertia
 from salver.models.uncertain.parameters import INERTIAL, inertial_vector
 from salver.planning.plan import Plan
+from sensed_arm import Sensors
 from wrong_sensors import Defects, WrongArm
 
 WIDE = {"mass": "50%", "com": [0.015, 0.015, 0.015], "contents": "any"}

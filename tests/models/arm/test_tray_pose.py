@@ -13,7 +13,6 @@ import trimesh
 from salver import scenario
 from salver.errors import ScenarioError
 from salver.learning.load.identify import identify
-from salver.learning.load.sensors import SensedArm, Sensors, nominal_load
 from salver.models.arm.arm import ArmModel, load_arm
 from salver.models.arm.arm_geometry import arm_geometry
 from salver.models.arm.known_arms import KNOWN_ARMS, robot_file
@@ -21,6 +20,7 @@ from salver.models.described import Tray
 from salver.planning.make import make_plan
 from salver.sensitivity.arm.terms import motion_terms
 from salver.simulation.physics import simulate
+from sensed_arm import SensedArm, Sensors, nominal_load
 
 OFFSET, HEIGHT, RPY_DEG = (0.09, -0.03), -0.04, (20.0, 75.0, -35.0)
 Q = np.array([0.3, -1.2, 1.1, -0.4, 0.8, 0.5])

@@ -18,7 +18,7 @@ from salver.learning.load.identify import identify
 from salver.learning.load.narrowing import prior
 from salver.learning.load.noise import RUNS, SensorNoise
 from salver.learning.load.ranges import NAMES
-from salver.learning.load.sensors import SensedArm, Sensors, at_flange, nominal_load
+from salver.learning.load.sensors import at_flange, simulated_log
 from salver.learning.load.systematic import SensorBounds
 from salver.learning.logs import one_load
 from salver.models.interfaces import needed_at_tray
@@ -154,8 +154,8 @@ def _planned(scenario: Scenario, found: FastestMotion) -> Plan:
     plan = joint_plan(scenario, found.problem, found.joint_motion(), found.status, record, method=METHOD)
     if not plan.status.ok:
         return plan
-    arm = SensedArm(plan, 0, Sensors(rate=1000.0), joints=False)
-    ranges = identify(plan, [arm.log(nominal_load(plan))], arm.log(None)).ranges
+    loaded, empty = simulated_log(plan, scenario.payload.first.inertial, 0), simulated_log(plan, None, 1)
+    ranges = identify(plan, [loaded], empty).ranges
     mass, *com = (1e3 * ranges[name].half for name in NAMES)
     sentence = (
         f"In {found.duration:.4g} s from the start pose and back a wrist sensor should tell the mass to "
