@@ -220,10 +220,6 @@ class PolynomialReference:
         below = np.clip(np.searchsorted(knots, s, side="right") - 1, 0, ROTATION_STEPS - 1)
         return rotations[below] @ exp(self._increments(knots[below], s))
 
-    @property
-    def R_end(self) -> Array:
-        return self.sample(self.duration).R_SB[0]
-
 
 def position_boundary(duration: float, p_start: npt.ArrayLike, p_goal: npt.ArrayLike) -> Array:
     """d (6, 3) of eq (26) for a motion from rest to rest, rows as in `boundary_map`."""

@@ -98,11 +98,7 @@ def torque_of_the_paper(panda, joint, reference, state, t, inverse):
     u = inverse(jacobian) @ (rate - drift) + (np.eye(7) - inverse(jacobian) @ jacobian) @ posture
     wrench_B = wrench_command(GAINS, cube.inertial.phi, now, *seen)[0]
     forces = cube.contacts.cone_edges @ distribute(cube.contacts.grasp_map, wrench_B)
-    return (
-        panda.contact_jacobian(q, cube.contacts, cube.p_EB, cube.R_EB).T @ forces
-        + panda.bias(q, dq)
-        + panda.mass_matrix(q) @ u
-    )
+    return jacobian.T @ cube.contacts.grasp_matrix @ forces + panda.bias(q, dq) + panda.mass_matrix(q) @ u
 
 
 @pytest.mark.parametrize("feedback", ["joints", "object"])

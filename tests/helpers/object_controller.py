@@ -3,9 +3,9 @@
 import numpy as np
 import numpy.typing as npt
 
+from newton_euler import wrench
 from salver.control.object import Errors, Gains, apply, command
 from salver.geometry import Array, log
-from salver.models.rigid_body import wrench
 from salver.trajectory import MotionSamples
 
 

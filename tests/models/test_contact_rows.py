@@ -9,13 +9,14 @@ from numpy.testing import assert_allclose
 from scipy.optimize import linprog
 
 from armless_scenarios import scenario
+from newton_euler import wrench
 from salver.geometry import GRAVITY_S, Array, exp
 from salver.models.bodies import Body
 from salver.models.contact.internal_wrench import internal_wrenches
 from salver.models.contact.wrench_cone import cone_facets
 from salver.models.contact_rows import ContactRows, contact_rows
 from salver.models.interfaces import networks, sure_contacts, to_tray
-from salver.models.rigid_body import RigidBody, inertia_matrix, wrench
+from salver.models.rigid_body import RigidBody, inertia_matrix
 from salver.models.tray_motion import motion_vector
 from salver.models.uncertain.parameters import INERTIAL, inertial_vector
 from salver.trajectory import MotionSamples

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
+from newton_euler import wrench
 from salver import scenario as scenarios
 from salver.control.arm import ArmState, controller_for
 from salver.errors import FileFormatError, SalverError, ScenarioError, UnreachableError
 from salver.geometry import matrix_from_quat_wxyz
 from salver.models.arm.arm import load_arm
-from salver.models.rigid_body import wrench
 from salver.planning.make import make_plan
 from salver.scenario import parse
 from salver.simulation.physics import Experiment, simulate, simulate_tray

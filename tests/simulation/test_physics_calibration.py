@@ -158,7 +158,7 @@ def test_one_coordinate_that_is_no_number_is_an_engine_that_diverged():
 
 def test_contact_forces_of_a_moving_tray_are_the_bodys_inverse_dynamics():
     """While it sticks: the sum of measured forces is F = Y phi of the paper's eq (1), tilting and turning included."""
-    from salver.models.rigid_body import wrench
+    from newton_euler import wrench
 
     scenario = cube()
     parameters = {"mass": 0.3, "com_x": 0.002, "com_z": 0.004}

@@ -66,7 +66,7 @@ def acceleration(
     """Accelerations a_S, alpha_B, each (..., 3), of a body with inertial parameters phi (..., 10) under a wrench at B.
 
     This is the plant, eq (18), with the full spatial inertia, because the true centre of mass may differ from B; the
-    inverse of `salver.models.rigid_body.wrench`. inverse_inertia: (..., 6, 6), if it is known already.
+    inverse of eq (1). inverse_inertia: (..., 6, 6), if it is known already.
     """
     phi = np.asarray(phi, dtype=float)
     if inverse_inertia is None:

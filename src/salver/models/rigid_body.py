@@ -1,4 +1,4 @@
-"""Rigid-body dynamics of the object: eq (1) of the paper, and its form linear in the inertial parameters."""
+"""Inertial parameters of a rigid body, and its spatial inertia: eq (1) of the paper."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from salver.geometry import GRAVITY_S, Array, hat
+from salver.geometry import Array, hat
 
 # Axes of the six entries of a symmetric matrix: of an inertia, of second moments, of products of angular velocities.
 # Inertial parameters are m, m c (3), I about B (6): Pinocchio's order, see docs/conventions.md.
@@ -68,33 +68,3 @@ def spatial_inertia(phi: npt.ArrayLike) -> Array:
     matrix[..., :3, 3:], matrix[..., 3:, :3] = -moment, moment
     matrix[..., 3:, 3:] = inertia_matrix(phi[..., 4:])
     return matrix
-
-
-def _inertia_regressor(x: Array) -> Array:
-    """L(x) (..., 3, 6) with I x = L(x) (xx, xy, yy, xz, yz, zz)."""
-    out = np.zeros((*x.shape, 6))
-    for k, (i, j) in enumerate(PAIRS):
-        out[..., i, k] = x[..., j]
-        out[..., j, k] = x[..., i]
-    return out
-
-
-def regressor(R_SB: Array, a_S: Array, omega_B: Array, alpha_B: Array) -> Array:
-    """Regressor Y (..., 6, 10) of the motion: the wrench at B is Y phi.
-
-    a_S (..., 3) is the world acceleration of the origin of B; R_SB (..., 3, 3), omega_B and alpha_B
-    (..., 3) as in docs/conventions.md. Eq (1) written in its parameters; see Atkeson, An, Hollerbach 1986.
-    """
-    f = np.einsum("...ji,...j->...i", R_SB, a_S - GRAVITY_S)  # specific force at B, in B
-    y = np.zeros((*f.shape[:-1], 6, 10))
-    omega_hat = hat(omega_B)
-    y[..., :3, 0] = f
-    y[..., :3, 1:4] = hat(alpha_B) + omega_hat @ omega_hat
-    y[..., 3:, 1:4] = -hat(f)
-    y[..., 3:, 4:] = _inertia_regressor(alpha_B) + omega_hat @ _inertia_regressor(omega_B)
-    return y
-
-
-def wrench(phi: npt.ArrayLike, R_SB: Array, a_S: Array, omega_B: Array, alpha_B: Array) -> Array:
-    """F_B (..., 6): inverse dynamics of the body, eq (1)."""
-    return np.einsum("...ij,...j->...i", regressor(R_SB, a_S, omega_B, alpha_B), np.asarray(phi, dtype=float))

@@ -3,8 +3,7 @@
     w = (f, alpha, omega_x^2, omega_x omega_y, omega_y^2, omega_x omega_z, omega_y omega_z, omega_z^2),
 
 f = R^T (a - g) the specific force at the frame's origin, alpha the angular acceleration, all in the frame.
-The wrench that a body at rest in the frame needs is `wrench_map(phi) @ w`: the regressor Y of
-`salver.models.rigid_body`, with the motion and the inertial parameters having changed places.
+The wrench that a body at rest in the frame needs is `wrench_map(phi) @ w`: eq (1) of the paper.
 """
 
 from __future__ import annotations
@@ -25,9 +24,10 @@ _SPIN = _PRODUCT_MATRICES - np.trace(_PRODUCT_MATRICES, axis1=1, axis2=2)[:, Non
 
 
 def motion_vector(R_SX: Array, a_S: Array, omega_X: Array, alpha_X: Array) -> Array:
-    """Motion regressor w (T, 12) of a frame X from R_SX (T, 3, 3), a_S (T, 3) of its origin, omega and alpha in X."""
-    force = np.einsum("tji,tj->ti", R_SX, a_S - GRAVITY_S)
-    return np.hstack([force, alpha_X, inertia_entries(omega_X[:, :, None] * omega_X[:, None, :])])
+    """Motion regressor w (..., 12) of a frame X from R_SX (..., 3, 3), a_S (..., 3) of its origin, omega and alpha in
+    X."""
+    force = np.einsum("...ji,...j->...i", R_SX, a_S - GRAVITY_S)
+    return np.concatenate([force, alpha_X, inertia_entries(omega_X[..., :, None] * omega_X[..., None, :])], axis=-1)
 
 
 def at_rest(R_SX: Array | None = None) -> Array:

@@ -18,7 +18,8 @@ from scipy.interpolate import make_interp_spline
 from salver.control.object import Errors, Gains, acceleration, apply, command
 from salver.geometry import Array, exp, interpolated, right_jacobian_inverse
 from salver.integration import Rate, integrate
-from salver.models.rigid_body import RigidBody, spatial_inertia, wrench
+from salver.models.rigid_body import RigidBody, spatial_inertia
+from salver.models.tray_motion import motion_vector, wrench_map
 from salver.sensitivity import tubes
 from salver.trajectory import MotionSamples, Reference
 
@@ -70,9 +71,9 @@ def rollout(
     t = np.atleast_1d(np.asarray(t, dtype=float))
     if t[0] < 0 or np.any(np.diff(t) <= 0):
         raise ValueError("t must increase, and begin at 0 or later")
-    grasp_inverse = np.asarray(np.linalg.pinv(grasp_map), dtype=float)
+    to_inputs = (np.linalg.pinv(grasp_map) @ wrench_map(body.phi)).T
     inverse_inertia = np.asarray(np.linalg.inv(spatial_inertia(phi)), dtype=float)
-    loop = _Loop(gains, body.phi, grasp_map, grasp_inverse, phi, inverse_inertia)
+    loop = _Loop(gains, grasp_map, to_inputs, phi, inverse_inertia)
     if max_step is None:
         max_step = step_times_rate / max(*gains.kd, *np.sqrt(gains.kp))
     wanted = reference.sample(t)
@@ -94,10 +95,11 @@ def rollout(
 
 @dataclass(frozen=True)
 class _Loop:
+    """to_inputs: (12, n_lambda) from the commanded motion regressor of B to the cone coefficients."""
+
     gains: Gains
-    phi_nominal: Array
     grasp_map: Array
-    grasp_inverse: Array
+    to_inputs: Array
     phi: Array
     inverse_inertia: Array
 
@@ -110,7 +112,7 @@ class _Loop:
     def inputs(self, reference: MotionSamples, error: Errors, R_SB: Array, omega_B: Array) -> Array:
         """Cone coefficients Lambda (n, n_lambda), N: eq (19)."""
         a_cmd_S, alpha_cmd_B = command(self.gains, reference, error)
-        return wrench(self.phi_nominal, R_SB, a_cmd_S, omega_B, alpha_cmd_B) @ self.grasp_inverse.T
+        return motion_vector(R_SB, a_cmd_S, omega_B, alpha_cmd_B) @ self.to_inputs
 
     def rate(self, reference: MotionSamples, state: Array) -> Array:
         """Time derivative (n, 12) of the errors: that of the reference minus that of the plant, eq (18)."""

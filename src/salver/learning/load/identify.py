@@ -1,6 +1,6 @@
 """Identification of mass, centre of mass and inertia of the load from logs, as ranges that contain the true values.
 
-The load's wrench is linear in its inertial parameters phi (`salver.models.rigid_body`). So readings with the load,
+The load's wrench is linear in its inertial parameters phi (`salver.models.tray_motion`). So readings with the load,
 minus those along the same motion with the empty tray, are
 
     torques:  J_E^T Y phi + Z n + E e + noise        wrist:  Y phi + E e + noise,

@@ -24,7 +24,6 @@ from salver.models.arm.known_arms import KNOWN_ARMS, robot_file
 from salver.models.arm.mobile_base import JOINTS, on_base
 from salver.models.arm.tables import Arm, ArmLimits, MobileBase
 from salver.models.arm.urdf import LARGEST_LINK, SUFFIXES, read_chain, read_disabled_pairs, without_shapes
-from salver.models.contact.contact import ContactSet
 from salver.models.described import Tray
 
 if TYPE_CHECKING:
@@ -152,15 +151,6 @@ class ArmModel:
         pin.forwardKinematics(model, data, q, dq, np.zeros(self.n))
         velocity = pin.getFrameVelocity(model, data, tray, pin.LOCAL)
         return velocity.vector, pin.getFrameAcceleration(model, data, tray, pin.LOCAL).vector
-
-    def contact_jacobian(self, q: Array, contacts: ContactSet, p_EB: Array, R_EB: Array) -> Array:
-        """J_c (3 n_c, n) of eq (21), with its selection B_c^T: from dq to the velocities of the tray's material points
-        at the contacts, in the contact frames. While the object sticks, J_c dq = G^T V_b (eq 24).
-        """
-        p_EC = p_EB + contacts.p_BC @ R_EB.T
-        p_CE, R_CE = invert(p_EC, R_EB @ contacts.R_BC)
-        rows = adjoint(p_CE, R_CE)[:, :3, :] @ self.body_jacobian(q)
-        return rows.reshape(3 * contacts.count, self.n)
 
     def mass_matrix(self, q: Array) -> Array:
         """M_r (n, n) of eq (20), kg m^2."""
