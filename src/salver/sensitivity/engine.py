@@ -10,8 +10,8 @@ parameters p at p = p_n follow, together with the nominal motion, from
 
 (the paper prints a dot over Theta; h is algebraic, so that Theta itself is meant). CasADi supplies exact partial
 derivatives. All equations are integrated together by the eighth-order method of `salver.integration`, with the step
-halved until the results agree: unlike an adaptive solver it works with a sampled reference, integrates thousands of
-perturbed plants at once, and is deterministic.
+halved until the results agree: unlike a method that chooses its steps, this treats thousands of perturbed plants alike,
+and says how far off the end is.
 """
 
 from __future__ import annotations
@@ -191,22 +191,17 @@ def sensitivity(
     state = np.column_stack([motion, np.vstack([Pi, np.zeros((n_xi, n_p))])])
     function, believed = _Evaluated(variational(loop)), p[: loop.p_nominal.numel()]
 
-    def evaluate(s: Array, time: float, y: Array) -> list[Array]:
+    def evaluate(s: Array, time: float) -> list[Array]:
+        y = _sampled(loop, reference, time)
         return function(s[:n_x, 0], s[n_x:, 0], s[:n_x, 1:], s[n_x:, 1:], p, believed, time, y)
 
-    def rates_at(instants: Array) -> Rate:
-        y = _sampled(loop, reference, instants)
+    def rate(time: float, s: Array) -> Array:
+        slope = np.empty_like(s)
+        slope[:n_x, :1], slope[n_x:, :1], slope[:n_x, 1:], slope[n_x:, 1:], _, _ = evaluate(s, time)
+        return slope
 
-        def rate(k: int, s: Array) -> Array:
-            slope = np.empty_like(s)
-            slope[:n_x, :1], slope[n_x:, :1], slope[:n_x, 1:], slope[n_x:, 1:], _, _ = evaluate(s, instants[k], y[k])
-            return slope
-
-        return rate
-
-    states, status = _refined(rates_at, state, t, (tolerance, absolute_tolerance), corners)
-    y = _sampled(loop, reference, t)
-    inputs = [evaluate(s, time, value)[4:] for s, time, value in zip(states, t, y, strict=True)]
+    states, status = _refined(rate, state, t, (tolerance, absolute_tolerance), corners)
+    inputs = [evaluate(s, time)[4:] for s, time in zip(states, t, strict=True)]
     return Sensitivity(
         t,
         states[:, :n_x, 0],
@@ -255,27 +250,23 @@ def simulate(
     # Samples are columns; nominal parameters, time and reference are common to all.
     function = _Evaluated(closed_loop_rate(loop).map("closed_loops", "serial", n, [3, 4, 5], []))
 
-    def evaluate(s: Array, time: float, y: Array) -> list[Array]:
-        return function(s[:n_x], s[n_x:], p, believed, time, y)
+    def evaluate(time: float, s: Array) -> list[Array]:
+        return function(s[:n_x], s[n_x:], p, believed, time, _sampled(loop, reference, time))
 
-    def rates_at(instants: Array) -> Rate:
-        y = _sampled(loop, reference, instants)
-        return lambda k, s: np.vstack(evaluate(s, instants[k], y[k])[:2])
-
-    states, status = _refined(rates_at, np.concatenate(start, axis=1).T, t, (tolerance, absolute_tolerance), corners)
-    y = _sampled(loop, reference, t)
-    u = np.stack([evaluate(s, time, value)[2] for s, time, value in zip(states, t, y, strict=True)])
+    begin, tolerances = np.concatenate(start, axis=1).T, (tolerance, absolute_tolerance)
+    states, status = _refined(lambda time, s: np.vstack(evaluate(time, s)[:2]), begin, t, tolerances, corners)
+    u = np.stack([evaluate(time, s)[2] for s, time in zip(states, t, strict=True)])
     x, xi, u = (np.moveaxis(array, 2, 0) for array in (states[:, :n_x], states[:, n_x:], u))
     return Motions(t, x, xi, u, status)
 
 
-def _sampled(loop: ClosedLoop, reference: SampledReference | None, t: Array) -> Array:
-    """y_d (K, n_y) at times t (K,); without columns if the loop has an expression for it."""
+def _sampled(loop: ClosedLoop, reference: SampledReference | None, t: float) -> Array:
+    """y_d (1, n_y) at time t; without columns if the loop has an expression for it."""
     if loop.reference is not None or loop.y_d.numel() == 0:
-        return np.empty((len(t), 0))
+        return np.empty((1, 0))
     if reference is None:
         raise ValueError("the loop's y_d is a symbol; give reference, a function of times (K,) to (K, n_y)")
-    return _sized("reference(t)", reference(t), (len(t), loop.y_d.numel()))
+    return _sized("reference(t)", reference(np.array([t])), (1, loop.y_d.numel()))
 
 
 def _sized(name: str, value: npt.ArrayLike, shape: tuple[int | None, ...]) -> Array:
@@ -286,18 +277,14 @@ def _sized(name: str, value: npt.ArrayLike, shape: tuple[int | None, ...]) -> Ar
 
 
 def _refined(
-    rates_at: Callable[[Array], Rate],
-    state: Array,
-    t: Array,
-    tolerances: tuple[float, float],
-    corners: Sequence[float],
+    rate: Rate, state: Array, t: Array, tolerances: tuple[float, float], corners: Sequence[float]
 ) -> tuple[Array, Status]:
     """Integrate with steps halved until the change is within the tolerances."""
     tolerance, absolute = tolerances
     step, coarse, error = float(t[-1] - t[0]) / 8, None, np.inf
     for _ in range(_HALVINGS):
         with np.errstate(over="ignore", invalid="ignore"):  # an unstable step; the next one is shorter
-            fine = integrate(rates_at, state, float(t[0]), t, step, corners)
+            fine = integrate(rate, state, float(t[0]), t, step, corners)
         if coarse is not None:
             error = _relative_difference(coarse, fine, absolute) / _CONTRACTION
             if error <= tolerance:

@@ -17,7 +17,7 @@ from scipy.interpolate import make_interp_spline
 
 from salver.control.object import Errors, Gains, acceleration, apply, command
 from salver.geometry import Array, exp, interpolated, right_jacobian_inverse
-from salver.integration import Rate, integrate
+from salver.integration import integrate
 from salver.models.rigid_body import RigidBody, spatial_inertia
 from salver.models.tray_motion import motion_vector, wrench_map
 from salver.sensitivity import tubes
@@ -79,11 +79,10 @@ def rollout(
     wanted = reference.sample(t)
     start = _from_deviation(initial_deviation, len(phi), reference.sample(0.0))
 
-    def rates_at(instants: Array) -> Rate:
-        samples = reference.sample(instants)
-        return lambda k, state: loop.rate(samples.only(slice(k, k + 1)), state)
+    def rate(now: float, state: Array) -> Array:
+        return loop.rate(reference.sample(now), state)
 
-    states = integrate(rates_at, start, 0.0, t, max_step, corners=(reference.duration,))
+    states = integrate(rate, start, 0.0, t, max_step, corners=(reference.duration,))
     deviation = np.empty((len(phi), len(t), 12))
     coefficients = np.empty((len(phi), len(t), grasp_map.shape[1]))
     for row, state in enumerate(states):
