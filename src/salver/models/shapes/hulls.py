@@ -1,7 +1,7 @@
 """Facets and corners of convex hulls of points and of cones over rays, by Qhull.
 
 Qhull triangulates facets and gives their planes to some digits. Here each plane occurs once, and planes of cones are
-fitted to their rays. `salver.models.shapes.polygons.convex_hull` computes hulls in the plane.
+fitted to their rays.
 """
 
 from __future__ import annotations

@@ -14,34 +14,14 @@ def half_planes(polygon: Array) -> tuple[Array, Array]:
     return normal, np.einsum("ij,ij->i", normal, polygon)
 
 
-def convex_hull(points: Array, straight: float = 1e-13, many: int = 200) -> Array:
-    """Vertices (n, 2) of the convex hull of points (m, 2), least x first; empty if the points lie on a line.
+def convex_hull(points: Array) -> Array:
+    """Vertices (n, 2) of the convex hull of points (m, 2); empty if the points lie on a line."""
+    from scipy.spatial import ConvexHull, QhullError
 
-    By the monotone chain (Andrew 1979), without vertices at which the hull turns by rounding only: straight: relative
-    area below which three points are on a line. many: of more points those that are obviously inside go first.
-    """
-    if len(points) < 3:
+    try:
+        return np.asarray(points[ConvexHull(points).vertices])
+    except (QhullError, ValueError):
         return np.empty((0, 2))
-    size = float(np.ptp(points, axis=0).max())
-    if len(points) > many:  # a point inside eight extreme ones cannot be a vertex
-        angle = np.pi / 4 * np.arange(8)
-        far = convex_hull(points[np.unique((points @ [np.cos(angle), np.sin(angle)]).argmax(axis=0))])
-        if len(far):
-            normal, offset = half_planes(far)
-            points = points[(points @ normal.T - offset).max(axis=1) > -straight * size]
-    ordered = points[np.lexsort((points[:, 1], points[:, 0]))].tolist()
-    corners: list[list[float]] = []
-    for way in (ordered, ordered[::-1]):
-        chain: list[list[float]] = []
-        for x, y in way:
-            while len(chain) > 1:
-                (ax, ay), (bx, by) = chain[-2:]
-                if (bx - ax) * (y - ay) - (by - ay) * (x - ax) > straight * size**2:
-                    break
-                chain.pop()
-            chain.append([x, y])
-        corners += chain[:-1]
-    return np.array(corners) if len(corners) > 2 else np.empty((0, 2))
 
 
 def from_half_planes(normal: Array, offset: Array) -> Array:
@@ -54,12 +34,7 @@ def from_half_planes(normal: Array, offset: Array) -> Array:
     y = (normal[i, 0] * offset[j] - normal[j, 0] * offset[i]) / cross
     points = np.stack([x, y], axis=1)
     size = max(float(np.abs(offset).max()), 1e-6)
-    points = points[np.all(points @ normal.T <= offset + 1e-9 * size, axis=1)]
-    if len(points) < 3:
-        return np.empty((0, 2))
-    # A corner is found once for each pair of edges through it.
-    points = points[np.unique(np.round(points / (1e-8 * size)).astype(np.int64), axis=0, return_index=True)[1]]
-    return convex_hull(points) if len(points) >= 3 else np.empty((0, 2))
+    return convex_hull(points[np.all(points @ normal.T <= offset + 1e-9 * size, axis=1)])
 
 
 def intersection(first: Array, second: Array) -> Array:
