@@ -389,17 +389,6 @@ def extremes(hull: Array) -> Array:
     return np.array([np.minimum(np.minimum(p, s), inside.min(0)), np.maximum(np.maximum(p, s), inside.max(0))])
 
 
-@lru_cache(maxsize=64)
-def _bernstein(count: int) -> Array:
-    """Quintic Bernstein polynomials and their first three derivatives (4 count, 6) at 0, 1 / count, 2 / count, ..."""
-    u, rows, difference = np.arange(count)[:, None] / count, [], np.eye(6)
-    for degree in (5, 4, 3, 2):
-        k = np.arange(degree + 1)
-        rows.append(np.array([comb(degree, j) for j in k]) * u**k * (1 - u) ** (degree - k) @ difference)
-        difference = degree * np.diff(difference, axis=0)
-    return np.concatenate(rows)
-
-
 def _quintic_bernstein(first: Array, last: Array, h: Array) -> Array:
     """Bernstein coefficients (6, n, d) of quintics with value, first and second derivative (3, n, d) at both ends."""
     h = h[:, None]
@@ -441,17 +430,10 @@ class JointMotion(Outlined):
 
         counts: (T - 1,) number of equal steps of each piece. The jerk at a knot is that just after it.
         """
-        h, starts = np.diff(self.t), np.concatenate([[0], np.cumsum(counts)])
-        t, z = np.empty(starts[-1] + 1), np.empty((4, starts[-1] + 1, self.q.shape[1]))
-        control = np.swapaxes(self._spline.coefficients, 0, 1)  # (pieces, 6, n)
-        for count in np.unique(counts).tolist():
-            pieces = np.flatnonzero(counts == count)
-            at, step = starts[pieces, None] + np.arange(count), h[pieces, None]
-            values = (_bernstein(count) @ control[pieces]).reshape(len(pieces), 4, count, -1)
-            t[at] = self.t[pieces, None] + np.arange(count) * (step / count)
-            z[:, at] = np.swapaxes(values / step[:, :, None, None] ** np.arange(4.0)[:, None, None], 0, 1)
-        t[-1], z[:3, -1], z[3, -1] = self.t[-1], (self.q[-1], self.dq[-1], self.ddq[-1]), self.jerk_before[-1]
-        return t, z
+        piece, first = np.repeat(np.arange(len(counts)), counts), np.repeat(np.cumsum(counts) - counts, counts)
+        step = (np.diff(self.t) / counts)[piece]
+        t = np.append(self.t[piece] + (np.arange(len(piece)) - first) * step, self.t[-1])
+        return t, np.stack(self._spline.several(t, range(4)))
 
     def resampled(self, longest: float) -> JointMotion:
         """The same motion, with more samples where its steps are longer than `longest`, s."""

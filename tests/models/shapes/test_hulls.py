@@ -210,6 +210,7 @@ def test_polygons_are_counter_clockwise_and_hold_all_points(seed: int) -> None:
             assert 0.5 * (x @ np.roll(y, -1) - y @ np.roll(x, -1)) == pytest.approx(ConvexHull(points).volume)
             normal, offset = half_planes(found)
             assert (points @ normal.T - offset).max() < 1e-12 * scale
+            assert found[0].tolist() == min(points.tolist())
 
 
 def test_no_polygon_where_points_lie_in_a_line() -> None:

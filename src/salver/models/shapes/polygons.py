@@ -15,13 +15,14 @@ def half_planes(polygon: Array) -> tuple[Array, Array]:
 
 
 def convex_hull(points: Array) -> Array:
-    """Vertices (n, 2) of the convex hull of points (m, 2); empty if the points lie on a line."""
+    """Vertices (n, 2) of the convex hull of points (m, 2), least x first; empty if the points lie on a line."""
     from scipy.spatial import ConvexHull, QhullError
 
     try:
-        return np.asarray(points[ConvexHull(points).vertices])
+        corners = points[ConvexHull(points).vertices]
     except (QhullError, ValueError):
         return np.empty((0, 2))
+    return np.roll(corners, -np.lexsort(corners.T[::-1])[0], axis=0)
 
 
 def from_half_planes(normal: Array, offset: Array) -> Array:
