@@ -55,6 +55,12 @@ class Interrupting(Signals):
         return super().wish(t)
 
 
+def test_before_the_first_request_the_arm_rests_for_as_long_as_is_said(cube):
+    plan = module._resting(cube, Live(cube), 0.3)
+    assert plan.duration == 0.3
+    assert np.array_equal(plan.joint.q, np.tile(Live(cube).problem.start.q, (2, 1)))
+
+
 @pytest.mark.slow
 def test_what_is_told_is_done_and_kept_as_a_plan_that_can_be_simulated_and_exported(cube, tmp_path):
     told = lines(

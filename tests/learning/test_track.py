@@ -195,6 +195,12 @@ def test_a_joint_that_its_friction_holds_back_is_not_controlled(plan: Plan) -> N
         track(stiff, logged(stiff, done.t, done.q))
 
 
+def test_a_motion_is_judged_at_every_speed_that_its_scenario_asks_for() -> None:
+    judge = Judge.of(load("panda-tall-bottle").with_changes(contact__condition="exact", motion__speeds="any"))
+    assert len(judge.problem.speeds) > 1
+    assert {constraint.speed for constraint in judge.constraints} == set(judge.problem.speeds)
+
+
 def test_what_cannot_be_tracked_is_said(plan: Plan, tmp_path: Path) -> None:
     with pytest.raises(ScenarioError, match="has no arm"):
         Judge.of(load("tall-box-56"))

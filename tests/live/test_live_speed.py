@@ -319,6 +319,9 @@ def test_a_factor_never_leaves_the_range_between_its_ends():
             inside = min(0.5, to) - 1e-9 <= factor.min() and factor.max() <= max(0.5, to) + 1e-9
             assert not profile.possible or inside
             assert profile.possible == (rate * (to - 0.5) >= 0 and abs(rate) * 1.2 <= 3 * abs(to - 0.5))
+    rest = SpeedProfile(path, 5.0, 0.2, 0.5, 0.0, 0.0, 1.2).motion()
+    assert rest.duration == 1.2
+    assert rest.q[-1] == pytest.approx(path.sample(np.array([0.5]))[0][0], abs=1e-12)  # rounding
 
 
 def test_the_same_is_said_by_lines(cube):

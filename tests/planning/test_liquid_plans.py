@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 from importlib.resources import files
 
@@ -178,6 +179,23 @@ def test_contact_of_a_cup_of_which_nothing_moves_the_arm(coffee, known):
         values.append(np.stack([added.min(axis=1), added.max(axis=1)]))  # of facets, which both ends of the mass have
     assert values[0] == pytest.approx(values[1], abs=1e-8)
     assert np.abs(values[0]).max() > 1e-3
+
+
+def test_what_the_arms_deviation_adds_to_sloshing_counts_with_the_worst_signs(coffee):
+    """Each uncertain term may have either sign; the largest contribution is that of the worst of all combinations."""
+    problem = transport_problem(coffee)
+    s = np.linspace(0, 1, 21)
+    z = np.zeros((4, len(s), problem.n))
+    z[0] = problem.start_posture + 0.2 * (s - np.sin(2 * np.pi * s) / (2 * np.pi))[:, None]
+    z[2] = 0.8 * np.pi * np.sin(2 * np.pi * s)[:, None] * [1, 0, 0, 0, 0, 0, 0]
+    (rows,), loads = problem.contacts, problem.at(s, z, 1.0).loads
+    ((planned, compliant),) = loads.values()
+    held, change = rows.wrench[0].T, compliant.change.wrench
+    signs = np.array(list(itertools.product([-1.0, 1.0], repeat=change.shape[3])))
+    each = [compliant.reaction.w @ rows.nominal.T + (compliant.wrench + change @ sign) @ held for sign in signs]
+    expected = np.max([*each, *([planned.wrench @ held] * len(signs))], axis=(0, 1))
+    assert LoadRows.of(rows, loads).values == pytest.approx(expected, abs=1e-12)  # rounding
+    assert np.any(np.max(each, axis=1) > np.max(planned.wrench @ held, axis=0) + 1e-4)
 
 
 def test_a_cup_that_is_dropped_with_its_tray_is_not_said_to_keep_its_liquid(coffee):
