@@ -331,3 +331,14 @@ def test_the_peak_acceleration_of_a_long_quintic_between_two_waypoints_is_seen()
         3
     ]
     assert ddq.max(axis=0) == pytest.approx(10 / np.sqrt(3) / 4 * np.abs(way), rel=1e-3)
+
+
+def test_between_waypoints_are_instants_every_two_milliseconds_but_neither_few_nor_many():
+    """50 ms are 25 intervals, 1 ms is no less than 3, and 1 s no more than 64."""
+    t, q = np.array([0.2, 0.25, 0.251, 1.251]), np.outer([0.0, 0.1, 0.1, 0.3], [1.0, -2.0])
+    samples = JointSamples(t, ("a", "b"), q, np.zeros_like(q), None, "by hand", commanded=True)
+    found = commanded_motion(samples)[0]
+    for begin, end, count in zip(t[:-1], t[1:], (25, 3, 64), strict=True):
+        inside = found[(found > begin) & (found < end)]
+        assert np.diff(inside) == pytest.approx((end - begin) / count, rel=1e-4)  # the ends are 1e-9 of it inside
+        assert len(inside) == count + 1

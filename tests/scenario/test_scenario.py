@@ -121,6 +121,9 @@ def test_changes_make_a_checked_copy():
     assert longer.motion.start.rpy_deg == (5, 0, 0)
     assert (item.motion.duration, item.objects[0].mass) == (2.5, 0.256)
     assert longer.digest != item.digest
+    bases = [[0, 0, 30], [5, 0, 30], [0, -5, 30]]  # and each base has its own, however it leans
+    leaning = [item.with_changes(arm__base_rpy_deg=base, surroundings__floor="none") for base in bases]
+    assert len({each.digest for each in leaning}) == 3
     for nowhere in ({"objects__3__mass": 1.0}, {"objects__mass": 1.0}, {"name__first": "a"}, {"seed__x__y": None}):
         with pytest.raises(ScenarioError, match=r"__\w+ is no place in"):
             item.with_changes(**nowhere)

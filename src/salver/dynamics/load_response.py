@@ -91,12 +91,6 @@ class LoadResponse(ABC):
         change = None if self.change is None else self.change.part(some)
         return type(self)(modes, self.wrench[some], planned, reaction, change, **self._more(some))
 
-    def only(self, k: int) -> Self:
-        """The response of one case, without the effects of the arm and of parameter errors."""
-        some = slice(k, k + 1)
-        modes = self.modes.part(some)
-        return type(self)(modes, self.wrench[some], modes, **self._more(some))
-
     def _more(self, some: slice) -> dict[str, Any]:
         own = {name: value for name, value in vars(self).items() if name in self.more}
         return {name: x if np.ndim(x) == 0 else np.asarray(x)[some] for name, x in own.items()}
