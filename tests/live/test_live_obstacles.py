@@ -13,7 +13,7 @@ from salver.live import Live, Moving
 from salver.live.committed.commit import verified
 from salver.live.committed.motion import resting
 from salver.live.replanning.lookout import Lookout, Sighting
-from salver.live.replanning.obstacles import Movable, MovingClearance, predicted
+from salver.live.replanning.obstacles import Movable, MovingClearance, Predicted, predicted
 from salver.live.replanning.planner import Job
 from salver.live.replanning.steer import TICK
 from salver.live.replanning.wishes import Evade, Follow, Halt
@@ -38,6 +38,17 @@ def thrown(at, seconds, come_from):
     begin = np.add(at, come_from)
     velocity = np.subtract(at, begin) / seconds - 0.5 * seconds * np.array(G)
     return Moving("ball", "sphere", begin, velocity, G, radius=0.05)
+
+
+def test_a_sighting_is_compared_with_the_prediction_from_now_on_alone():
+    """Where a ball was foreseen for ever it rests now; before, it came from elsewhere."""
+    solid, here = ("sphere", 0.05), np.array([0.3, 0.0, 0.5])
+    rests = np.array([here, np.zeros(3), np.zeros(3)])
+    foreseen = Predicted("ball", solid, np.eye(3), 0.0, rests, None, 0.05, 0.0, np.inf)
+    for way, same in (([0.3, 0.0, 0.0], True), ([0.3, 0.04, 0.0], True), ([0.3, 0.06, 0.0], False)):
+        samples = np.array([1.0, 1.9]), here + np.outer([1.0, 0.0], way) + [0.0, way[1], 0.0]
+        seen = Predicted("ball", solid, np.eye(3), 2.0, rests, samples, 0.02, 0.0, 5.0)
+        assert foreseen.foresaw(seen, 2.0) == same
 
 
 def clearance(movable, seen, q, t):
