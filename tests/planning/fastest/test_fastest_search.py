@@ -146,16 +146,43 @@ def test_a_rough_optimum_that_promises_too_much_does_not_end_the_search(kept):
             if beaten:
                 self.given_up.append((0.99 * promise["promising"], (problem, start)))
             iterate = SimpleNamespace(name=start.name, duration=promise[start.name], violation=0.04 if beaten else 0.0)
-            return problem, SimpleNamespace(iterate=iterate)
+            return (problem, start), SimpleNamespace(iterate=iterate)
 
-        def _refined(self, problem, found):
+        def _refined(self, problem, start, found, beat):
             refined.append(found.name)
             safe = kept or found.name != "promising"
             return Motion(takes[found.name], Status("optimal" if safe else "infeasible", "", safe))
 
-    found = Search(None, FastestOptions(), Watch(), [], np.random.default_rng(0)).best()
+    rigid = SimpleNamespace(cases=())
+    found = Search(rigid, FastestOptions(), Watch(), [], np.random.default_rng(0)).best()
     assert found.duration == 0.75
     assert refined == ["promising", "given up"]
+
+
+def test_where_waves_keep_the_first_motion_from_being_safe_all_starts_are_begun_anew_with_them():
+    """The rough optima without waves are not refined any more, nor are starts given up for one of them. A refinement
+    has to beat the safe motion that is known."""
+    begun, beats = [], []
+
+    class Search(_Search):
+        def _first(self):
+            return [(None, SimpleNamespace(name=name, sampled=np.full((2, 1), x))) for x, name in enumerate("ab")]
+
+        def _rough(self, problem, start, beat=np.inf):
+            begun.append((start.name, self.dynamic))
+            if not self.dynamic:
+                self.given_up.append((0.5, (problem, start)))
+            duration = {"a": 0.8, "b": 0.7}[start.name] if self.dynamic else 0.5
+            return (problem, start), SimpleNamespace(iterate=SimpleNamespace(duration=duration, violation=0.0))
+
+        def _refined(self, problem, start, found, beat):
+            beats.append(beat)
+            return Motion(found.duration + 0.2, Status("", "", self.dynamic))
+
+    found = Search(SimpleNamespace(cases=((),)), FastestOptions(), Watch(), [], np.random.default_rng(0)).best()
+    assert begun == [("a", False), ("b", False), ("a", True), ("b", True)]
+    assert found.duration == pytest.approx(0.9)
+    assert beats == pytest.approx([np.inf, np.inf, 0.9])
 
 
 @dataclass(frozen=True)

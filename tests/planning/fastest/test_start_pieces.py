@@ -207,12 +207,13 @@ def searching(problem: TransportProblem, **options: Any) -> search._Search:
 
 def test_another_start_has_to_be_a_hundredth_shorter_than_those_that_are_refined(plain) -> None:
     one = searching(plain, starts=2)
-    roughs = [(plain, a_rough(x, y)) for x, y in ((1.5, 0.0), (0.7, 0.1), (1.0, 0.0), (1.2, 0.0))]
+    begin: Any = plain, None
+    roughs = [(begin, a_rough(x, y)) for x, y in ((1.5, 0.0), (0.7, 0.1), (1.0, 0.0), (1.2, 0.0))]
     assert one._beat(roughs) == pytest.approx((1 - FastestOptions.rough_gain) * 1.2)  # what breaks a row does not count
     assert one._beat(roughs[:3]) == pytest.approx((1 - FastestOptions.rough_gain) * 1.5)
     assert one._beat(roughs[:2]) == np.inf
     best = cast(Any, SimpleNamespace(duration=1.0, status=Status("optimal", "", True)))
-    assert [one._hopeful((plain, a_rough(x)), best) for x in (0.98, 0.995)] == [True, False]
+    assert [one._hopeful((begin, a_rough(x)), best) for x in (0.98, 0.995)] == [True, False]
 
 
 def test_a_path_promises_the_less_the_deeper_it_is_in_something(behind_a_post, pair) -> None:
@@ -271,14 +272,14 @@ def test_the_shortest_safe_motion_is_kept_and_what_brings_nothing_is_given_up(pl
     rough_s, spline, shares = [], RestSpline(5, 8), []
     refined = iter([(True, 1.2), (False, 0.5), (True, 0.9), (True, 1.0)])
 
-    def finish(self: Any, problem: TransportProblem, found: Any) -> FastestMotion:
+    def finish(self: Any, problem: TransportProblem, start: Start, found: Any, beat: float) -> FastestMotion:
         ok, duration = next(refined)
         status = Status("optimal" if ok else "infeasible", "", ok)
         return FastestMotion(spline, np.zeros((spline.size, 7)), duration, problem, status, {}, ("torque",), 0.0, 1)
 
     def begin(self: Any, problem: TransportProblem, start: Start, beat: float = np.inf) -> Any:
         rough_s.append(1.0 + 0.2 * len(rough_s) if len(rough_s) < 4 else 2.0)
-        return problem, a_rough(rough_s[-1])
+        return (problem, start), a_rough(rough_s[-1])
 
     monkeypatch.setattr(search._Search, "_refined", finish)
     monkeypatch.setattr(search._Search, "_rough", begin)
@@ -293,6 +294,21 @@ def test_the_shortest_safe_motion_is_kept_and_what_brings_nothing_is_given_up(pl
     assert len(rough_s) == 4 + FastestOptions().patience * 4
     assert shares == sorted(shares)
     assert shares[-1] == pytest.approx((60 + 3) / (60 + 4))  # when the last refinement began, of 60 different paths
+
+
+def test_a_rough_problem_has_waves_only_where_they_are_asked_for(coffee: Scenario) -> None:
+    """With them the arm follows exactly; a motion that cannot beat what is known is not repaired."""
+    problem = transport_problem(coffee)
+    without, dynamic = problem.roughly(False), problem.roughly(True)
+    assert (without.cases, without.tracking) == ((), problem.tracking)
+    assert (dynamic.cases, dynamic.tracking, dynamic.at_rest) == (problem.cases, None, False)
+    assert problem.cases
+    one = searching(problem)
+    one.pairs, blocked = search.possible_ends(problem, one.options, one.rng)
+    assert blocked is None
+    begin, found = one._rough(*one._first()[0])
+    beaten = one._refined(*begin, found.iterate, found.iterate.duration)
+    assert beaten.status.code == "beaten"
 
 
 def test_an_arm_at_rest_strays_as_far_as_a_load_pulls_in_which_nothing_sloshes(coffee: Scenario) -> None:

@@ -57,11 +57,12 @@ def optimum(
     watch: Watch,
     damping: float,
     objective: Objective = SHORTEST,
+    beat: float = np.inf,
 ) -> FastestMotion:
     """The local optimum near a start, checked between the nodes.
 
     problem: what to solve. options: of the search. start: the initial motion. watch: reports progress and may end the
-    search. damping: of the first step. objective: what to minimise.
+    search. damping: of the first step. objective: what to minimise. beat: as in `optimise`.
     """
-    per_span = options.nodes_per_span
-    return optimise(problem, FreeCurve, start, per_span, watch, damping, objective, options.most)
+    per_span, most = options.nodes_per_span, options.most
+    return optimise(problem, FreeCurve, start, per_span, watch, damping, objective, most, beat=beat)

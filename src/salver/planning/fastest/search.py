@@ -85,12 +85,16 @@ def possible_ends(
 
 
 Begin = tuple[TransportProblem, Start]
-Rough = tuple[TransportProblem, SqpSolution]
+Rough = tuple[Begin, SqpSolution]
 
 
 @dataclass(eq=False)
 class _Search:
-    """A search: rough optima with few spline pieces, of which the best are refined with all."""
+    """A search: rough optima with few spline pieces, of which the best are refined with all.
+
+    tried: paths that were begun. given_up: starts, each for a duration, s. iterations: so far. dynamic: whether rough
+    optima have load dynamics.
+    """
 
     problem: TransportProblem
     options: FastestOptions
@@ -98,12 +102,14 @@ class _Search:
     pairs: list[Ends]
     rng: np.random.Generator
     tried: list[Array] = field(default_factory=list)
-    given_up: list[tuple[float, Begin]] = field(default_factory=list)  # starts, each for a duration in s
+    given_up: list[tuple[float, Begin]] = field(default_factory=list)
     iterations: int = 0
+    dynamic: bool = False
 
     def best(self) -> FastestMotion:
         """The best motion: `starts` rough optima are refined, in order of merit, and more as long as one is shorter
-        than the best motion; further starts are tried while no rough optimum is feasible."""
+        than the best motion; further starts are tried while no rough optimum is feasible. Where the first refined is
+        not safe, too far from one without load dynamics, starts are ranked anew, by rough optima with them."""
         first, further = list(self._new(self._first())), self._new(self._further())
         steps = len(first) + self.options.starts
         roughs: list[Rough] = []
@@ -125,11 +131,15 @@ class _Search:
             if not roughs:
                 break
             hoped = hopeful
-            problem, rough = roughs.pop(0)
-            found, begun = self._refined(problem, rough.iterate), begun + 1
+            begin, rough = roughs.pop(0)
+            beat = best.duration if best is not None and best.status.ok else np.inf
+            found, begun = self._refined(*begin, rough.iterate, beat), begun + 1
             if best is None or (found.status.ok, -found.duration) > (best.status.ok, -best.duration):
                 best = found
                 self.watch.best = best.duration if best.status.ok else None
+            if self.problem.cases and not (best.status.ok or self.dynamic):
+                self.dynamic, roughs, self.given_up, begun = True, [], [], 0
+                self._tried(first, roughs, steps)
             self.watch.reached(min((len(first) + begun) / steps, 1.0))
         assert best is not None
         if not best.status.ok:
@@ -238,18 +248,24 @@ class _Search:
         """The rough optimum, with few spline pieces, of a start, from a long duration."""
         self.watch.trying = start.name
         begin, o = start.motion(problem, few_pieces(self.options)), self.options
-        found = rough(problem, FreeCurve, begin, o.nodes_per_span, self.watch, o.rough_gain, o.most_roughly, beat)
+        less = problem.roughly(self.dynamic)
+        found = rough(less, FreeCurve, begin, o.nodes_per_span, self.watch, o.rough_gain, o.most_roughly, beat)
         self.iterations += found.iterations
         if found.status.code == "beaten":
             self.given_up.append((beat, (problem, start)))
-        return problem, found
+        return (problem, start), found
 
-    def _refined(self, problem: TransportProblem, found: Iterate) -> FastestMotion:
-        """The optimum with all spline pieces near a rough one."""
+    def _refined(self, problem: TransportProblem, start: Start, found: Iterate, beat: float) -> FastestMotion:
+        """The optimum with all spline pieces near the rough one of a start, unless it takes longer than `beat`, s; with
+        load dynamics in rough optima from the start itself, which is slow."""
         self.watch.trying = f"a motion of {found.duration:.3f} s, refined"
-        start = refitted(SplineMotion(few_pieces(self.options), found.coefficients, found.duration), self.options.spans)
-        damping = 0.7 if problem.cases else self.options.refined  # rough optima ignore load dynamics
-        best = optimum(problem, self.options, start, self.watch, damping)
+        if self.dynamic:
+            begin, damping = start.motion(problem, RestSpline(DEGREE, self.options.spans)), 1.0
+        else:
+            rough = SplineMotion(few_pieces(self.options), found.coefficients, found.duration)
+            begin = refitted(rough, self.options.spans)
+            damping = 0.7 if problem.cases else self.options.refined  # rough optima ignore load dynamics
+        best = optimum(problem, self.options, begin, self.watch, damping, beat=beat)
         self.iterations += best.iterations
         return best
 

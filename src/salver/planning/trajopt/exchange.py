@@ -175,7 +175,7 @@ def rough(
 
     gain, beat: as in `optimise`.
     """
-    programme = programme_of(problem.roughly, curve_of, start, start.spline.nodes(nodes_per_span), points=1)
+    programme = programme_of(problem, curve_of, start, start.spline.nodes(nodes_per_span), points=1)
     begun = programme.begin(start.coefficients, start.duration)
     return minimise(programme, begun, SqpOptions(iterations, watch, gain=gain, beat=beat))
 

@@ -108,11 +108,14 @@ class TransportProblem:
     def level(self) -> bool:
         return self.max_tilt == 0.0
 
-    @cached_property
-    def roughly(self) -> TransportProblem:
-        """The problem of rough optima: without load dynamics, which cost most and change the path least, and, with
-        obstacles, where many starts are tried, without the tracking error."""
-        return replace(self, cases=(), tracking=None if self.scenario.obstacles else self.tracking)
+    def roughly(self, dynamic: bool) -> TransportProblem:
+        """The problem of rough optima, with obstacles without the tracking error, since many starts are tried.
+
+        dynamic: with load dynamics, of an arm that follows exactly and without the rest after the motion; they cost
+        most and mostly change the path little.
+        """
+        cases, exactly = self.cases if dynamic else (), dynamic or self.scenario.obstacles
+        return replace(self, cases=cases, at_rest=False, tracking=None if exactly else self.tracking)
 
     @property
     def start_posture(self) -> Array | None:
