@@ -150,6 +150,40 @@ def test_nothing_is_printed_of_capsules(tmp_path: Path, capfd: pytest.CaptureFix
     assert capfd.readouterr().err == ""
 
 
+def test_a_signed_distance_has_no_known_shape(tmp_path: Path) -> None:
+    """It was left out, and the verdict said nothing of it."""
+    radii = '<config key="radius1" value="0.05"/><config key="radius2" value="0.02"/>'
+    plugin = f'<extension><plugin plugin="mujoco.sdf.torus"><instance name="t">{radii}</instance></plugin></extension>'
+    mesh = '<asset><mesh name="ring"><plugin instance="t"/></mesh></asset>'
+    ring = '<geom type="sdf" mesh="ring"><plugin instance="t"/></geom>'
+    changed = ARM.replace("<worldbody>", f"{plugin}{mesh}<worldbody>").replace(
+        '<geom type="sphere" size="0.03"/>', ring
+    )
+    path = written(tmp_path, changed)
+    with pytest.raises(ScenarioError, match="the shape of tip is not known \\(its geometry is a <sdf>\\)"):
+        arm_geometry(loaded(path), (), ())
+    arm = load_arm(Arm(model=path, flange="plate", collisions="unchecked"), WEIGHTLESS_TRAY)
+    assert "whether tip hits anything (shape not known)" in arm_geometry(arm, (), ()).unchecked
+
+
+def test_bodies_and_joints_without_a_name_get_one_that_nothing_has(tmp_path: Path) -> None:
+    """Body 4 and joint 3 have none, and others are called what these were then called."""
+    changed = ARM.replace('body name="fore"', "body").replace('name="roll" ', "").replace('"turn"', '"joint_3"')
+    changed = changed.replace('name="upper"', 'name="body_4"').replace('"tip"', '"body_4_"')
+    arm = loaded(written(tmp_path, changed))
+    assert list(arm.joint_names) == [*JOINTS[:3], "joint_3_", "reach", "joint_3"]
+    assert {"body_4", "body_4_", "body_4__"} <= set(arm_geometry(arm, (), ()).names)
+
+
+def test_a_number_that_is_none_writes_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """MuJoCo's warning of it went to MUJOCO_LOG.TXT where the user was."""
+    path = written(tmp_path, ARM.replace('pos="0 0.1 0.3"', 'pos="0 nan 0.3"'))
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ScenarioError, match=r'xyz of <origin> in .* is "0.03 nan 0.3"; it must be 3 finite numbers'):
+        loaded(path)
+    assert not list(tmp_path.glob("*.TXT"))
+
+
 @pytest.mark.parametrize("given", ["", 'refpos="0.1 0.02 0.03"', 'refpos="0.1 0.02 0.03" refquat="0.9 0.1 0.2 0.3"'])
 def test_meshes_are_where_mujoco_has_them(tmp_path: Path, given: str) -> None:
     corners = np.array([[0.3, -0.2, 0.1], [1.3, -0.2, 0.1], [0.3, 0.5, 0.1], [0.5, -0.1, 0.6]])

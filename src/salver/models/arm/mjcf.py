@@ -7,6 +7,7 @@ Source: MuJoCo documentation, "XML reference" and "mjModel" (fields of the compi
 from __future__ import annotations
 
 from functools import lru_cache
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree
@@ -25,8 +26,8 @@ def read_mjcf(path: Path, flange: str) -> ElementTree.Element:
 
     Bodies become links, sites links without mass. A joint whose anchor is not its body's origin, or of several on one
     body, gets a link of its own. Torque limits are those of the joints and of their actuators. Bodies that hang on a
-    free or ball joint (objects of a scene), mocap bodies, planes and height fields are left out. Armature, damping and
-    friction of joints have no place in a URDF.
+    free or ball joint (objects of a scene), mocap bodies and planes are left out; height fields and signed-distance
+    geoms are geometry of unknown shape. Armature, damping and friction of joints have no place in a URDF.
 
     Raises ScenarioError: a file that MuJoCo does not read, a floating flange, a joint whose zero is not its initial
     position or whose torque is limited to one sign, a chain that is closed, a mesh that is sheared.
@@ -73,7 +74,13 @@ def _compiled(path: Path) -> tuple[Any, Any]:
 def _compiled_once(path: Path, changed: tuple[int, ...]) -> tuple[Any, Any]:
     import mujoco
 
-    spec = mujoco.MjSpec.from_file(str(path))
+    before = mujoco.get_mju_user_warning()
+    # Numbers that are not finite are refused where they are used. MuJoCo would write its warning into a file.
+    mujoco.set_mju_user_warning(lambda message: None)
+    try:
+        spec = mujoco.MjSpec.from_file(str(path))
+    finally:
+        mujoco.set_mju_user_warning(before)
     # Geoms that only look are left out where no body has nothing else; their meshes are large.
     shapes = [[bool(geom.contype or geom.conaffinity) for geom in body.geoms] for body in spec.bodies]
     spec.compiler.discardvisual = all(any(shape) for shape in shapes if shape)
@@ -88,17 +95,19 @@ class _Parts:
         self._path = path
         import mujoco
 
-        self._enums = mujoco
+        self._enums, m = mujoco, self._m
+        self._bodies = _names(map(m.body, range(m.nbody)), "body", [m.site(k).name for k in range(m.nsite)])
+        self._joints = _names(map(m.joint, range(m.njnt)), "joint")
 
     @property
     def model(self) -> Any:
         return self._m
 
     def name(self, body: int) -> str:
-        return self._m.body(body).name or f"body_{body}"
+        return self._bodies[body]
 
     def joint_name(self, joint: int) -> str:
-        return self._m.joint(joint).name or f"joint_{joint}"
+        return self._joints[joint]
 
     def slides(self, joint: int) -> bool:
         return bool(self._m.jnt_type[joint] == self._enums.mjtJoint.mjJNT_SLIDE)
@@ -264,7 +273,8 @@ class _Parts:
         return place * (reference * _place(model.mesh_pos[mesh], model.mesh_quat[mesh])).inverse()
 
     def _shape(self, geom: int) -> ElementTree.Element | None:
-        """A geom's geometry; None for planes, height fields and signed distances. An ellipsoid is the box around it."""
+        """A geom's geometry; None for planes. An ellipsoid is the box around it. A URDF knows no height fields and
+        signed distances: their shape is not known."""
         model, kinds = self._m, self._enums.mjtGeom
         (a, b, c), kind = model.geom_size[geom], kinds(int(model.geom_type[geom]))  # an enum is no number to `in`
         if kind == kinds.mjGEOM_SPHERE:
@@ -275,11 +285,21 @@ class _Parts:
         if kind in (kinds.mjGEOM_BOX, kinds.mjGEOM_ELLIPSOID):
             return ElementTree.Element("box", size=_text([2 * a, 2 * b, 2 * c]))
         if kind != kinds.mjGEOM_MESH:
-            return None
+            return (
+                None if kind == kinds.mjGEOM_PLANE else ElementTree.Element(kind.name.removeprefix("mjGEOM_").lower())
+            )
         mesh = int(model.geom_dataid[geom])
         at = int(model.mesh_pathadr[mesh])
         file = model.paths[at : model.paths.index(b"\0", at)].decode() if at >= 0 else model.mesh(mesh).name
         return ElementTree.Element("mesh", filename=file, scale=_text(model.mesh_scale[mesh]))
+
+
+def _names(given: Iterable[Any], kind: str, others: Iterable[str] = ()) -> list[str]:
+    """Names of bodies or joints: those without one get their kind and number, and underscores where that is taken."""
+    names = [one.name for one in given]
+    taken = {*names, *others}
+    words = ((f"{kind}_{k}" + more * "_" for more in count()) for k in range(len(names)))
+    return [name or next(word for word in free if word not in taken) for name, free in zip(names, words, strict=True)]
 
 
 def _place(position: Any, quat_wxyz: Any) -> Any:
