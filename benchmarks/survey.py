@@ -124,7 +124,7 @@ def _among(
         it: dict[str, Any] = {"type": "sphere", "radius": 0.05 * reach, "position": place}
         if kind == 0:
             height = place[2]
-            it = {"type": "cylinder", "radius": 0.04 * reach, "length": height, "position": (*place[:2], height / 2)}
+            it = {"type": "cylinder", "radius": 0.04 * reach, "height": height, "position": (*place[:2], height / 2)}
         elif kind == 1:
             it = {"type": "box", "size": (0.15 * reach, 0.15 * reach, 0.1 * reach), "position": place}
         it["name"] = f"obstacle-{len(found)}"

@@ -92,7 +92,7 @@ def test_the_least_clearance_is_never_above_a_dense_search(seed: int) -> None:
     arm = load_arm(scenario.Arm(model="ur5"), scenario.Tray())
     ends = np.stack([REST, REST + rng.uniform(-1.0, 1.0, 6)])
     motion = JointMotion(np.array([0.0, 1.0]), ends, np.zeros_like(ends), np.zeros_like(ends))
-    post = scenario.Obstacle(type="cylinder", radius=0.03, length=1.0, position=(*rng.uniform(0.2, 0.7, 2), 0.5))
+    post = scenario.Obstacle(type="cylinder", radius=0.03, height=1.0, position=(*rng.uniform(0.2, 0.7, 2), 0.5))
     parts = arm_geometry(arm, [], [post])
     found = sweep(parts, motion)
     dense = parts.clearance(motion.sample(np.linspace(0, 1, 1001))[0]).min()
@@ -172,7 +172,7 @@ def test_the_curve_of_clearance_is_of_the_plan(tmp_path: Path) -> None:
         ({"type": "box", "size": (0.2, 0.3, 0.4)}, (0.2, 0.3, 0.4), 0.024),
         ({"type": "sphere", "radius": 0.1}, (0.2, 0.2, 0.2), 4 / 3 * np.pi * 1e-3),
         ({"type": "capsule", "radius": 0.1, "length": 0.5}, (0.2, 0.2, 0.7), np.pi * 1e-2 * 0.5 + 4 / 3 * np.pi * 1e-3),
-        ({"type": "cylinder", "radius": 0.1, "length": 0.5}, (0.2, 0.2, 0.5), np.pi * 1e-2 * 0.5),
+        ({"type": "cylinder", "radius": 0.1, "height": 0.5}, (0.2, 0.2, 0.5), np.pi * 1e-2 * 0.5),
     ],
 )
 def test_obstacles_are_drawn_as_large_as_they_are(shape: dict, lengths: tuple, volume: float) -> None:

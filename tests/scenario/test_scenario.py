@@ -114,6 +114,15 @@ def test_a_key_that_is_new_and_not_given_leaves_the_digest_so_that_older_run_dir
     assert scenario.load(name).digest == digest
 
 
+def test_a_cylinder_in_the_world_has_a_height_which_was_called_length():
+    """And the digest that it had then."""
+    post = {"type": "cylinder", "radius": 0.03, "position": (0.5, 0.0, 0.3)}
+    old, new = (scenario.load("panda-cube").with_changes(obstacles=[post | {key: 0.4}]) for key in ("length", "height"))
+    assert old.obstacles == new.obstacles
+    assert (old.digest, new.digest) == ("bfbf3602b9e1", "bfbf3602b9e1")
+    assert '"height": 0.4' in new.model_dump_json(indent=1, exclude_none=True)
+
+
 def test_changes_make_a_checked_copy():
     item = scenario.load("panda-cube")
     longer = item.with_changes(motion__duration=3.0, objects__0__mass=0.3, motion__start__rpy_deg=[5, 0, 0])

@@ -127,7 +127,7 @@ def test_tilted_tray_keeps_the_arms_mass_matrix():
         ({"type": "box", "size": [0.1, 0.2, 0.3]}, mujoco.mjtGeom.mjGEOM_BOX, [0.05, 0.1, 0.15]),
         ({"type": "sphere", "radius": 0.1}, mujoco.mjtGeom.mjGEOM_SPHERE, [0.1]),
         ({"type": "capsule", "radius": 0.1, "length": 0.5}, mujoco.mjtGeom.mjGEOM_CAPSULE, [0.1, 0.25]),
-        ({"type": "cylinder", "radius": 0.1, "length": 0.5}, mujoco.mjtGeom.mjGEOM_CYLINDER, [0.1, 0.25]),
+        ({"type": "cylinder", "radius": 0.1, "height": 0.5}, mujoco.mjtGeom.mjGEOM_CYLINDER, [0.1, 0.25]),
     ],
 )
 def test_an_obstacle_is_in_the_engine_as_large_as_it_is_and_where_it_is(shape, kind, size):

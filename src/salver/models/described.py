@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -100,7 +100,8 @@ class Tray(Model):
 
 
 class Obstacle(Model):
-    """A keep-out region in the world S. A mesh is replaced by the convex hulls of its separate pieces."""
+    """A keep-out region in the world S. A mesh is replaced by the convex hulls of its separate pieces. length: m, of a
+    capsule, between the centres of its round ends; once also the height of a cylinder, which is read."""
 
     type: Literal["box", "sphere", "capsule", "cylinder", "mesh"]
     name: Name = "obstacle"
@@ -109,8 +110,18 @@ class Obstacle(Model):
     size: tuple[Metres, Metres, Metres] | None = None
     radius: Metres | None = None
     length: Metres | None = None
+    height: Metres | None = None
     file: File | None = None
     scale: Scale = 1.0
+
+    _stated = leaving_out("height")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _of_a_cylinder(cls, given: Any) -> Any:
+        if isinstance(given, dict) and given.get("type") == "cylinder" and "height" not in given:
+            return {"height" if key == "length" else key: value for key, value in given.items()}
+        return given
 
     @model_validator(mode="after")
     def _sized(self) -> Obstacle:
@@ -118,12 +129,14 @@ class Obstacle(Model):
             "box": ("size",),
             "sphere": ("radius",),
             "capsule": ("radius", "length"),
-            "cylinder": ("radius", "length"),
+            "cylinder": ("radius", "height"),
             "mesh": ("file",),
         }[self.type]
         for key in needed:
             if getattr(self, key) is None:
                 raise ValueError(f"a {self.type} needs {' and '.join(needed)}")
+        if self.type == "cylinder" and self.length is not None:
+            raise ValueError("a cylinder has radius and height; leave out length")
         return self
 
 

@@ -313,9 +313,11 @@ class Scenario(Shown, Model):
 
     @property
     def resolved(self) -> dict[str, Any]:
-        """All keys with their values, for digests. A base that is upright has base_yaw_deg, so that plans from before
-        there was base_rpy_deg keep theirs."""
+        """All keys with their values, for digests. A base that is upright has base_yaw_deg, and a cylinder in the world
+        a length, so that plans from before there were base_rpy_deg and height keep theirs."""
         found = self.model_dump(mode="json")
+        for obstacle in found["obstacles"]:
+            obstacle["length"] = obstacle.pop("height", obstacle["length"])
         if self.arm is not None and self.arm.base_rpy_deg[:2] == (0.0, 0.0):
             found["arm"]["base_yaw_deg"] = found["arm"].pop("base_rpy_deg")[2]
         return found

@@ -31,7 +31,7 @@ def obstacle_shapes(obstacle: Obstacle | Wall) -> list[tuple[Any, Any]]:
     if obstacle.type == "sphere":
         return [(coal.Sphere(obstacle.radius or 0.0), placement)]
     kind = coal.Capsule if obstacle.type == "capsule" else coal.Cylinder
-    return [(kind(obstacle.radius or 0.0, obstacle.length or 0.0), placement)]
+    return [(kind(obstacle.radius or 0.0, obstacle.length or obstacle.height or 0.0), placement)]
 
 
 def mesh_pieces(obstacle: Obstacle) -> list[Array]:

@@ -303,7 +303,7 @@ def _add_swing(spec: Any, body: Any, load: Load, k: int) -> None:
 
 def add_obstacle(spec: Any, obstacle: Obstacle, k: int) -> list[str]:
     """Add an obstacle; returns the names of its geoms, several for a mesh of several pieces."""
-    geom, radius, half = mujoco.mjtGeom, obstacle.radius or 0.0, 0.5 * (obstacle.length or 0.0)
+    geom, radius, half = mujoco.mjtGeom, obstacle.radius or 0.0, 0.5 * (obstacle.length or obstacle.height or 0.0)
     kinds = {
         "box": (geom.mjGEOM_BOX, [0.5 * x for x in obstacle.size or ()]),
         "sphere": (geom.mjGEOM_SPHERE, [radius, 0, 0]),
