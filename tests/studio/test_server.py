@@ -42,7 +42,9 @@ def test_the_page_is_for_who_knows_its_address_on_this_machine_alone(tmp_path):
         assert "kB" in say(studio, "look", text="#" * 300_000)["problem"]
         assert asked(studio, "POST", place.path + "say", b"{")[0] == 400
         assert asked(studio, "POST", place.path + "say", b"[" * 9000)[0] == 400
-        assert asked(studio, "POST", place.path + "say", b"x" * 500_000)[0] == 413
+        assert asked(studio, "POST", place.path + "say", b"")[0] == 400
+        far = json.loads(asked(studio, "POST", place.path + "say", b"x" * 3_000_000)[1])
+        assert far == {"problem": "The message has 3000 kB; it may have at most 400 kB."}
 
 
 def test_a_file_that_somebody_else_has_changed_is_not_written_over(tmp_path):

@@ -82,8 +82,13 @@ class _Handler(BaseHTTPRequestHandler):
         length = self.headers.get("Content-Length", "")
         if self._asked() != "say":
             return self.send_error(HTTPStatus.NOT_FOUND)
-        if not length.isdecimal() or int(length) > self.page.most:
-            return self.send_error(HTTPStatus.REQUEST_ENTITY_TOO_LARGE)
+        if not length.isdecimal():
+            return self.send_error(HTTPStatus.LENGTH_REQUIRED)
+        if (left := int(length)) > self.page.most:
+            while left > 0 and (read := self.rfile.read(min(left, 2**16))):  # a browser sends all before it reads
+                left -= len(read)
+            problem = f"The message has {int(length) // 1000} kB; it may have at most {self.page.most // 1000} kB."
+            return self._send(json.dumps({"problem": problem}).encode(), "application/json")
         try:
             message = json.loads(self.rfile.read(int(length)))
         except (ValueError, RecursionError):
