@@ -143,6 +143,9 @@ def test_methods_and_durations_that_do_not_exist_get_a_sentence():
         make_plan(PAPER, "best")
     with pytest.raises(ScenarioError, match=r"motion\.duration is missing"):
         plan_object(PAPER.with_changes(motion__duration=None))
+    for made in (plan_object, plan_baseline):  # each began with the heading of motion.start, without a word
+        with pytest.raises(ScenarioError, match='start_yaw = "free" is for motions of an arm'):
+            made(PAPER.with_changes(motion__start_yaw="free"))
 
 
 def test_the_check_tells_of_the_contact_unless_only_the_limit_on_tilt_fails():

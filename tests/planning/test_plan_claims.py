@@ -19,7 +19,7 @@ from salver.geometry import Array, exp, invert
 from salver.models.arm.arm import load_arm
 from salver.models.contact_rows import contact_rows
 from salver.planning.fastest import FastestOptions, fastest, transport_problem
-from salver.planning.make import make_plan, plan_baseline, plan_object
+from salver.planning.make import make_plan, plan_baseline, plan_object, plan_pair
 from salver.planning.object.cost import cost_residual
 from salver.planning.object.evaluation import evaluate
 from salver.planning.object.problem import Problem
@@ -45,7 +45,8 @@ def test_a_start_whose_heading_is_free_is_no_detour() -> None:
     case = load("panda-cube").with_changes(
         arm__start_posture=None, motion__duration=None, motion__goal_yaw="fixed", motion__start=start
     )
-    fixed, free = (make_plan(case.with_changes(motion__start_yaw=yaw), "fastest") for yaw in (None, "free"))
+    fixed = make_plan(case, "fastest")
+    free, line = plan_pair(case.with_changes(motion__start_yaw="free"), "fastest")
     assert fixed.ok
     assert free.ok
     assert free.duration < 0.65 < 1.2 < fixed.duration
@@ -53,6 +54,9 @@ def test_a_start_whose_heading_is_free_is_no_detour() -> None:
     assert_allclose(begins.p_SB[0], start["position"], atol=1e-9)
     assert_allclose(begins.R_SB[0, :, 2], [0, 0, 1], atol=1e-9)
     assert begins.R_SB[0, 0, 0] > 0.9  # it points the other way
+    assert line.joint is not None
+    assert free.joint is not None
+    assert_allclose(line.joint.q[0], free.joint.q[0], atol=1e-9)  # a line from the other heading could not begin there
     tilted = case.with_changes(motion__start_yaw="free", motion__start={**start, "rpy_deg": [0, 10, 170]})
     assert replace(free, scenario=tilted).verification.boundary_error > 0.1
     assert simulate(free).summary["outcome"] == "holds"

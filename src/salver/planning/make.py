@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from salver.errors import ScenarioError, Status
-from salver.geometry import Array
+from salver.geometry import Array, quat_wxyz_from_matrix
 from salver.planning.object.problem import Problem
 from salver.planning.object.solvers import Solution, solve
 from salver.planning.plan import FINER, Plan
+from salver.planning.plan_files import begun_at
 from salver.run_directory import STEMS
 from salver.scenario import Scenario
 from salver.trajectory import JointMotion, min_jerk_line
@@ -31,7 +32,7 @@ def plan_object(scenario: Scenario) -> Plan:
     Condition (16) is imposed at the scenario's nodes; if it then fails between them, at all instants of the plan's
     check.
     """
-    _need_duration(scenario)
+    _check_object_motion(scenario)
     if scenario.payload.dynamic and scenario.motion.may_turn:
         raise ScenarioError(
             f"{scenario.name}: the robust plan of a given duration supports {scenario.payload.dynamic[0].inside} only "
@@ -51,7 +52,7 @@ def plan_object(scenario: Scenario) -> Plan:
 def plan_baseline(scenario: Scenario) -> Plan:
     """The paper's baseline: straight min-jerk line from start to goal, in the same duration."""
     motion = scenario.motion
-    _need_duration(scenario)
+    _check_object_motion(scenario)
     reference = min_jerk_line(
         float(motion.duration or 0),
         np.array(motion.start.position),
@@ -140,6 +141,9 @@ def plan_pair(
         return plan, plan_nominal(plan.scenario, options=options, watch=watch)
     given = plan.scenario.motion.duration is not None
     timed = plan.scenario if given else plan.scenario.with_changes(motion__duration=plan.duration)
+    if timed.motion.start_yaw == "free":
+        begin = plan.reference.sample(np.zeros(1))
+        timed = begun_at(timed, begin.p_SB[0], quat_wxyz_from_matrix(begin.R_SB[0]))
     baseline = replace(plan_baseline(timed), scenario=plan.scenario)
     if arm and scenario.arm is not None:
         baseline = with_arm(baseline, None if plan.joint is None else plan.joint.q[0])
@@ -190,11 +194,16 @@ def make_plan(
     return with_arm(plan) if arm and scenario.arm is not None and plan.status.code != "infeasible" else plan
 
 
-def _need_duration(scenario: Scenario) -> None:
+def _check_object_motion(scenario: Scenario) -> None:
     scenario.check_one_leg("this plan")
     if scenario.motion.duration is None:
         raise ScenarioError(
             f"{scenario.name}: motion.duration is missing; give it in seconds, or ask for the fastest plan instead."
+        )
+    if scenario.motion.start_yaw == "free":
+        raise ScenarioError(
+            f'{scenario.name}: motion.start_yaw = "free" is for motions of an arm (fastest, safest, least-sensitive); '
+            'this plan, of the object alone, needs "fixed", the heading of motion.start.'
         )
 
 

@@ -135,9 +135,11 @@ def leg_files(whole: PlanFiles, number: int) -> PlanFiles:
 
 
 def begun_at(scenario: Scenario, p_SB: Array, quat_SB_wxyz: Array) -> Scenario:
-    """The scenario with another start pose of the first object."""
+    """The scenario with another start pose of the first object, whose heading is not free."""
     start = Pose.model_validate({"position": p_SB.tolist(), "quat_wxyz": quat_SB_wxyz.tolist()})
-    return scenario.model_copy(update={"motion": scenario.motion.model_copy(update={"start": start})})
+    return scenario.model_copy(
+        update={"motion": scenario.motion.model_copy(update={"start": start, "start_yaw": None})}
+    )
 
 
 def read_files(directory: str | Path, stem: str = "plan", required: tuple[str, ...] = ()) -> PlanFiles:

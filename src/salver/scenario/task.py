@@ -45,7 +45,7 @@ class Motion(Model):
     With legs, `goal` is that of the last leg and may be left out.
     speeds: "any": the plan must hold at every constant speed factor from 0 to 1, and at factors that change by up to
         speed_rate, 1/s. "full": it must hold at full speed only.
-    start_yaw: "free": the tray may begin with any heading, unless `duration` is given and the motion is the object's.
+    start_yaw: "free": the tray may begin with any heading, in motions of an arm.
     """
 
     model_config = ConfigDict(json_schema_extra=lambda schema: schema["required"].remove("goal"))

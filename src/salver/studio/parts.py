@@ -56,6 +56,7 @@ def parts(scenario: Scenario, leg: int = 0) -> list[Part]:
             "fields": [_field("duration", ["motion", "duration"], motion.duration or 0.0, 0.0, 5.0, "s", zero=True)],
             "lists": [
                 _list("tray", ["motion", "orientation"], ["free", "fixed"], "free" if motion.may_turn else "fixed"),
+                _list("heading at the start", ["motion", "start_yaw"], ["free", "fixed"], motion.start_yaw or "fixed"),
                 _list("heading at the goal", ["motion", "goal_yaw"], ["free", "fixed"], motion.goal_yaw),
             ],
         },
@@ -150,7 +151,7 @@ def _obstacle(item: Obstacle, k: int) -> Part:
         fields += _each("size", [*key, "size"], item.size, 0.01, 1.5, "m")
     fields += [
         _field(name, [*key, name], value, 0.01, 1.0, "m")
-        for name in ("radius", "length")
+        for name in ("radius", "length", "height")
         if (value := getattr(item, name)) is not None
     ]
     handle = {"key": [*key, "position"], "at": list(item.position), "of": "world"}
