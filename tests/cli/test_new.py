@@ -12,6 +12,7 @@ from salver import scenario
 from salver.cli import app
 from salver.cli.plans import new
 from salver.errors import UnreachableError
+from salver.models.arm.known_arms import KNOWN_ARMS, robot_file
 from salver.planning.make import make_plan
 from transport_problems import ROUGH
 
@@ -96,6 +97,18 @@ def test_what_cannot_be_carried_comes_with_what_helps(tmp_path):
         {"tray__size": [0.15, 0.15]},
     ):
         assert make_plan(near.with_changes(**changes), "fastest", options=ROUGH).ok
+
+
+def test_an_arm_without_its_meshes_is_all_that_is_said(tmp_path):
+    """No other start and goal would help; the file is there, for arm.package_dirs."""
+    urdf = robot_file(KNOWN_ARMS["ur5"]).read_text(encoding="utf-8").replace("package://", "package://not_here_")
+    (tmp_path / "mine.urdf").write_text(urdf)
+    file = tmp_path / "mine.toml"
+    done = RUNNER.invoke(app, ["new", str(file), *options(arm=f"{tmp_path / 'mine.urdf'} tool0")])
+    assert done.exit_code == 2, done.output
+    assert "the shape of base_link is not known" in done.stderr.splitlines()[-1]
+    assert "often helps" not in done.stderr
+    assert file.exists()
 
 
 @pytest.mark.slow

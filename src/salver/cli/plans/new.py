@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from salver.cli.common import ExitCode, Json, numbers, print_json, result_console, say
-from salver.errors import SalverError, ScenarioError
+from salver.errors import SalverError, ScenarioError, UnreachableError
 
 if TYPE_CHECKING:
     from salver.models.arm.arm import ArmModel
@@ -94,9 +94,8 @@ def new(
         say(f"Written: {file}. Planning it once ...")
     try:
         plan = make_plan(scenarios.load(file), "fastest")
-    except SalverError:
-        say(helps)
-        raise
+    except UnreachableError as error:
+        raise UnreachableError(f"{error} {helps}") from None
     if json:
         print_json({"file": file, "ok": plan.ok, "duration": plan.duration, "status": plan.status.sentence})
     else:
