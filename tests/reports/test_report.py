@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shutil
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -49,6 +50,18 @@ def test_sections_follow_what_the_directory_has(cube_plans: Path, cube_run: Path
     assert "6 of 6" in rich
     # All of 6 held: the exact lower limit is (0.05 / 2) ** (1 / 6) = 54.07 %.
     assert "54.1 % to 100.0 %" in rich
+
+
+def test_without_the_engine_a_campaign_is_noted_and_the_rest_shown(
+    cube_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "arro3.io", None)
+    said: list[str] = []
+    text = write_report(cube_run, tmp_path / "page.html", say=said.append).read_text()
+    assert 'id="simulation"' in text
+    assert 'id="campaign"' not in text
+    assert [one.endswith("needs arro3, which is not installed; install it with: pip install 'salver[engine]'.")
+            for one in said] == [True]  # fmt: skip
 
 
 def test_verdict_takes_the_strongest_evidence(cube_plans: Path, cube_run: Path) -> None:

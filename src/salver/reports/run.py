@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from salver import scenario as scenarios
-from salver.errors import FileFormatError
+from salver.errors import FileFormatError, MissingDependencyError
 from salver.files import read_result, read_sealed
 from salver.geometry import Array, matrix_from_quat_wxyz
 from salver.models.bodies import Body
@@ -246,7 +246,11 @@ def read_campaign(directory: Path, notes: list[str]) -> tuple[dict[str, Any] | N
             f"{path.with_name('runs.parquet')} was damaged or edited since it was written; run `salver campaign` "
             "again, it resumes."
         )
-    columns = columns_of(content, path.with_name("runs.parquet"))
+    try:
+        columns = columns_of(content, path.with_name("runs.parquet"))
+    except MissingDependencyError as error:
+        notes.append(f"Not shown: the campaign. {error}")
+        return None, {}
     return summary, {name: _column(values) for name, values in columns.items()}
 
 
