@@ -51,7 +51,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as name:
         directory = Path(name) / "run"
         make_plan(PAPER, "robust").save(directory)
-        wall = timed("campaign", str(directory), "-n", str(options.n), "-j", str(options.jobs), "--stem", "plan")
+        wall = timed("campaign", str(directory), "-n", str(options.n), "-j", str(options.jobs), "--plan", "plan")
         print(f"{options.n} runs of 2.5 s at 0.5 ms with {options.jobs} processes: {wall:.1f} s")
         audits = audit_times(Path(name), 5)
         print(f"audit of 10 s at 1 kHz, seven joints: best {min(audits):.2f} s, median {np.median(audits):.2f} s")

@@ -100,7 +100,7 @@ def test_summary_of_known_runs(tmp_path):
     assert summary["paired"][0]["holds"]["p_value"] == pytest.approx(10 / 16)
     # Worst is the worst outcome, then the largest slip: run 3 slid, run 9 held with a larger number.
     assert summary["plans"]["plan"]["worst_run"]["run"] == 3
-    assert summary["plans"]["baseline"]["worst_run"]["replay"] == "salver simulate out/x --stem baseline --run 2"
+    assert summary["plans"]["baseline"]["worst_run"]["replay"] == "salver simulate out/x --plan baseline --run 2"
     assert summary["plans"]["plan"]["quantiles"]["peak_slip"]["max"] == pytest.approx(9e-3)
     write_table(tmp_path / "runs.parquet", rows)
     assert read_table(tmp_path / "runs.parquet")["mass"][:3] == [1.0, 1.0, 2.0]

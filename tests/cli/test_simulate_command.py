@@ -36,7 +36,7 @@ def salver(*arguments):
 
 @pytest.mark.slow
 def test_both_plans_side_by_side(run_directory):
-    result = salver("simulate", run_directory, "--stem", "both", "--set", "mass=0.306", "--set", "friction=0.45")
+    result = salver("simulate", run_directory, "--plan", "both", "--set", "mass=0.306", "--set", "friction=0.45")
     assert result.exit_code == 0
     assert "mass = 0.306" in result.stdout
     assert "holds" in result.stdout
@@ -117,7 +117,8 @@ def test_sentences_for_what_happened(run_directory):
         (["--set", "mass"], ["mass=0.3"]),
         (["--set", "mass=heavy"], ["mass=heavy"]),
         (["--set", "weight=1"], ['"weight"', "mass"]),
-        (["--stem", "other"], ["baseline, nominal or both"]),
+        (["--plan", "other"], ["baseline, nominal or both"]),
+        (["--stem=other"], ['--plan = "other"']),  # its former name
         (["--run", "0"], ["campaign"]),
         (["--seed", "-1"], ["--seed", "0"]),
     ],

@@ -431,7 +431,7 @@ def test_commands_that_cannot_be(directory: Path, tmp_path: Path) -> None:
         return result.output + (result.stderr or "")
 
     assert 'no robot "spot"; known are simulated, franka' in said("--robot", "spot")
-    assert 'has no motion "../plan"; it has plan' in said("--stem", "../plan", "--dry-run")
+    assert 'has no motion "../plan"; it has plan' in said("--plan", "../plan", "--dry-run")
     assert "Give the arm's --address" in said()
     assert "--watchdog is 3 rad" in said("--watchdog", "3", "--dry-run")
     bare = tmp_path / "no-arm"

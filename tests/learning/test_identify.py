@@ -335,7 +335,7 @@ def test_command_writes_the_scenario_it_has_learnt(directory: Path, tmp_path: Pa
     loaded, empty = (written(tmp_path / f"{n}.csv", arm.log(v)) for n, v in (("loaded", values), ("empty", None)))
     out = tmp_path / "learnt.toml"
     done = CliRunner().invoke(
-        app, ["identify", str(loaded), "--plan", str(directory), "--empty", str(empty), "-o", str(out)]
+        app, ["identify", str(loaded), "--directory", str(directory), "--empty", str(empty), "-o", str(out)]
     )
     assert done.exit_code == 0, done.output
     learnt = load(out).payload

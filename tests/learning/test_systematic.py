@@ -142,7 +142,7 @@ def test_a_bound_that_is_none_is_refused(field: str) -> None:
 def test_the_command_says_which_bounds_there_are(tmp_path: Path, bottle_plan: Plan, given: str, said: str) -> None:
     bottle_plan.save(tmp_path / "run")
     log = tmp_path / "log.csv"
-    asked = ["identify", str(log), "--plan", str(tmp_path / "run"), "--empty", str(log), "--bound", given]
+    asked = ["identify", str(log), "--directory", str(tmp_path / "run"), "--empty", str(log), "--bound", given]
     done = CliRunner().invoke(app, asked)
     assert done.exit_code == 2
     assert said in " ".join(done.output.split())

@@ -311,7 +311,7 @@ def test_what_a_run_did_is_a_recording_without_velocities(tmp_path):
         (["export", ".", "--format", "json", "--topic", "a"], "--scenario, --topic and --units are for motion files"),
         (["simulate", "a.csv", "-s", "panda-cube", "--write", "a.xlsx"], "a.xlsx is not a name for a motion"),
         (["audit", "a.csv", "-s", "panda-cube", "--units", "inch"], '--units "inch" must name at most one of each'),
-        (["simulate", ".", "--stem", "both", "--write", "b.csv"], "--write is for one run; name its plan with --stem"),
+        (["simulate", ".", "--plan", "both", "--write", "b.csv"], "--write is for one run; name its plan with --plan"),
     ],
 )
 def test_wrong_use_of_motion_files_is_one_sentence(tmp_path, monkeypatch, words, sentence):

@@ -150,7 +150,7 @@ def test_an_object_with_the_name_of_another_frame_is_refused(cube_plans: Path, t
 def test_the_command_writes_it(
     cube_plans: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    words = ["render", str(cube_plans), "-o", str(tmp_path / "cube.mcap"), "--stem", "baseline", "--json"]
+    words = ["render", str(cube_plans), "-o", str(tmp_path / "cube.mcap"), "--plan", "baseline", "--json"]
     monkeypatch.setattr("sys.argv", ["salver", *words])
     with pytest.raises(SystemExit) as ended:
         main()

@@ -100,11 +100,11 @@ def test_every_file_of_a_run_directory_carries_the_verdict(run: Path) -> None:
 
 
 def test_export_ends_with_3_and_one_sentence(run: Path, tmp_path: Path) -> None:
-    code, said = called("export", run, "--format", "moveit", "--stem", "baseline", "-o", tmp_path / "m.yaml")
+    code, said = called("export", run, "--format", "moveit", "--plan", "baseline", "-o", tmp_path / "m.yaml")
     assert code == 3
     assert said.startswith(f"salver: {tmp_path / 'm.yaml'} is not written as if it were safe: The straight")
     assert not list(tmp_path.iterdir())
-    code, _ = called("export", run, "--format", "moveit", "--stem", "baseline", "-o", tmp_path / "m.yaml", "--unsafe")
+    code, _ = called("export", run, "--format", "moveit", "--plan", "baseline", "-o", tmp_path / "m.yaml", "--unsafe")
     assert code == 0
     assert [path.name for path in tmp_path.iterdir()] == ["m-UNSAFE.yaml"]
 
@@ -113,7 +113,7 @@ def test_export_ends_with_3_and_one_sentence(run: Path, tmp_path: Path) -> None:
 def test_what_was_recorded_of_an_unsafe_plan_says_so_in_file_and_film(run: Path, tmp_path: Path) -> None:
     from salver.reports.film import write_film
 
-    code, said = called("simulate", run, "--stem", "plan", "--write", tmp_path / "done.csv")
+    code, said = called("simulate", run, "--plan", "plan", "--write", tmp_path / "done.csv")
     assert code == 0, said
     assert [path.name for path in tmp_path.iterdir()] == ["done-UNSAFE.csv"]
     assert str(load_npz(run / "simulation" / "plan.npz")["verdict"]) == load_plan(run).verdict

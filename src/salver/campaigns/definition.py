@@ -80,7 +80,7 @@ def define(
     case = load_scenario(directory)
     if case.legs and list(stems) != ["plan"]:
         raise SalverError(
-            f"{case.name} is a task of {len(case.legs)} legs; a run of its campaign runs all of them: leave out --stem."
+            f"{case.name} is a task of {len(case.legs)} legs; a run of its campaign runs all of them: leave out --plan."
         )
     if not case.uncertain.size and not stops:
         raise SalverError(f"{case.name} has no uncertain parameters, so that all runs are equal; use salver simulate.")

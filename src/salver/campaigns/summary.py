@@ -118,7 +118,7 @@ def _plan_summary(rows: Sequence[Row], stem: str, directory: Path, folder: str) 
             "peak_slip": worst.get("peak_slip"),
             "cone_least": worst.get("cone_least"),
             "sentence": worst.get("sentence"),
-            "replay": f"salver simulate {quote(str(directory))} --stem {stem} --run {worst['run']}"
+            "replay": f"salver simulate {quote(str(directory))} --plan {stem} --run {worst['run']}"
             + (f" --folder {quote(folder)}" if folder != DEFAULT_FOLDER else ""),
         },
     }

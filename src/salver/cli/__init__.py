@@ -7,13 +7,15 @@ Modules of commands import what is heavy (CasADi, MuJoCo, Pinocchio, plotting) i
 from __future__ import annotations
 
 import os
+import re
 import sys
 from collections.abc import Iterable
 from functools import lru_cache
 from importlib import import_module
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+from typer.core import TyperCommand
 
 from salver import __version__
 from salver.cli.common import ExitCode, handled
@@ -55,6 +57,13 @@ def _options(
     pass
 
 
+class _Command(TyperCommand):
+    """A command whose --plan may be called --stem, its former name."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        return super().parse_args(ctx, [re.sub("^--stem(?==|$)", "--plan", word) for word in args])
+
+
 def _gathered(names: Iterable[str]) -> typer.Typer:
     """The app with the commands `names`."""
     gathered = typer.Typer(
@@ -67,7 +76,9 @@ def _gathered(names: Iterable[str]) -> typer.Typer:
     )
     gathered.callback()(_options)
     for name in names:
-        gathered.command(name)(handled(getattr(import_module(f"salver.cli.{COMMANDS[name]}.{name}"), name)))
+        gathered.command(name, cls=_Command)(
+            handled(getattr(import_module(f"salver.cli.{COMMANDS[name]}.{name}"), name))
+        )
     return gathered
 
 

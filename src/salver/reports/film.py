@@ -114,7 +114,7 @@ def _scenes(directory: Path, stem: str) -> list[_Scene]:
         name = "plan" if stem == "both" else stem
         raise SalverError(
             f"{directory} holds no simulation of {name}; make one with `salver simulate "
-            f"{quote(str(directory))} --stem {name}`."
+            f"{quote(str(directory))} --plan {name}`."
         )
     plans = plans or {s: load_plan(directory, s) for s in wanted}
     records = {s: load_record(directory, s) for s in wanted}

@@ -254,7 +254,7 @@ class Scenario(Shown, Model):
         if self.legs:
             raise ScenarioError(
                 f"{self.name} is a task of {len(self.legs)} legs, and {what} takes one motion with one load; "
-                "salver plan and sv.plan_legs plan all legs, and --stem leg1 names one of a plan."
+                "salver plan and sv.plan_legs plan all legs, and --plan leg1 names one of a plan."
             )
 
     @property

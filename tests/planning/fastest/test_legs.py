@@ -349,10 +349,10 @@ def test_commands_take_a_task_of_several_legs(directory, capsys):
     assert [path.name for path in write_export(directory, "csv", stem="leg2")] == ["leg2.csv"]
     for refused in (
         ("export", directory, "--format", "mujoco"),
-        ("export", directory, "--format", "csv", "--stem", "leg2", "--pause", "1"),
+        ("export", directory, "--format", "csv", "--plan", "leg2", "--pause", "1"),
         ("export", directory, "--format", "csv", "--pause", "-1"),
         ("execute", directory, "--yes", "--address", "172.16.0.2"),
-        ("campaign", directory, "--stem", "leg1"),
+        ("campaign", directory, "--plan", "leg1"),
         ("campaign", directory, "--stops"),
         ("simulate", directory, "--stop-at", "0.1"),
         ("simulate", directory, "--stop-at", "9"),

@@ -21,7 +21,7 @@ def campaign(
         typer.Option(help="How the uncertain set is sampled: uniform or corners (the extremes first)."),
     ] = "uniform",
     stem: Annotated[
-        list[str] | None, typer.Option(help="Plan to run; repeat for several. Default: plan and baseline.")
+        list[str] | None, typer.Option("--plan", help="Plan to run; repeat for several. Default: plan and baseline.")
     ] = None,
     jobs: Annotated[
         int | None, typer.Option("-j", "--jobs", help="Processes. Default: one for each core, or one for few runs.")

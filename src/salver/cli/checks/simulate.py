@@ -28,8 +28,9 @@ def simulate(
     stem: Annotated[
         str,
         typer.Option(
+            "--plan",
             help="Which plan: plan, baseline, nominal, or both; for a plan of several legs, leg1, leg2 and so on, or "
-            "plan: all legs, one after the other."
+            "plan: all legs, one after the other.",
         ),
     ] = "plan",
     set_: Annotated[
@@ -63,9 +64,9 @@ def simulate(
 
     Prints whether each object held, slid, tipped or left the tray, how near the arm came to its limits, and how far the
     measured contact forces are from the plan's tube. Without an arm in the scenario, the tray is moved exactly.
-    Writes DIRECTORY/simulation/STEM.npz (time histories) and .json (summary); earlier runs are kept as STEM-1, STEM-2.
-    A run with a stop is STEM-stop, a run at another speed STEM-slow; the page does not count them as runs of the plan.
-    A run with a value outside the plan's range is STEM-what-if: the page shows it separately, with that range.
+    Writes DIRECTORY/simulation/PLAN.npz (time histories) and .json (summary); earlier runs are kept as PLAN-1, PLAN-2.
+    A run with a stop is PLAN-stop, a run at another speed PLAN-slow; the page does not count them as runs of the plan.
+    A run with a value outside the plan's range is PLAN-what-if: the page shows it separately, with that range.
 
     The legs of a task are run one after the other: an object that stays on the tray begins a leg at the position to
     which it slid on the leg before. The runs are written as leg1, leg2 and so on.
@@ -73,7 +74,7 @@ def simulate(
     For a motion file (CSV, JSON, YAML, ROS bag) the tray is moved exactly along the motion, as `salver audit` reads it,
     without an arm; a file is written only with --write.
 
-    Example: `salver simulate runs/panda-cube --stem both --set mass=0.306`
+    Example: `salver simulate runs/panda-cube --plan both --set mass=0.306`
 
     Ends with 0 when the run was made, whatever its outcome.
     """
@@ -82,7 +83,7 @@ def simulate(
     from salver.run_directory import STEMS, leg_number
 
     if stem not in (*STEMS, "both") and leg_number(stem) is None:
-        raise ScenarioError(f'--stem = "{stem}"; it must be {", ".join(STEMS)} or both; or leg1, leg2, ...')
+        raise ScenarioError(f'--plan = "{stem}"; it must be {", ".join(STEMS)} or both; or leg1, leg2, ...')
     if scenario is None:
         of_a_run(directory)
         if topic is not None or units is not None:
@@ -96,7 +97,7 @@ def simulate(
     if write is not None:
         form_of(write)  # raises before anything is computed
         if stem == "both" and scenario is None:
-            raise ScenarioError("--write is for one run; name its plan with --stem.")
+            raise ScenarioError("--write is for one run; name its plan with --plan.")
     if scenario is not None:
         results = _motion(asked, scenario, topic, units)
     elif stem in ("plan", "both") and has_legs(directory):
@@ -158,7 +159,7 @@ def _plans(asked: _Asked) -> dict[str, SimulationRecord]:
 
     directory = asked.directory
     if asked.run is not None and has_legs(directory):
-        raise ScenarioError("--run repeats a run of all legs; leave out --stem.")
+        raise ScenarioError("--run repeats a run of all legs; leave out --plan.")
     both = [name for name in STEMS if (directory / f"{name}.npz").is_file()]
     results: dict[str, SimulationRecord] = {}
     for name in both if asked.stem == "both" else (asked.stem,):
@@ -224,7 +225,7 @@ def _motion(asked: _Asked, scenario: str, topic: str | None, units: str | None) 
     from salver.given import simulate_given
 
     if asked.run is not None or asked.stop_at is not None or asked.stem != "plan":
-        raise ScenarioError("--run, --stop-at and --stem are for run directories, not for a motion file.")
+        raise ScenarioError("--run, --stop-at and --plan are for run directories, not for a motion file.")
     chosen, path = scenarios.load(scenario), asked.directory
     samples = read_for(chosen, path, topic, units=units)
     record = simulate_given(samples, chosen, asked.parameters)

@@ -29,9 +29,9 @@ def identify(
     logs: Annotated[
         list[Path], typer.Argument(help="Logs of the motion with the load on the tray: .npz, .csv or ROS bags.")
     ],
-    plan: Annotated[Path, typer.Option(help="Run directory of the plan that was run.")],
+    directory: Annotated[Path, typer.Option(help="Run directory of the plan that was run.")],
     empty: Annotated[Path, typer.Option(help="A log of the same motion with the empty tray.")],
-    stem: Annotated[str, typer.Option(help="Which plan of the directory.")] = "plan",
+    stem: Annotated[str, typer.Option("--plan", help="Which plan of the directory.")] = "plan",
     topic: Annotated[str | None, typer.Option(help="Topic of the joints (JointState), when a bag has several.")] = None,
     bound: Annotated[
         list[str] | None,
@@ -53,7 +53,7 @@ def identify(
     sensor's bias, scale, cross-talk, position and delay do not average out over logs: the ranges allow for them up to
     bounds, which `--bound` sets, and logs with larger errors are refused.
 
-    Example: `salver identify loaded.csv --plan runs/panda-tall-bottle --empty empty.csv -o learnt.toml`
+    Example: `salver identify loaded.csv --directory runs/panda-tall-bottle --empty empty.csv -o learnt.toml`
 
     Ends with 0 when the logs were used, whatever their result.
     """
@@ -63,7 +63,7 @@ def identify(
     from salver.planning.plan import load_plan
 
     check_new_toml(out)
-    bounds, carried = _bounds(bound or []), load_plan(plan, stem)
+    bounds, carried = _bounds(bound or []), load_plan(directory, stem)
     one_load(carried.scenario, "identification")
     names = carried.scenario.load_arm().joint_names
     read = [read_log(path, len(names), names, topic) for path in (*logs, empty)]

@@ -21,7 +21,7 @@ UNSEEN = "what joint encoders do not see: how arm and tray bend, and where the l
 def track(
     directory: Annotated[Path, typer.Argument(help="Run directory of the plan that was run.")],
     log: Annotated[Path, typer.Argument(help="Log of the joints: .npz, CSV, JSON, YAML (MoveIt), ROS bag.")],
-    stem: Annotated[str, typer.Option(help="Which plan of the directory.")] = "plan",
+    stem: Annotated[str, typer.Option("--plan", help="Which plan of the directory.")] = "plan",
     topic: Topic = None,
     json: Json = False,
 ) -> None:

@@ -19,7 +19,8 @@ def export(
         Path | None, typer.Option("-o", "--output", help="File to write (ros2, mujoco: new directory).")
     ] = None,
     stem: Annotated[
-        str, typer.Option(help="Which motion: plan (all its legs), baseline or nominal; or a leg: leg1, leg2 ...")
+        str,
+        typer.Option("--plan", help="Which motion: plan (all its legs), baseline or nominal; or a leg: leg1, leg2 ..."),
     ] = "plan",
     rate: Annotated[float | None, typer.Option(help="Samples per second; default: the plan's own instants.")] = None,
     pause: Annotated[float | None, typer.Option(help="Seconds at rest between the legs of a plan; default 5.")] = None,
@@ -56,7 +57,7 @@ def export(
 
         if rate is not None or stem != "plan" or pause is not None:
             raise SalverError(
-                "--rate, --stem and --pause are for run directories; a motion file keeps its own instants."
+                "--rate, --plan and --pause are for run directories; a motion file keeps its own instants."
             )
         chosen = None if scenario is None else scenarios.load(scenario)
         paths, notes = convert(directory, file_format, output, chosen, topic, units, unsafe=unsafe)

@@ -17,7 +17,9 @@ def render(
     ] = None,
     stem: Annotated[
         str,
-        typer.Option(help="plan (all its legs), baseline, nominal, or both side by side; or a leg: leg1, leg2 ..."),
+        typer.Option(
+            "--plan", help="plan (all its legs), baseline, nominal, or both side by side; or a leg: leg1, leg2 ..."
+        ),
     ] = "both",
     rate: Annotated[float, typer.Option(help="Pictures a second.")] = 30.0,
     speed: Annotated[float, typer.Option(help="Speed of time; 0.25 is four times slower.")] = 1.0,

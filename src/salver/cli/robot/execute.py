@@ -27,7 +27,8 @@ def execute(
     address: Annotated[str | None, typer.Option(help="Network address of the arm's control interface.")] = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="The simulated arm, in real time.")] = False,
     stem: Annotated[
-        str, typer.Option(help="Which motion: plan (all its legs), baseline or nominal; or a leg: leg1, leg2 ...")
+        str,
+        typer.Option("--plan", help="Which motion: plan (all its legs), baseline or nominal; or a leg: leg1, leg2 ..."),
     ] = "plan",
     watchdog: Annotated[float, typer.Option(help="Stop when a joint is this far from its reference, rad.")] = 0.05,
     move_to_start: Annotated[
@@ -89,7 +90,7 @@ def execute(
     done: list[dict[str, Any]] = []
     if live is not None:
         if move_to_start or full_speed_only or stem != "plan":
-            raise SalverError("--live goes with none of --move-to-start, --full-speed-only and --stem.")
+            raise SalverError("--live goes with none of --move-to-start, --full-speed-only and --plan.")
         if robot == "ur":
             raise SalverError("--live drives a franka or the simulated arm; a ur is driven along plans.")
         result = _told(directory, live, out, robot, address, Watchdog(watchdog), realtime, yes, confirm, option or [])
@@ -97,7 +98,7 @@ def execute(
         legs = load(scenario_of(directory)).legs if stem == "plan" else []
         if legs and yes and not simulated:
             raise SalverError(
-                "--yes cannot tell when the tray is ready for the next leg: leave it out, or name a leg with --stem."
+                "--yes cannot tell when the tray is ready for the next leg: leave it out, or name a leg with --plan."
             )
         for k in range(max(1, len(legs))):
             if k:
