@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import signal
 import sys
@@ -439,6 +440,32 @@ def test_commands_that_cannot_be(directory: Path, tmp_path: Path) -> None:
     result = CliRunner().invoke(app, ["execute", str(bare), "--dry-run"])
     assert result.exit_code == 2
     assert "has no arm" in result.output + (result.stderr or "")
+
+
+@pytest.mark.slow
+def test_what_a_busy_machine_misses_is_not_told_as_if_an_arm_had(
+    directory: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It holds this loop up for 30 ms."""
+    from typer.testing import CliRunner
+
+    from salver.cli import app
+
+    read, calls = SimulatedRobot.read, itertools.count()
+
+    def held_up(robot: SimulatedRobot) -> tuple[ArmState, float]:
+        if next(calls) == 400:
+            time.sleep(0.03)
+        return read(robot)
+
+    monkeypatch.setattr(SimulatedRobot, "read", held_up)
+    busy = CliRunner().invoke(app, ["execute", str(directory), "--dry-run"]).stdout
+    assert "control periods in a row were missed" in busy
+    assert "This machine missed those periods, not an arm" in busy
+    assert "of the robot" not in busy
+    waited = CliRunner().invoke(app, ["execute", str(directory), "--dry-run", "--no-realtime"]).stdout
+    assert "Ran to its end" in waited
+    assert "missed" not in waited
 
 
 def test_an_edited_plan_is_refused_by_name(directory: Path, tmp_path: Path) -> None:

@@ -219,13 +219,23 @@ def _tell(result: Execution) -> None:
     tell = result_console().print
     for check in result.checks:
         tell(f"  {'ok ' if check.ok else 'NO '} {check.name}: {check.sentence}")
+    simulated = "realtime" in summary
     if "jitter_median" in clock:
+        kept = (
+            f", {clock['missed']} missed{'' if simulated else ' by the clock of the robot'}, "
+            f"{100 * clock['late']:.3g} % late by over half a period on this machine; "
+            f"jitter {1e6 * clock['jitter_median']:.0f} us at the median, {1e6 * clock['jitter_p999']:.0f} us at "
+            f"99.9 %, {1e3 * clock['jitter_max']:.2f} ms at most"
+        )
         tell(
-            f"{summary['source']}: {clock['periods']} periods of {1e3 * clock['period']:g} ms, "
-            f"{clock['missed']} missed by the robot's clock, {100 * clock['late']:.3g} % late by over half a period "
-            f"on this machine; jitter {1e6 * clock['jitter_median']:.0f} us at the median, "
-            f"{1e6 * clock['jitter_p999']:.0f} us at 99.9 %, "
-            f"{1e3 * clock['jitter_max']:.2f} ms at most; controller {1e6 * clock['step_median']:.0f} us at the median."
+            f"{summary['source']}: {clock['periods']} periods of {1e3 * clock['period']:g} ms"
+            f"{kept if summary.get('realtime', True) else ''}; controller {1e6 * clock['step_median']:.0f} us at the "
+            "median."
+        )
+    if simulated and clock.get("missed"):
+        tell(
+            "This machine missed those periods, not an arm: it was too busy for the loop. Run it again when nothing "
+            "else runs, or with --no-realtime, in which the simulated arm waits."
         )
     if summary.get("e_p_peak") is not None and summary.get("e_o_peak") is not None:
         tell(f"Largest e_p {1e3 * summary['e_p_peak']:.3f} mm, e_o {1e3 * summary['e_o_peak']:.3f} mrad.")
