@@ -92,6 +92,23 @@ def test_frames_of_another_rate_keep_the_time_that_the_motion_takes():
     assert judged(p, noise=0.0).outcome == "holds"
 
 
+@pytest.mark.parametrize(("late", "at", "phase"), [(0.012, 0.9, 0.003), (0.02, 0.5, 0.0), (0.03, 1.1, 0.003)])
+def test_frames_after_a_late_one_keep_their_times(late, at, phase):
+    """A camera's 90 a second in a log of 500, one of them late: those after it were put up to three frames later, and
+    a motion that needs a quarter of the friction did not hold."""
+    taken = np.arange(181) / 90
+    shown = taken + phase
+    shown[round(at * 90)] += late
+    latest = np.searchsorted(np.maximum.accumulate(shown), T + 1e-12, side="right") - 1
+    p = (truth(taken) + 5e-5 * np.random.default_rng(0).standard_normal((181, 3)))[np.maximum(latest, 0)]
+    once = found(p, noise=0.0)
+    fine = np.linspace(0, 2, 20001)
+    moving = (once.y[:, 1] > 0.02) & (once.y[:, 1] < 0.48)
+    away = once.t[moving] - np.interp(once.y[moving, 1], truth(fine)[:, 1], fine)
+    assert np.ptp(away) < 1.5e-3  # the noise is 0.4 ms of the speed there; a frame takes 11 ms
+    assert judged(p, noise=0.0).outcome != "does_not_hold"
+
+
 def test_stale_samples_are_left_out():
     p, stale = seen(truth(T)).p, np.array([250, 300, 301, 555, 720])
     for k in stale:

@@ -177,10 +177,12 @@ def _with_even_clock(channels: Channels, options: AuditOptions) -> Channels:
     if max(np.abs(step - usual)) < 1e-3 * usual:
         return channels
     grids = [np.asarray(np.polyval(np.polyfit(index, t, 1), index))]
-    for period in (usual, (t[-1] - t[0]) / (len(t) - 1)):  # with samples missing
+    single = step[np.round(step / usual) == 1]  # between samples of which none is missing
+    for period in (np.mean(single), (t[-1] - t[0]) / (len(t) - 1)):  # with samples missing; the median may be rounded
         line = np.array([period, t[0]])
         for _ in range(3):
-            count = index + np.maximum.accumulate(np.round((t - line[1]) / line[0]) - index)
+            missing = np.round((t - line[1]) / line[0]) - index
+            count = index + np.minimum.accumulate(missing[::-1])[::-1]  # a stamp may be late, and comes no sooner
             line = np.polyfit(count, t, 1)
         grids.append(np.asarray(np.polyval(line, count)))
     speed = np.linalg.norm(np.gradient(y, axis=0), axis=1)[2:-2]
