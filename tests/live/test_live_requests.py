@@ -8,7 +8,7 @@ import salver as sv
 from live_runs import LEAD, PATIENCE, drive, place
 from salver.cli import app
 from salver.errors import SalverError, Status
-from salver.live import Live, LiveOptions
+from salver.live import Live, LiveOptions, Moving
 from salver.live.history import CommandHistory
 from salver.live.replanning.planner import Answer
 from salver.live.requests import KEPT, Requests
@@ -44,6 +44,27 @@ def test_each_request_has_a_number_and_an_outcome(cube):
     assert (
         str(live.state.requests[-1]) == "Request 5 (to (0.500, 0.100, 0.450) m): dropped, the operator stopped the arm."
     )
+
+
+def test_a_goal_from_which_an_obstacle_goes_while_it_is_planned_is_planned_again(cube):
+    """It was dropped, for an obstacle that was not there any more; while that stays there, it is refused."""
+    goal = (0.444, 0.35, 0.45)
+    for goes, outcome in ((True, "reached"), (False, "dropped")):
+        live = Live(cube, lead=LEAD)
+        drive(live, 0.05, every=None)
+        assert live.obstacles([Moving("ball", "sphere", goal, radius=0.08)]).ok
+        live.goto(goal)
+
+        def answer(job, goes=goes, live=live):
+            answered = live._planner.answer(job)
+            if goes:
+                live.obstacles([])
+            return answered
+
+        live.plan(0.5, answer)  # with more it finds a motion that takes nine seconds
+        assert outcomes(live) == [(1, "accepted" if goes else "dropped")]
+        drive(live, 2.0, begins=0.05)
+        assert outcomes(live) == [(1, outcome)]
 
 
 def test_what_became_of_requests_is_told_once_each_time(cube):

@@ -471,9 +471,9 @@ class Live(Requested):
             offered.resigned = isinstance(wish, Halt | Evade)
             self._look(offered)
             if not offered.keeps_clear:
-                if offered.outlook.sighting.news != sighting.news:
-                    return  # it was planned for another world
                 status, offered = Status("refused", offered.outlook.sentence(self._now), False), None
+        if offered is None and status.code != "unreachable" and self._sighting.news != sighting.news:
+            return  # it was planned for another world, and is planned again for this one
         if isinstance(wish, Evade):
             if answered.done or denied:
                 self._resigned = (running, sighting.news)
