@@ -15,7 +15,7 @@ from salver import scenario
 from salver.geometry import matrix_from_quat_wxyz
 from salver.models.arm.arm import load_arm
 from salver.planning.make import make_plan
-from salver.reports.pages.meshes import decimate, link_meshes, merge_vertices, pack
+from salver.reports.pages.meshes import cell_meshes, decimate, link_meshes, merge_vertices, pack
 from salver.reports.pages.page import write_report
 from salver.reports.pages.replay import replay_scene, stage
 from salver.reports.run import read_run
@@ -92,6 +92,18 @@ def test_meshes_keep_their_shape_when_decimated(monkeypatch: pytest.MonkeyPatch)
         packed = pack(m)
         grid = np.frombuffer(base64.b64decode(packed["vertices"]), "<u2").reshape(-1, 3)
         assert np.abs(packed["low"] + grid / 65535 * packed["span"] - m.vertices).max() < 1e-5
+
+
+def test_the_keep_in_box_is_drawn_by_its_edges() -> None:
+    """A quarter turn about z: its x runs along y. Every corner of a bar is near two faces, or more."""
+    room = {"position": (0.4, 0.1, 0.6), "rpy_deg": (0, 0, 90), "size": (1.2, 2.0, 1.4)}
+    (mesh,) = cell_meshes(scenario.load("panda-cube").with_changes(surroundings__keep_in=room), thick=0.01)
+    assert mesh.name == "keep-in box"
+    off = mesh.vertices - room["position"]
+    np.testing.assert_allclose(np.abs(off).max(axis=0), [1.005, 0.605, 0.705])
+    assert np.all(np.sum(np.abs(np.abs(off) - [1.0, 0.6, 0.7]) < 0.0051, axis=1) >= 2)
+    for corner in itertools.product((-1, 1), repeat=3):  # each of the eight is in three bars
+        assert np.sum(np.all(np.abs(off - corner * np.array([1.0, 0.6, 0.7])) < 0.0051, axis=1)) == 12
 
 
 def test_merging_vertices_by_hand() -> None:

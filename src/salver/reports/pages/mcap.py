@@ -20,7 +20,7 @@ from salver.models.arm.arm import moved_links
 from salver.models.bodies import Body
 from salver.models.shapes import hulls, shapes
 from salver.motion_files.ros_writers import WORLD_FRAME, Row, header_of, write_rows
-from salver.reports.pages.meshes import link_meshes, obstacle_meshes
+from salver.reports.pages.meshes import cell_meshes, link_meshes
 from salver.reports.pages.replay import joint_poses, poses
 from salver.reports.run import read_leg, read_run
 from salver.reports.style import OBJECT_COLOURS, TRAY_COLOUR, rgb
@@ -57,7 +57,7 @@ def write_mcap(directory: str | Path, path: str | Path, stem: str = "plan") -> P
     markers = [_marker("tray", "tray", _tray(scenario.tray), rgb(TRAY_COLOUR))]
     for k, body in enumerate(run.bodies):
         markers.append(_marker("load", body.name, _body(body), rgb(OBJECT_COLOURS[k % len(OBJECT_COLOURS)])))
-    for mesh in obstacle_meshes(scenario.obstacles):
+    for mesh in cell_meshes(scenario):
         markers.append(_marker("obstacles", WORLD_FRAME, mesh.vertices[mesh.triangles], mesh.colour))
     if arm is not None:
         at = joint_poses(source["q"], arm)

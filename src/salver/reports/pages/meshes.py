@@ -5,18 +5,20 @@ from __future__ import annotations
 import base64
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from salver.geometry import Array
+from salver.geometry import Array, matrix_from_rpy
+from salver.models.described import Wall
 from salver.models.shapes.obstacle_shapes import obstacle_shapes
 from salver.models.shapes.surfaces import Surface, surface
 from salver.reports.style import OBSTACLE_COLOUR, rgb
 
 if TYPE_CHECKING:
     from salver.models.arm.arm import ArmModel
-    from salver.scenario import Obstacle
+    from salver.scenario import Obstacle, Scenario
 
 
 @dataclass(frozen=True)
@@ -66,6 +68,23 @@ def obstacle_meshes(obstacles: Iterable[Obstacle]) -> list[LinkMesh]:
         pieces = [surface(shape, placement) for shape, placement in obstacle_shapes(obstacle)]
         vertices, triangles = decimate(*joined(pieces))
         meshes.append(LinkMesh(obstacle.name, 0, vertices, triangles, rgb(OBSTACLE_COLOUR)))
+    return meshes
+
+
+def cell_meshes(scenario: Scenario, thick: float = 0.008) -> list[LinkMesh]:
+    """Obstacles, and the edges of the keep-in box as bars so thick, m."""
+    meshes, room = obstacle_meshes(scenario.obstacles), scenario.surroundings.keep_in
+    if room is not None:
+        import coal
+        import pinocchio as pin
+
+        R, size, bars = matrix_from_rpy(np.deg2rad(room.rpy_deg)), np.array(room.size), []
+        for along, across in product(np.eye(3), product((-0.5, 0.5), repeat=2)):
+            middle = np.zeros(3)
+            middle[along == 0.0] = across
+            placement = pin.SE3(R, np.array(room.position) + R @ (middle * size))
+            bars.append(surface(coal.Box(*(along * size + thick)), placement))
+        meshes.append(LinkMesh(Wall.name, 0, *joined(bars), rgb(OBSTACLE_COLOUR)))
     return meshes
 
 

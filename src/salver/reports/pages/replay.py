@@ -14,7 +14,7 @@ from salver.models.bodies import Body
 from salver.models.load_dynamics import Drawn, LoadDynamics
 from salver.models.shapes import hulls
 from salver.models.uncertain.parameters import Parameter
-from salver.reports.pages.meshes import decimate, link_meshes, obstacle_meshes, pack
+from salver.reports.pages.meshes import cell_meshes, decimate, link_meshes, obstacle_meshes, pack
 from salver.reports.style import OBJECT_COLOURS, ROLE_COLOURS, TRAY_COLOUR, rgb
 from salver.scenario.objects import Shape, smooth
 from salver.simulation.record import drawn_inside
@@ -34,7 +34,7 @@ def stage(
     flange_E = invert(arm.p_FE, arm.R_FE)[0] if arm else np.array([0.0, 0.0, -tray.height])
     return {
         "meshes": links,
-        "obstacles": [pack(mesh) for mesh in obstacle_meshes(scenario.obstacles)],
+        "obstacles": [pack(mesh) for mesh in cell_meshes(scenario)],
         "joints": arm.n + 1 if arm else 1,
         "tray": {
             "size": list(tray.size),
