@@ -3,6 +3,7 @@
 import gc
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -13,6 +14,7 @@ import typer
 
 from salver import __version__, scenario
 from salver.cli import COMMANDS, main
+from salver.cli.common import print_table
 from salver.planning.plan import load_plan
 
 SALVER = Path(sys.executable).with_name("salver")
@@ -286,3 +288,12 @@ def test_an_interruption_that_a_library_reports_as_its_own_error_is_one():
     with pytest.raises(typer.Exit) as ended:
         handled(importing)()
     assert ended.value.exit_code == 130
+
+
+def test_a_name_in_a_table_is_whole(capsys):
+    """In 80 columns `salver track` called each joint panda_joi…"""
+    row = ("panda_joint4", "0.097 mrad", "-0.07 ms", "0.003 mrad", "257.0 urad", "28.0 %")
+    print_table(
+        ("joint", "off the plan", "later than all", "friction", "noise", "margin alone"), [row], left=("joint",)
+    )
+    assert set(row) <= {cell.strip() for cell in re.split("  +", capsys.readouterr().out.splitlines()[-1])}

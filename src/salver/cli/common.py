@@ -245,9 +245,11 @@ def print_table(titles: Sequence[str], rows: Iterable[Sequence[str]], left: Coll
     from rich.table import Table
 
     table = Table(box=None, padding=(0, 3, 0, 0))
-    for title in titles:
-        table.add_column(title, justify="left" if title in left else "right")
-    for row in rows:
+    cells = [titles, *rows]
+    for title, *column in zip(*cells, strict=True):
+        longest = max((len(word) for text in (title, *column) for word in text.split()), default=0)
+        table.add_column(title, justify="left" if title in left else "right", min_width=longest)  # no word is cut
+    for row in cells[1:]:
         table.add_row(*row)
     result_console().print(table)
 
