@@ -119,7 +119,7 @@ def read_plan(directory: str | Path, stem: str = "plan", required: tuple[str, ..
     if number is None or number > len(legs):
         raise FileFormatError(
             f"{Path(directory) / 'plan'}.npz is a plan of {len(legs)} legs, where a plan of one motion is needed; "
-            f"name a leg, leg1 to leg{len(legs)}, or give another plan."
+            f"name a leg, leg1 to leg{len(legs)} (--plan leg1), or give another plan."
         )
     return leg_files(found, number)
 
