@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -116,26 +116,19 @@ class Obstacle(Model):
 
     _stated = leaving_out("height")
 
-    @model_validator(mode="before")
-    @classmethod
-    def _of_a_cylinder(cls, given: Any) -> Any:
-        if isinstance(given, dict) and given.get("type") == "cylinder" and "height" not in given:
-            return {"height" if key == "length" else key: value for key, value in given.items()}
-        return given
-
     @model_validator(mode="after")
     def _sized(self) -> Obstacle:
         needed = {
             "box": ("size",),
             "sphere": ("radius",),
             "capsule": ("radius", "length"),
-            "cylinder": ("radius", "height"),
+            "cylinder": ("radius", "height" if self.length is None else "length"),
             "mesh": ("file",),
         }[self.type]
         for key in needed:
             if getattr(self, key) is None:
                 raise ValueError(f"a {self.type} needs {' and '.join(needed)}")
-        if self.type == "cylinder" and self.length is not None:
+        if self.type == "cylinder" and None not in (self.length, self.height):
             raise ValueError("a cylinder has radius and height; leave out length")
         return self
 
