@@ -97,8 +97,11 @@ def test_meshes_keep_their_shape_when_decimated(monkeypatch: pytest.MonkeyPatch)
 def test_the_keep_in_box_is_drawn_by_its_edges() -> None:
     """A quarter turn about z: its x runs along y. Every corner of a bar is near two faces, or more."""
     room = {"position": (0.4, 0.1, 0.6), "rpy_deg": (0, 0, 90), "size": (1.2, 2.0, 1.4)}
-    (mesh,) = cell_meshes(scenario.load("panda-cube").with_changes(surroundings__keep_in=room), thick=0.01)
-    assert mesh.name == "keep-in box"
+    case = scenario.load("panda-cube").with_changes(surroundings__keep_in=room)
+    (mesh,) = cell_meshes(case, thick=0.01)
+    assert (
+        [drawn["name"] for drawn in stage(case, case.bodies, None, [])["obstacles"]] == [mesh.name] == ["keep-in box"]
+    )
     off = mesh.vertices - room["position"]
     np.testing.assert_allclose(np.abs(off).max(axis=0), [1.005, 0.605, 0.705])
     assert np.all(np.sum(np.abs(np.abs(off) - [1.0, 0.6, 0.7]) < 0.0051, axis=1) >= 2)
