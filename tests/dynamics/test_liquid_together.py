@@ -46,8 +46,12 @@ def rows(part: SloshingResponse, unknowns: Unknowns) -> list[Array]:
     K, T, _ = part.wrench.shape
     case, node = np.arange(40) % K, np.arange(40) * 7 % T
     found = [part.crest, part.free_height, part.wrench, part.left(), part.left(0.3)]
-    found += [part.crest_by(case, node, unknowns), part.free_by(case, node, unknowns), part.left_by(case, unknowns)]
-    return [*found, part.crest_bends(case, node, unknowns), part.left_bends(case, unknowns)]
+    return [
+        *found,
+        part.crest_by(case, node, unknowns),
+        part.free_by(case, node, unknowns),
+        part.left_by(case, unknowns),
+    ]
 
 
 def test_several_side_by_side_are_each_as_if_alone(glasses: TransportProblem) -> None:

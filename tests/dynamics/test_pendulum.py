@@ -149,23 +149,6 @@ def test_derivatives_agree_with_differences(body):
             np.testing.assert_allclose(found, slope, atol=2e-4 * np.abs(slope).max() + 1e-9, err_msg=limit.name)
 
 
-def test_second_derivatives_agree_with_differences(body):
-    """By pushes to the side, in which places are linear: what bends is their size."""
-    t, rng = np.linspace(0, 0.9, 101), np.random.default_rng(5)
-    w, move = shaken(t), np.zeros((101, 12, 1))
-    move[:, :2, 0] = rng.normal(size=2) * np.sin(np.pi * t / 0.9)[:, None] ** 2
-    pair, step = (LoadCase(body, LENGTH, 0.0),), 1e-3
-    case, node, unknowns = np.zeros(6, dtype=int), np.linspace(20, 100, 6).astype(int), Unknowns(move)
-    less, here, more = (
-        PendulumResponse.of(ModalMotion.along(pair, t, w + k * step * move[:, :, 0])).limits()[1:] for k in (-1, 0, 1)
-    )
-    for down, limit, up in zip(less, here, more, strict=True):
-        at = (case, node) if limit.values.shape[1] > 1 else (case, 0)
-        bend = (up.values - 2 * limit.values + down.values)[at] / step**2
-        found = (limit.bends(case, node, unknowns)[:, :, 0] ** 2).sum(axis=1)
-        np.testing.assert_allclose(found, bend, atol=0.01 * np.abs(bend).max(), err_msg=limit.name)
-
-
 def test_what_it_must_keep_is_its_room_and_its_weight(body):
     t = np.linspace(0.0, 1.0, 101)
     w = np.tile(at_rest(), (len(t), 1))

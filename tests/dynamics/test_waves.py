@@ -101,34 +101,6 @@ def test_derivatives_agree_with_differences(coffee, changes, underway, monkeypat
             np.testing.assert_allclose(found, difference, atol=2e-5 * np.abs(difference).max(), err_msg=name)
 
 
-@pytest.mark.parametrize("changes", [{}, BOX], ids=["cup", "box"])
-def test_second_derivatives_of_waves_agree_with_differences(coffee, changes):
-    """On a tray that is pushed along the ground waves are linear in the push; what is read of them is not."""
-    scenario = coffee.with_changes(**changes) if changes else coffee
-    both = [LoadCase(scenario.payload.first, fill, 0.01) for fill in (0.05, 0.06)]
-    rng, t, step = np.random.default_rng(2), np.linspace(0, 0.9, 101), 0.02
-    w, node = np.tile(at_rest(), (len(t), 1)), np.array([15, 33, 55, 82, 99])
-    w[:, :2] = shaken(t)[:, :2]
-    move = np.zeros_like(w)
-    move[:, :2] = np.sin(np.pi * t / 0.9)[:, None] ** 2 * np.stack([np.cos(k * t) for k in rng.uniform(2, 12, 2)], 1)
-    case, dry, way = np.arange(5) % 2, SloshingResponse.of(SurfaceMotion.along(both, t, w)), Unknowns(move[:, :, None])
-    values = {
-        "crest": lambda x: x.crest[case, node],
-        "free": lambda x: SloshingResponse.of(x).free_height[case, node],
-        "left": lambda x: x.left(0.2),
-    }
-    factors = {
-        "crest": dry.crest_bends(case, node, way),
-        "free": dry.free_bends(case, node, way),
-        "left": dry.left_bends(np.arange(2), way, 0.2),
-    }
-    less, same, more = (SurfaceMotion.along(both, t, w + k * step * move) for k in (-1, 0, 1))
-    for name, of in values.items():
-        difference = (of(less) - 2 * of(same) + of(more)) / step**2
-        found = (factors[name] ** 2).sum(axis=(1, 2))
-        np.testing.assert_allclose(found, difference, atol=2e-3 * np.abs(difference).max() + 1e-9, err_msg=name)
-
-
 def pushed(duration: float, t: np.ndarray) -> np.ndarray:
     """Acceleration of the min-jerk line over 0.48 m."""
     x = np.clip(t / duration, 0, 1)

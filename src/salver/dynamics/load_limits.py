@@ -23,15 +23,13 @@ class LoadLimit:
     `most` (K,).
 
     by: returns the first derivatives (m, c) of m values, each at a case and a node, by the c unknowns of the motion.
-    bends: returns factors (m, k, c) whose squares, summed over k, are the second derivatives. group: name of the limits
-    that a verdict reports together.
+    group: name of the limits that a verdict reports together.
     """
 
     name: str
     values: Array
     most: Array
     by: Callable[[Indices, Indices, Unknowns], Array]
-    bends: Callable[[Indices, Indices, Unknowns], Array]
     group: str
 
     def left(self, instants: int) -> Array:

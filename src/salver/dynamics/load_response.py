@@ -122,11 +122,8 @@ class LoadResponse(ABC):
             by_w = -self.modes.cases.at_O[case, 2] / GRAVITY
             return np.asarray((by_w[:, None] @ unknowns.felt[node])[:, 0])
 
-        def bends(case: Indices, node: Indices, unknowns: Unknowns) -> Array:
-            return np.zeros((len(case), 0, unknowns.felt.shape[2]))
-
         most = np.full(len(self.wrench), LIGHTEST)
-        return LoadLimit("effective gravity", self.lightness, most, by, bends, LIGHT)
+        return LoadLimit("effective gravity", self.lightness, most, by, LIGHT)
 
     @abstractmethod
     def limits(self) -> list[LoadLimit]:

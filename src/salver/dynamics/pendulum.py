@@ -36,11 +36,10 @@ class PendulumResponse(LoadResponse):
         """Limits of the pendulum's swing: within its room, during the motion and after it."""
         room = self.modes.cases.room
         left = (np.linalg.norm(self._end, axis=1) + self._hangs + self.more_left)[:, None]
-        by, bends = of_end(self._left_by), of_end(self._left_bends)
         return [
             self.weight_limit,
-            LoadLimit("swing", self.modes.height + self.higher, room, self._by, self._bends, ROOM),
-            LoadLimit("swing left", left, room, by, bends, ROOM),
+            LoadLimit("swing", self.modes.height + self.higher, room, self._by, ROOM),
+            LoadLimit("swing left", left, room, of_end(self._left_by), ROOM),
         ]
 
     def _by(self, case: Indices, node: Indices, unknowns: Unknowns) -> Array:
@@ -48,11 +47,6 @@ class PendulumResponse(LoadResponse):
         return at_node(
             unknowns, self.planned, case, node, r / np.maximum(np.linalg.norm(r, axis=-1, keepdims=True), self.least)
         )
-
-    def _bends(self, case: Indices, node: Indices, unknowns: Unknowns) -> Array:
-        r = self.modes.r[case, node]
-        aside = r[..., ::-1] * [-1.0, 1.0] / np.maximum(np.linalg.norm(r, axis=-1, keepdims=True), self.least) ** 1.5
-        return at_node(unknowns, self.planned, case, node, aside)[:, None]
 
     @property
     def _hangs(self) -> Array:
@@ -65,24 +59,11 @@ class PendulumResponse(LoadResponse):
         m."""
         return np.concatenate(self.modes.ending, axis=2)[:, 0]
 
-    def _end_by(self, case: Indices, unknowns: Unknowns) -> tuple[Array, Array]:
-        """Derivatives (m, 4, c) of `_end`, and its direction (m, 4, 1)."""
-        end, none = self._end[case], np.zeros((len(case), 1, 2))
-        axes = [none + axis for axis in np.eye(2)]
-        found = [self.ending_by(case, unknowns, axis, none) for axis in axes]
-        found += [self.ending_by(case, unknowns, none, axis) for axis in axes]
-        return np.stack(found, axis=1), (end / np.maximum(np.linalg.norm(end, axis=1, keepdims=True), self.least))[
-            ..., None
-        ]
-
     def _left_by(self, case: Indices, unknowns: Unknowns) -> Array:
-        by, way = self._end_by(case, unknowns)
-        return (way * by).sum(axis=1)
-
-    def _left_bends(self, case: Indices, unknowns: Unknowns) -> Array:
-        by, way = self._end_by(case, unknowns)
-        size = np.maximum(np.linalg.norm(self._end[case], axis=1), self.least)[:, None, None]
-        return (by - way * (way * by).sum(axis=1, keepdims=True)) / np.sqrt(size)
+        """Derivatives (m, c) of the length of `_end`."""
+        end = self._end[case]
+        way = (end / np.maximum(np.linalg.norm(end, axis=1, keepdims=True), self.least))[:, None]
+        return self.ending_by(case, unknowns, way[..., :2], way[..., 2:])
 
 
 @dataclass(frozen=True)

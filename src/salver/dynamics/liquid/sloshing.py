@@ -35,7 +35,6 @@ class SloshingResponse(LoadResponse):
     """
 
     motion_type: ClassVar[type[ModalMotion]] = SurfaceMotion
-    least: ClassVar[float] = 1e-4
     more: ClassVar[tuple[str, ...]] = ("higher", "more_left", "freer")
 
     modes: SurfaceMotion
@@ -68,21 +67,20 @@ class SloshingResponse(LoadResponse):
         the crest below the brim of an open container, and residual waves below `settled` if that is given."""
         which = self.modes.cases
         liquid = which.liquid
-        left = self.free_left[:, None], which.steepest, of_end(self.free_left_by), of_end(self.free_left_bends)
         found = [
-            LoadLimit("steepness", self.free_height, which.steepest, self.free_by, self.free_bends, STEEP),
+            LoadLimit("steepness", self.free_height, which.steepest, self.free_by, STEEP),
             self.weight_limit,
-            LoadLimit("steepness left", *left, STEEP),
+            LoadLimit("steepness left", self.free_left[:, None], which.steepest, of_end(self.free_left_by), STEEP),
         ]
         if np.isfinite(which.room).all():
-            found.append(LoadLimit("waves", self.crest, which.room, self.crest_by, self.crest_bends, HIGH))
+            found.append(LoadLimit("waves", self.crest, which.room, self.crest_by, HIGH))
         for name, most, seconds in (
             ("waves left", which.room, None),
             ("settled waves", which.settled, liquid.within),
         ):
             if np.isfinite(most).all():
-                by, bends = (of_end(partial(of, seconds=seconds)) for of in (self.left_by, self.left_bends))
-                found.append(LoadLimit(name, self.left(seconds)[:, None], most, by, bends, HIGH))
+                by = of_end(partial(self.left_by, seconds=seconds))
+                found.append(LoadLimit(name, self.left(seconds)[:, None], most, by, HIGH))
         return found
 
     @classmethod
@@ -142,92 +140,10 @@ class SloshingResponse(LoadResponse):
         by_eta = LESS * leans * waves.cases.steepest_by(waves.eta[case, node])
         return surface_by(self.planned, unknowns, case, node, by_eta, by_free)
 
-    # Factors (m, k, c) whose squares, summed over k, are the convex part of the second derivatives of rows; the waves
-    # are almost linear in the unknowns.
-
-    def free_bends(self, case: Indices, node: Indices, unknowns: Unknowns) -> Array:
-        """Second derivatives of the height of the free wave, or of the whole surface, whose direction turns."""
-        leans = self._leans(case, node)[:, :, None]
-        free, whole = (
-            self._turns(case, node, unknowns, eta[case, node], free=eta is self.modes.free)
-            for eta in (self.modes.free, self.modes.eta)
-        )
-        return np.asarray(np.sqrt(LESS) * leans * whole + (1 - leans) * free)
-
-    def crest_bends(self, case: Indices, node: Indices, unknowns: Unknowns) -> Array:
-        """Second derivatives of the crest: of its height, and of its part beyond linear waves."""
-        which = self.modes.cases
-        turns = self._turns(case, node, unknowns, self.modes.eta[case, node], free=False)
-        peaking = np.sqrt(2 * which.peaking[case] / which.half[case])
-        both = [surface_by(self.planned, unknowns, case, node, by_free=peaking * axis) for axis in np.eye(2)]
-        return np.concatenate([turns, np.stack(both, axis=1)], axis=1)
-
     def _leans(self, case: Indices, node: Indices) -> Array:
         """(m, 1) 1 where the limit on the whole surface (not that on free waves) gives `free_height`, else 0."""
         whole = LESS * (self.modes.height + self.higher)
         return np.asarray((self.free_height <= whole)[case, node, None], dtype=float)
-
-    def _turns(self, case: Indices, node: Indices, unknowns: Unknowns, eta: Array, free: bool) -> Array:
-        """The part of the second derivatives from the changing direction of waves eta (m, 2) in a round container."""
-        if not self.modes.cases.round:
-            return np.zeros((len(case), 0, unknowns.felt.shape[2]))
-        size = np.maximum(np.linalg.norm(eta, axis=1), self.least)[:, None]
-        aside = np.stack([-eta[:, 1], eta[:, 0]], axis=1) / size**1.5
-        return surface_by(self.planned, unknowns, case, node, **{"by_free" if free else "by_eta": aside})[:, None]
-
-    def left_bends(self, case: Indices, unknowns: Unknowns, seconds: float | None = None) -> Array:
-        """Second derivatives of the residual sloshing."""
-        waves, which = self.modes, self.modes.cases
-        more = np.broadcast_to(self.more_left, len(which.each))[case]
-        fading, half = waves.fading(seconds or 0.0)[case], which.half[case]
-        amplitude = waves.amplitude(seconds or 0.0, self.more_left)[case]
-        stands = amplitude + waves.standing[case] * (seconds is None)
-        by_amplitude = which.steepest_by(stands) + 2 * which.peaking[case] / half * amplitude
-        found, larger = self._amplitude_bends(case, unknowns, fading, stands, by_amplitude)
-        peaking = np.sqrt(2 * which.peaking[case] / half)
-        found += [peaking[:, axis, None] * larger[axis] for axis in range(2)]
-        k, peak = waves.peak[0][case], waves.peak[1][case]
-        drifted = LEFT_OVER * (peak + more) / half.min(axis=1) ** 2
-        drifted = drifted * waves.peaks_now[case]
-        highest = which.steepest_by(waves.eta[case, k]) * np.sqrt(6 * drifted)[:, None]
-        found.append(surface_by(self.planned, unknowns, case, k, highest))
-        turns = np.sqrt(3 * drifted * (peak + more))[:, None, None]
-        return np.concatenate(
-            [np.stack(found, axis=1), turns * self._turns(case, k, unknowns, waves.eta[case, k], free=False)], axis=1
-        )
-
-    def free_left_bends(self, case: Indices, unknowns: Unknowns) -> Array:
-        """Second derivatives of the residual free wave."""
-        amplitude = self.modes.amplitude(more=self.more_left)[case]
-        by_amplitude = self.modes.cases.steepest_by(amplitude)
-        return np.stack(self._amplitude_bends(case, unknowns, 1.0, amplitude, by_amplitude)[0], axis=1)
-
-    def _amplitude_bends(
-        self, case: Indices, unknowns: Unknowns, fading: Array | float, stands: Array, by_amplitude: Array
-    ) -> tuple[list[Array], list[Array]]:
-        """Second derivatives of amplitudes with derivatives by_amplitude (m, 2) and static heights stands (m, 2), from
-        the rotation between position and velocity of each mode, and between both axes; then the derivatives (m, c) of
-        the amplitudes along both axes."""
-        which, (away, speed) = self.modes.cases, (x[case] for x in self.modes.ending)
-        size = np.maximum(np.hypot(away, speed), self.least)
-        gain = fading * which.gain[case]
-        turning = np.sqrt(gain * np.maximum(by_amplitude, 0.0)[:, None] / size) / size
-        found = []
-        for mode in range(away.shape[1]):
-            for axis in range(2):
-                one = np.zeros_like(away)
-                one[:, mode, axis] = turning[:, mode, axis]
-                found.append(self.ending_by(case, unknowns, -one * speed, one * away))
-        larger = []
-        for axis in range(2):
-            one = np.zeros_like(away)
-            one[:, :, axis] = gain[:, :, axis] / size[:, :, axis]
-            larger.append(self.ending_by(case, unknowns, one * away, one * speed))
-        if which.round:
-            height = np.maximum(np.linalg.norm(stands, axis=1), self.least)[:, None]
-            aside = stands[:, ::-1] * [-1.0, 1.0] / height**1.5
-            found.append(aside[:, :1] * larger[0] + aside[:, 1:] * larger[1])
-        return found, larger
 
     def left_by(self, case: Indices, unknowns: Unknowns, seconds: float | None = None) -> Array:
         """Derivatives of the residual sloshing, for a fixed final posture of the tray."""

@@ -4,8 +4,7 @@ quadratic subproblems.
 Rows near their limit are linearised in the coefficients and in the scalar. The duration enters as sigma = T^2:
 multiplied by sigma, contact, torque and acceleration rows are exactly linear in it. A quadratic programme with one
 shared slack (an exact penalty on the largest violation) and a proximal term gives the step. Its metric measures the
-change in posture and acceleration, so large smooth changes cost little and ripples cost much. For strongly curved rows,
-such as the size of a swing, second derivatives are added, weighted by the multipliers of the last subproblem.
+change in posture and acceleration, so large smooth changes cost little and ripples cost much.
 """
 
 from __future__ import annotations
@@ -85,17 +84,6 @@ class Linearised:
     matrix: Array
     bound: Array
     where: tuple[tuple[int, Indices, Indices], ...] = ()
-
-    def by_block(self, values: Array, blocks: Sequence[Block]) -> tuple[Array, ...]:
-        """Values (r,) of the rows sorted into arrays (N, m), one per block, 0 elsewhere; empty if no block has
-        curvature, which is what they are used for."""
-        if all(block.curvature is None for block in blocks):
-            return ()
-        found, begin = tuple(np.zeros(block.values.shape) for block in blocks), 0
-        for k, node, column in self.where:
-            found[k][node, column] = values[begin : begin + len(node)]
-            begin += len(node)
-        return found
 
     def and_also(self, other: Linearised) -> Linearised:
         matrix, bound = np.vstack([self.matrix, other.matrix]), np.concatenate([self.bound, other.bound])
@@ -220,22 +208,7 @@ class Programme:
         moved = np.append((trial.coefficients - path.coefficients).ravel(), scalar)
         return Linearised(matrix, found.bound + matrix @ moved)
 
-    def bends(self, path: Iterate, prices: Sequence[Array]) -> Array:
-        """Sum (size m + 1, size m + 1) of the second derivatives of rows that have any, weighted by the multipliers
-        `prices`, (N, m) of each block."""
-        found = np.zeros((path.coefficients.size + 1,) * 2)
-        for block, price in zip(path.blocks, prices, strict=True):
-            if block.curvature is None:
-                continue
-            node, column = np.nonzero(price > 1e-6)  # rows with smaller multipliers are negligible
-            if len(node):
-                factors = block.curvature(node, column, path.unknowns(block.factor))
-                factors *= np.sqrt(price[node, column])[:, None, None]
-                flat = factors.reshape(-1, factors.shape[-1])
-                found += flat.T @ flat
-        return found
-
-    def subproblem(self, path: Iterate, trust: Trust, prices: Sequence[Array] = ()) -> Subproblem:
+    def subproblem(self, path: Iterate, trust: Trust) -> Subproblem:
         """The quadratic programme of an iteration, without rows."""
         m, count = self.curve.width, path.coefficients.size
         model = self.objective.model(self.curve, path.point)
@@ -244,8 +217,6 @@ class Programme:
             hessian[curve:count:m, curve:count:m] = metric
         if model.curvature is not None:
             hessian[:count, :count] += model.curvature
-        if prices:
-            hessian[: count + 1, : count + 1] += self.bends(path, prices)
         ridge = hessian.ravel()[:: count + 3]
         ridge[:count] += 1e-9  # regularisation where the metric is singular
         ridge[count:] += 1e-6  # the metric does not contain scalar and slack

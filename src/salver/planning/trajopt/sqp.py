@@ -75,8 +75,8 @@ class Attempt:
 
     trial: the new iterate, or None. predicted, gained: predicted and actual improvement of the merit function. hoped:
     predicted improvement of the objective alone. slack: predicted remaining violation. share: of the step that was
-    taken. unseen: rows that were left out and came near their limit. prices: multipliers (N, m) of each block's rows,
-    where needed. programmes: number solved. beaten: whether the search ends here (see `SqpOptions`).
+    taken. unseen: rows that were left out and came near their limit. programmes: number solved. beaten: whether the
+    search ends here (see `SqpOptions`).
     """
 
     trial: Iterate | None
@@ -86,7 +86,6 @@ class Attempt:
     slack: float
     share: float
     unseen: tuple[Mask, ...]
-    prices: tuple[Array, ...]
     programmes: int
     beaten: bool = False
 
@@ -100,13 +99,12 @@ def minimise(programme: Programme, start: Iterate, options: SqpOptions, trust: T
     begun = time.perf_counter()
     trust = replace(trust or Trust(), penalty=options.penalty, least_damping=options.least_damping)
     path, forced = start, tuple(np.zeros(block.values.shape, dtype=bool) for block in start.blocks)
-    prices: tuple[Array, ...] = ()
     code, idle, programmes, done = "iteration_limit", 0, 0, 0
     while done < options.iterations:
         done += 1
         depth = np.broadcast_to(trust.depth, len(path.blocks))
         masks = [block.near(d) | more for block, d, more in zip(path.blocks, depth, forced, strict=True)]
-        attempt = _attempt(programme, path, masks, trust, prices, options)
+        attempt = _attempt(programme, path, masks, trust, options)
         if attempt is None:
             programmes += 1
             trust.failed()
@@ -114,7 +112,7 @@ def minimise(programme: Programme, start: Iterate, options: SqpOptions, trust: T
                 code = "stalled"
                 break
             continue
-        programmes, prices = programmes + attempt.programmes, attempt.prices
+        programmes += attempt.programmes
         if attempt.beaten:
             code = "beaten"
             break
@@ -149,29 +147,23 @@ def minimise(programme: Programme, start: Iterate, options: SqpOptions, trust: T
 
 @np.errstate(over="ignore", invalid="ignore")  # a diverging trial is rejected
 def _attempt(
-    programme: Programme,
-    path: Iterate,
-    masks: Sequence[Mask],
-    trust: Trust,
-    prices: Sequence[Array],
-    options: SqpOptions,
+    programme: Programme, path: Iterate, masks: Sequence[Mask], trust: Trust, options: SqpOptions
 ) -> Attempt | None:
     """One iteration: the step of the quadratic programme, with a second-order correction if it brings less than a share
     of the predicted improvement; None if the programme failed."""
     rows = programme.linearised(path, masks)
-    subproblem = programme.subproblem(path, trust, prices)
+    subproblem = programme.subproblem(path, trust)
     solved = subproblem.solve(rows)
     if solved is None:
         return None
     step, slack, worth = solved
     trust.priced(slack, float(worth.sum()))
-    priced = rows.by_block(worth, path.blocks)
     hoped = path.cost - programme.objective.expected(programme.curve, path.point, path.cost, step)
     predicted = hoped + trust.penalty * (path.violation - slack)
     merit = path.merit(trust.penalty)
     unseen = tuple(np.zeros(block.values.shape, dtype=bool) for block in path.blocks)
     if options.beaten(path, hoped):
-        return Attempt(None, predicted, -np.inf, hoped, slack, 1.0, unseen, priced, 1, beaten=True)
+        return Attempt(None, predicted, -np.inf, hoped, slack, 1.0, unseen, 1, beaten=True)
     trial, share, programmes = programme.moved(path, step), 1.0, 1
     if (
         trial is not None
@@ -186,7 +178,7 @@ def _attempt(
         programmes = 2
         trial, share = _along_arc(programme, path, trial, step, second, slack, predicted, trust.penalty)
     gained = -np.inf if trial is None else merit - trial.merit(trust.penalty)
-    return Attempt(trial, predicted, gained, hoped, slack, share, unseen, priced, programmes)
+    return Attempt(trial, predicted, gained, hoped, slack, share, unseen, programmes)
 
 
 def _along_arc(

@@ -64,8 +64,6 @@ class Block:
         following: derivatives by z at the next node, for rows that couple two neighbours.
         by_duration: (N, m) derivative by log T at fixed z, for rows that contain the duration itself.
         history: for rows that depend on the motion at other nodes too: additional derivatives (r, c) by c unknowns.
-        curvature: for rows that are convex functions of linear ones, such as the size of a swing: factors (r, k, c)
-            whose squares, summed over k, are the second derivative.
         whole: for rows that know their derivatives (r, size m) by the coefficients themselves: these, which are added.
         remembers: history is neglected for rows further than this from their limit, because it is expensive.
         slows: relative increase of the duration that removes a unit of violation.
@@ -87,7 +85,6 @@ class Block:
     following: Gradient | None = None
     by_duration: Array | None = None
     history: History | None = None
-    curvature: History | None = None
     whole: Gradient | None = None
     remembers: float = np.inf
     slows: float = 1.5

@@ -44,11 +44,6 @@ class LoadConstraint(Constraint):
                 found[mine] = each[k].by(case, i[mine], unknowns)
             return found / most[f, None]
 
-        def curvature(i: Indices, f: Indices, unknowns: Unknowns) -> Array:
-            found = [(mine, each[k].bends(case, i[mine], unknowns)) for k, case, mine in of_parts(counts, f)]
-            order = np.argsort(np.concatenate([mine for mine, _ in found]))
-            return np.concatenate([factors for _, factors in found])[order] / np.sqrt(most[f, None, None])
-
         block = Block(
             f"{name} in {self.body.name}{self.speed.words}",
             (np.concatenate([part.values for part in each]) / most[:, None] - 1).T,
@@ -56,7 +51,6 @@ class LoadConstraint(Constraint):
             motion.nodes,
             margins=(5e-3, FINEST),  # the modes' excitation is interpolated between nodes
             history=history,
-            curvature=curvature,
             kinked=True,
             most=2 if len(motion.loads) < 2 else 1,  # rows of similar cases are similar
             reach=0.1,
@@ -84,7 +78,6 @@ class AtRest(Constraint):
                     points=np.full(len(block.values), motion.nodes[-1]),
                     gradient=partial(_of_posture, block),
                     history=block.history and partial(_of_states, block.history, whole),
-                    curvature=block.curvature and partial(_of_states, block.curvature, whole),
                     inherits=False,
                     factor=self.of.speed.factor,
                 )
