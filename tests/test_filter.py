@@ -1,7 +1,5 @@
 """The error dynamics as a filter: against an adaptive integrator, and known integrals."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -75,23 +73,6 @@ def test_polynomials_between_nodes_of_any_spacing_are_exact(kp, kd, order):
     assert np.abs(np.array([x - solution(NODES), v - rate(NODES)]) - left.T).max(axis=1) == pytest.approx(
         np.zeros(2), abs=1e-11 * scale.max()
     )
-
-
-@pytest.mark.parametrize("order", [1, 3])
-def test_what_each_node_answers_put_together_is_the_response(order):
-    """One filter and two side by side; a node knows nothing of drives that come after those it is answered by."""
-    filters = [LinearFilter.on_nodes(NODES, *gains, order) for gains in GAINS[:2]]
-    beside = replace(filters[0], step=np.stack([f.step for f in filters]), gain=np.stack([f.gain for f in filters]))
-    rng = np.random.default_rng(1)
-    start, drive = rng.normal(size=2), rng.normal(size=len(NODES))
-    expected = [np.array(f.respond(drive, start)) for f in filters]
-    for k, f in enumerate(filters):
-        assert f.answers @ np.append(start, drive) == pytest.approx(expected[k], rel=1e-11)
-        assert beside.answers[:, k] == pytest.approx(f.answers, rel=1e-11, abs=1e-15)
-        for node in range(len(NODES)):
-            known = f.known(node)
-            assert not f.answers[:, node, known:].any()
-            assert f.answers[:, node, known - 1].any() or node == 0
 
 
 def test_a_motion_that_begins_moving_goes_on_from_its_state():

@@ -76,7 +76,9 @@ class LinearFilter:
             for per in ((after[..., None, :] * np.array(pair)) @ basis[:, None] for pair in ends)
         )
         back = _inverse(np.eye(2) + end)
-        plain = _swinging(sigma, omega, kp[..., None, None], h[:, None])[..., kind, :, :]
+        fading, angle = np.exp(-sigma[..., 0] * h), omega[..., 0] * h
+        sine = fading * np.sin(angle) / omega[..., 0]
+        plain = _transition(kp[..., None], kd[..., None], fading * np.cos(angle), sine)[..., kind, :, :]
         gain = back @ (after @ basis)[..., kind, :, :]
         return cls(kp[..., None] + extra, kd, back @ (plain - begin), gain, samples)
 
@@ -102,23 +104,6 @@ class LinearFilter:
             state[..., 1:, :, :] = self.gain @ flat[..., self.samples, :]
         state = self._stepped(state) if lead and flat.shape[-1] > MOST_BANDED_DRIVES else self._solved(state)
         return state[..., 0, :].reshape(shape), state[..., 1, :].reshape(shape)
-
-    @cached_property
-    def answers(self) -> Array:
-        """Unit responses (2, ..., T, 2 + T): x and x' at the nodes for initial x, x' of 1 and for a drive of 1 at each
-        node. With many drives, or if few nodes matter, combining these is cheaper than `respond`."""
-        assert self.samples is not None
-        *lead, steps, _, _ = self.gain.shape
-        state = np.zeros((*lead, steps + 1, 2, steps + 3))
-        state[..., 0, :, :2] = np.eye(2)
-        at = np.arange(steps)[:, None], 2 + self.samples
-        state[..., 1:, :, :].swapaxes(-2, -1)[..., at[0], at[1], :] = self.gain.swapaxes(-2, -1)
-        return np.ascontiguousarray(np.moveaxis(self._stepped(state), -2, 0))
-
-    def known(self, node: int) -> int:
-        """Number of the 2 + T `answers`, from the first on, that can be nonzero at a node."""
-        assert self.samples is not None
-        return 3 + int(self.samples[max(node, 1) - 1].max())
 
     def acceleration(self, drive: Array, x: Array, rate: Array) -> Array:
         """x'' (..., T, c...) at the nodes, for a drive known there."""
@@ -161,14 +146,6 @@ def _inverse(matrix: Array) -> Array:
     return np.moveaxis(np.array([[d, -b], [-c, a]]) / (a * d - b * c), (0, 1), (-2, -1))
 
 
-def _swinging(sigma: Array, omega: Array, kp: Array, h: Array) -> Array:
-    """`transition` (..., T - 1, 2, 2) of underdamped filters, parameters (..., 1, 1), over steps h (T - 1, 1)."""
-    fading = np.exp(-sigma * h)
-    cosine, sine = (fading * np.cos(omega * h))[..., 0], (fading * np.sin(omega * h) / omega)[..., 0]
-    own, stiff = sigma[..., 0] * sine, kp[..., 0] * sine
-    return np.moveaxis(np.array([[cosine + own, sine], [-stiff, cosine - own]]), (0, 1), (-2, -1))
-
-
 def _pieces(kp: float, kd: float, h: Array) -> int:
     """Number of quadrature pieces of each of the steps h (T - 1,)."""
     return min(max(int(np.ceil(fastest_rate(kp, kd) * float(h.max()))), 1), _MOST_PIECES)
@@ -189,17 +166,11 @@ def _left(pieces: int) -> Array:
 
 @lru_cache(maxsize=64)
 def _weighed(shares: bytes, order: int, pieces: int) -> tuple[npt.NDArray[np.intp], Array]:
-    """`_lagrange` at the quadrature points, times their weights; independent of the unit of time."""
-    inside, weights = _fine(pieces)
-    samples, basis = _lagrange(np.frombuffer(shares), order, inside)
-    return samples, weights[:, None] * basis
-
-
-def _lagrange(t: Array, order: int, inside: Array) -> tuple[npt.NDArray[np.intp], Array]:
-    """Interpolation in each interval of t (T,): its nodes (T - 1, J), and their Lagrange polynomials (T - 1, G, J) at
-    fractions `inside` (G,) of the interval."""
+    """Interpolation in each interval: its nodes (T - 1, J), and their Lagrange polynomials (T - 1, G, J) at the
+    quadrature points, times their weights; independent of the unit of time."""
+    t, (inside, weights) = np.frombuffer(shares), _fine(pieces)
     samples = _nearest(len(t), order)
-    return samples, _basis(t[samples], t[:-1], np.diff(t), inside)
+    return samples, weights[:, None] * _basis(t[samples], t[:-1], np.diff(t), inside)
 
 
 def _nearest(count: int, order: int) -> npt.NDArray[np.intp]:
@@ -237,7 +208,7 @@ def transition(kp: float, kd: float, t: npt.ArrayLike) -> Array:
     return _transition(kp, kd, *_ringing(kp, kd, np.asarray(t, dtype=float)))
 
 
-def _transition(kp: float, kd: float, cosine: Array, sine: Array) -> Array:
+def _transition(kp: float | Array, kd: float | Array, cosine: Array, sine: Array) -> Array:
     """`transition` from the cosine and sine of `_ringing`."""
     own = 0.5 * kd * sine
     found = np.empty((*np.shape(sine), 2, 2))

@@ -228,25 +228,6 @@ class ModalMotion:
             begin = self._by_filter(np.stack([places, speeds], axis=1))
         return self._answer(drive, begin)
 
-    def swung(self, dw: Array, spun: Array) -> Array:
-        """First-order changes of the initial state and drive of each mass, (K, n_modes, axes, 2 + T, 2 c / axes) as for
-        `LinearFilter.answers`, by changes dw (K or 1, T, 12, c) of the tray's motion regressor that exist before the
-        motion too. spun: result of `spun`."""
-        drive = self._driven(dw, spun)
-        begin = self._level(drive)
-        return np.concatenate([begin, self._taken_along(drive, begin)[0]], axis=3)
-
-    def begun_by(self, r: Array, rate: Array) -> Array:
-        """As `swung`, for changes of the initial r and r' (K, n_modes, 2, c) without a change of the drive."""
-        begin = self._by_filter(np.stack([r, rate], axis=1))
-        return np.pad(begin, [(0, 0)] * 3 + [(0, len(self.t)), (0, 0)])
-
-    def swinging(self, order: int, node: Indices, moving: Array) -> Array:
-        """Changes (K, m, n_modes, 2, c) of r (order 0) or r' (order 1) at increasing nodes (m,), from the result of
-        `swung`."""
-        known = self.filters.known(int(node[-1]))
-        return self._by_mode(self.filters.answers[order][:, :, :, node, :known] @ moving[:, :, :, :known])
-
     def _driven(self, dw: Array, spun: Array) -> Array:
         """Changes (K, n_modes, axes, T, 2 c / axes) of the filters' drives by changes dw (K or 1, T, 12, c); spun: as
         of `spun`."""

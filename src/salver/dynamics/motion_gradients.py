@@ -11,41 +11,27 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from salver.dynamics.modal_motion import ModalMotion, across, turned
-from salver.geometry import GRAVITY, Array, Indices, Mask
+from salver.geometry import GRAVITY, Array, Indices
 from salver.linear_filter import LinearFilter
 from salver.models.tray_motion import N_MOTION
 
 
 @dataclass(frozen=True, eq=False)
 class Swings:
-    """Derivatives of modes by c unknowns: through the excitation of the masses (`ModalMotion.swung`), the rotation spun
-    (K or 1, T, c), and the derivative of log T, stretch (c,).
-
-    Positions and velocities are computed only at the nodes of the rows, of which few are near their limit.
-    """
+    """Derivatives of modes by c unknowns: moved (K, T, n_modes, 2, c) of r and of r' with a fixed duration, the
+    rotation spun (K or 1, T, c), and the derivative of log T, stretch (c,)."""
 
     modes: ModalMotion
-    moving: Array
+    moved: Sequence[Array]
     spun: Array
     stretch: Array
-    _known: dict[int, tuple[Mask, Array]] = field(default_factory=dict)
 
     def at(self, order: int, case: Indices, node: Indices) -> Array:
         """Derivatives (m, n_modes, 2, c) of r (order 0) or r' (order 1)."""
-        if order not in self._known:
-            shape = (*self.modes.r.shape, len(self.stretch))
-            self._known[order] = np.zeros(shape[1], dtype=bool), np.empty(shape)
-        known, found = self._known[order]
-        new = np.zeros_like(known)
-        new[node] = True
-        new &= ~known
-        if new.any():
-            swung = self.modes.swinging(order, np.flatnonzero(new), self.moving)
-            for c in np.flatnonzero(self.stretch):
-                swung[..., c] += self.modes.slower[order][:, new] * self.stretch[c]
-            found[:, new] = swung
-            known |= new
-        return np.asarray(found[case, node])
+        found = self.moved[order][case, node]
+        for c in np.flatnonzero(self.stretch):
+            found[..., c] += self.modes.slower[order][case, node] * self.stretch[c]
+        return np.asarray(found)
 
     def spun_at(self, case: Indices, node: Indices) -> Array:
         """Derivatives (m, c) of the spin."""
@@ -80,9 +66,10 @@ class Unknowns:
         for rest, motion in pairs:
             swings, every = self.of(motion), np.arange(len(motion.r))
             last = np.full_like(every, len(motion.t) - 1)
-            moving = rest.begun_by(*(swings.at(order, every, last) for order in range(2)))
+            begun = [swings.at(order, every, last) for order in range(2)]
+            moved = rest.respond(np.zeros((*rest.r.shape, count)), *begun)
             spun = swings.spun_at(every, last)[:, None] * rest.cases.round
-            found._known[id(rest)] = rest, Swings(rest, moving, spun, np.zeros(count))
+            found._known[id(rest)] = rest, Swings(rest, moved, spun, np.zeros(count))
         return found
 
     def _swings(self, modes: ModalMotion) -> Swings:
@@ -90,7 +77,8 @@ class Unknowns:
         if key not in self._spun:
             self._spun[key] = modes.spun(self.felt[None])
         stretch = np.zeros(self.felt.shape[2]) if self.stretch is None else self.stretch
-        return Swings(modes, modes.swung(self.felt[None], self._spun[key]), self._spun[key], stretch)
+        moved = modes.pushed(self.felt[None], before=True, spun=self._spun[key])
+        return Swings(modes, moved, self._spun[key], stretch)
 
 
 def wrench_by(modes: ModalMotion, unknowns: Unknowns, case: Indices, node: Indices, weight: Array) -> Array:
