@@ -236,7 +236,7 @@ def test_creep_law_on_a_turntable(tmp_path, timestep):
     t = np.linspace(0, seconds, 101)
     q, dq = np.outer(t, [speed, 0.0]), np.tile([speed, 0.0], (101, 1))
     load = scene.loads[0]
-    predicted = creep.on_tray(t, creep.tray_bias(arm, q, dq, np.eye(3)), load.p_EB, load.p_EB, gain)[-1]
+    predicted = creep.creep(t, creep.tray_bias(arm, q, dq, np.eye(3)), load.p_EB, load.p_EB, None, gain)[-1]
     np.testing.assert_allclose(predicted, [gain * speed**2 * 0.5 * seconds, 0, 0], atol=1e-9)
     assert measured[0] == pytest.approx(predicted[0], rel=0.03)
     assert abs(measured[1]) < 0.03 * predicted[0]
@@ -278,6 +278,6 @@ def test_creep_of_a_stack_on_a_turntable(tmp_path):
     t = np.linspace(0, seconds, 101)
     q, dq = np.outer(t, [speed, 0.0]), np.tile([speed, 0.0], (101, 1))
     bias = creep.tray_bias(arm, q, dq, np.eye(3))
-    predicted = creep.on_object(t, bias, scene.loads[1].p_EB, scene.loads[0].p_EB, gain)[-1]
+    predicted = creep.creep(t, bias, *[scene.loads[1].p_EB] * 2, scene.loads[0].p_EB, gain)[-1]
     np.testing.assert_allclose(predicted, [gain * speed**2 * 0.015 * seconds, 0, 0], atol=1e-9)
     assert measured[0] == pytest.approx(predicted[0], rel=0.05)

@@ -70,18 +70,11 @@ def gain(contact_time: float, timestep: float, damping_width: float) -> float:
     return 0.5 * damping_width * contact_time - 0.5 * timestep
 
 
-def on_tray(t: Array, bias: TrayBias, p_EB: Array, p_EP: Array, gain_s: float) -> Array:
-    """Creep (N, 3) in E since t[0] of the object's point P (3,) on the tray; the object's B is at p_EB (3,)."""
+def creep(t: Array, bias: TrayBias, p_EP: Array, p_EB: Array, p_below: Array | None, gain_s: float) -> Array:
+    """Creep (N, 3) in E since t[0] of a point of an object at p_EP (3,), relative to its support. p_EB: of the object;
+    p_below: of the object that it stands on; None on the tray."""
     own = bias.centripetal @ (p_EP - p_EB)
-    return _integral(t, -gain_s * (bias.linear + bias.by_place @ p_EP - own))
-
-
-def on_object(t: Array, bias: TrayBias, p_EB: Array, p_EB_below: Array, gain_s: float) -> Array:
-    """Creep (N, 3) in E of an object at p_EB on another one at p_EB_below, relative to that one."""
-    return _integral(t, -gain_s * (bias.centripetal @ (p_EB - p_EB_below)))
-
-
-def _integral(t: Array, rate: Array) -> Array:
-    rate = rate * [1.0, 1.0, 0.0]
+    support = bias.linear + bias.by_place @ p_EP if p_below is None else bias.centripetal @ (p_EP - p_below)
+    rate = -gain_s * (support - own) * [1.0, 1.0, 0.0]
     step = 0.5 * (rate[1:] + rate[:-1]) * np.diff(t)[:, None]
     return np.vstack([np.zeros(3), np.cumsum(step, axis=0)])

@@ -67,30 +67,30 @@ def behaviour(scene: Scene, trace: Trace, bias: creep.TrayBias, tray_size: tuple
     gain = creep.gain(scene.contact_time, scene.model.opt.timestep, DAMPING_WIDTH)
     for k, load in enumerate(scene.loads):
         below = index.get(next(iter(load.supports)))
-        creep_E[:, k] = _creep(trace.t, bias, load, load.base_centre_B, scene, below, gain)
+
+        def crept(point_B: Array, load: Load = load, below: int | None = below) -> Array:
+            p_EP, p_below = load.p_EB + load.R_EB @ point_B, None if below is None else scene.loads[below].p_EB
+            return creep.creep(trace.t, bias, p_EP, load.p_EB, p_below, gain)
+
+        creep_E[:, k] = crept(load.base_centre_B)
         if below is not None:
             creep_E[:, k] += creep_E[:, below]
         creep_E[:, k] -= creep_E[start, k]
-        centre = _points(p_EB[:, k], R_EB[:, k], load.base_centre_B)
+        centre = p_EB[:, k] + R_EB[:, k] @ load.base_centre_B
         slip_E[:, k] = centre - centre[start]
-        to_support = _in_support(p_EB, R_EB, k, below)
+        p, R = _in_support(p_EB, R_EB, k, below)
         for point in load.outline_B:
-            d = _points(*to_support, point)
-            own_creep = _creep(trace.t, bias, load, point, scene, below, gain)
+            d, own_creep = p + R @ point, crept(point)
             if below is not None:
                 own_creep = own_creep @ scene.loads[below].R_EB
             moved = d - d[start] - (own_creep - own_creep[start])
             slip[:, k] = np.maximum(slip[:, k], np.hypot(moved[:, 0], moved[:, 1]))
             lift[:, k] = np.minimum(lift[:, k], d[:, 2] - d[start, 2])
-        relative = np.swapaxes(to_support[1][start], 0, 1) @ to_support[1]
+        relative = R[start].T @ R
         tip[:, k] = np.arctan2(np.hypot(relative[:, 0, 2], relative[:, 1, 2]), relative[:, 2, 2])
         beyond = np.abs(centre[:, :2]) > 0.5 * np.array(tray_size)
         lost[:, k] = np.any(beyond, axis=1) | (p_EB[:, k, 2] < 0)
     return Behaviour(p_EB, R_EB, slip_E, creep_E, slip, np.maximum(lift, 0), tip, lost)
-
-
-def _points(p: Array, rotation: Array, point: Array) -> Array:
-    return p + rotation @ point
 
 
 def _in_support(p_EB: Array, R_EB: Array, k: int, below: int | None) -> tuple[Array, Array]:
@@ -99,14 +99,6 @@ def _in_support(p_EB: Array, R_EB: Array, k: int, below: int | None) -> tuple[Ar
         return p_EB[:, k], R_EB[:, k]
     back = np.swapaxes(R_EB[:, below], -1, -2)
     return np.einsum("tij,tj->ti", back, p_EB[:, k] - p_EB[:, below]), back @ R_EB[:, k]
-
-
-def _creep(
-    t: Array, bias: creep.TrayBias, load: Load, point_B: Array, scene: Scene, below: int | None, gain: float
-) -> Array:
-    if below is None:
-        return creep.on_tray(t, bias, load.p_EB, load.p_EB + load.R_EB @ point_B, gain)
-    return creep.on_object(t, bias, load.p_EB, scene.loads[below].p_EB, gain)
 
 
 def inner_motions(scene: Scene, trace: Trace) -> Array:
@@ -125,7 +117,8 @@ def inner_motions(scene: Scene, trace: Trace) -> Array:
         accelerated = _rate(trace.t, trace.moved[:, i], own) - trace.pulled[:, i]
         force = np.einsum("tji,tj->ti", trace.R_XB[:, swing.load], accelerated)
         slope = force[:, :2] / np.maximum(force[:, 2:], LEAST_WEIGHT * GRAVITY)
-        turning = np.sum(_rate(trace.t, _sum(trace.t, trace.turned[:, i, :2]), own) ** 2, axis=1)
+        turned = np.cumsum(trace.turned[:, i, :2], axis=0) * (trace.t[1] - trace.t[0])
+        turning = np.sum(_rate(trace.t, turned, own) ** 2, axis=1)
         out[:, swing.load] = load.inner.seen(load.inner_value, incline, slope, turning)
     return out
 
@@ -135,11 +128,6 @@ def _rate(t: Array, x: Array, seconds: float) -> Array:
     k, half = np.arange(len(t)), max(1, round(0.5 * seconds / (t[1] - t[0])))
     before, after = np.maximum(k - half, 0), np.minimum(k + half, len(t) - 1)
     return np.asarray((x[after] - x[before]) / (t[after] - t[before])[:, None])
-
-
-def _sum(t: Array, x: Array) -> Array:
-    """Integral of x (N, ...) up to each instant."""
-    return np.asarray(np.cumsum(x, axis=0) * (t[1] - t[0]))
 
 
 def judge(
