@@ -174,7 +174,7 @@ def test_json_has_every_figure(tmp_path):
     }  # fmt: skip
     assert set(found["interfaces"][0]) == {
         "name", "friction", "friction_needed", "friction_needed_time", "friction_needed_worst_case", "tip_over_margin",
-        "tip_over_margin_worst_case", "cone_coefficient", "cone_coefficient_worst_case",
+        "tip_over_margin_worst_case",
     }  # fmt: skip
     assert set(found["motion"]) == {
         "source", "duration", "instants", "peak_acceleration", "peak_tilt", "recording", "notes"

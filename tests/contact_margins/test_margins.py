@@ -34,14 +34,12 @@ def moved(made: Scenario, duration: float, instants: int = 401) -> Margins:
 
 
 def test_level_tray_by_hand() -> None:
-    """Acceleration a: friction a/g, zero-moment point h a/g behind the centre; the paper's condition at 1.96."""
-    a = np.array([0.0, 1.0, 1.9619, 1.9621, 4.9, 4.91])
+    """Acceleration a: friction a/g, zero-moment point h a/g behind the centre."""
+    a = np.array([0.0, 1.0, 2.0, 3.0, 4.9, 4.91])
     (m,) = margins(CUBE, level(np.column_stack([a, 0 * a, 0 * a]))).interfaces
     assert m.name == "cube on tray"
     assert_allclose(m.friction_needed, a / G, atol=1e-12)
     assert_allclose(m.tip_over, 0.02 - 0.02 * a / G, atol=1e-12)
-    assert_allclose(m.cone_coefficient[0], 0.1755, atol=5e-5)
-    assert list(m.cone_coefficient >= 0) == [True, True, True, False, False, False]
     assert list(m.exact >= 0) == [True] * 5 + [False]
     assert_allclose(m.wrench_B[1], [0.256, 0, 0.256 * G, 0, 0, 0], atol=1e-12)
 

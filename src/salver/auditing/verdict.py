@@ -337,8 +337,6 @@ class Audit(Shown, Tabular):
                     "friction_needed_worst_case": m.friction_needed_worst,
                     "tip_over_margin": float(m.tip_over.min()),
                     "tip_over_margin_worst_case": float(m.tip_over_worst.min()),
-                    "cone_coefficient": float(m.cone_coefficient.min()),
-                    "cone_coefficient_worst_case": float(m.cone_coefficient_worst.min()),
                 }
                 for m in margins.interfaces
             ],

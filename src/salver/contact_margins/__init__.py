@@ -1,7 +1,6 @@
 """Contact margins of all objects along a motion of the tray: over time, nominal and worst case.
 
 For every interface (object on tray, object on object):
-- cone coefficients: the least of Lambda = pinv(G F-hat) F, the paper's condition (eq 16), N;
 - exact margin: how far inside the contact wrench cone the required wrench is, as a share of the normal force
   at rest; split into the part that friction limits (leaving it: sliding) and the rest (tipping, lifting);
 - friction needed: the least coefficient for which the wrench is in the cone;

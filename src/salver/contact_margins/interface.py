@@ -87,17 +87,6 @@ class InterfaceMargins:
         """Margin of the facets that do not depend on friction."""
         return self._margin(self.whole.model.robust[self.network], self.whole.worst_values[self.network][0], False)
 
-    @cached_property
-    def cone_coefficient(self) -> Array:
-        """Least coefficient Lambda of the pseudo-inverse distribution, N: the paper's condition."""
-        rows = self.whole.model.paper[self.network][0]
-        return self._margin(rows, self.whole.nominal_case(rows), None)
-
-    @cached_property
-    def cone_coefficient_worst(self) -> Array:
-        rows = self.whole.model.paper[self.network][1]
-        return self._margin(rows, self.whole.worst_case(rows), None)
-
     @property
     def _internal_worst(self) -> Array:
         return self.whole.worst_values[self.network][1]
@@ -143,7 +132,7 @@ class InterfaceMargins:
             def rows_of(contacts: ContactSet) -> tuple[Array, Labels]:
                 return cone_rows(contacts.of_friction(1.0 / inverse))
 
-            rows = whole.model.rows(self.network, whole.model.uncertain, rows_of, True)
+            rows = whole.model.rows(self.network, whole.model.uncertain, rows_of)
             value = whole.worst_case(rows) + self._internal_worst @ rows.internal.T
             return -float(self._margin(rows, value, None if leans else True).min())
 

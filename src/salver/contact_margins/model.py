@@ -26,12 +26,11 @@ EDGES = 8  # least number of edges of the friction pyramids, which are then at m
 class MarginModel(Outlined):
     """The part of a scenario's margins that does not depend on the motion; made by `margin_model`.
 
-    payload: with `edges` edges of its friction pyramids. own_edges: number of edges in the scenario.
+    payload: with `edges` edges of its friction pyramids.
     """
 
     payload: Payload
     edges: int
-    own_edges: int
 
     @property
     def networks(self) -> tuple[ContactNetwork, ...]:
@@ -41,30 +40,21 @@ class MarginModel(Outlined):
     def uncertain(self) -> UncertainSet:
         return self.payload.uncertain
 
-    def rows(self, network: int, uncertain: UncertainSet, rows_of: RowsOf, per_weight: bool) -> ContactRows:
-        return network_rows(self.networks[network], uncertain, self.payload.tray_half, rows_of, per_weight)
+    def rows(self, network: int, uncertain: UncertainSet, rows_of: RowsOf = cone_rows) -> ContactRows:
+        return network_rows(self.networks[network], uncertain, self.payload.tray_half, rows_of)
 
     @cached_property
     def nominal(self) -> tuple[ContactRows, ...]:
-        return tuple(self.rows(i, NOTHING, cone_rows, True) for i in range(len(self.networks)))
+        return tuple(self.rows(i, NOTHING) for i in range(len(self.networks)))
 
     @cached_property
     def robust(self) -> tuple[ContactRows, ...]:
-        return tuple(self.rows(i, self.uncertain, cone_rows, True) for i in range(len(self.networks)))
-
-    @cached_property
-    def paper(self) -> tuple[tuple[ContactRows, ContactRows], ...]:
-        """Rows -pinv(G F-hat), in N: nominal and over the uncertain set, with the scenario's own cone edges."""
-        rows_of = coefficient_rows(self.own_edges)
-        return tuple(
-            (self.rows(i, NOTHING, rows_of, False), self.rows(i, self.uncertain, rows_of, False))
-            for i in range(len(self.networks))
-        )
+        return tuple(self.rows(i, self.uncertain) for i in range(len(self.networks)))
 
     @cached_property
     def support(self) -> tuple[ContactRows, ...]:
         """Rows of the support polygon's edges, m, and of f_z and -f_z, per weight, over the uncertain set."""
-        return tuple(self.rows(i, self.uncertain, edge_rows, True) for i in range(len(self.networks)))
+        return tuple(self.rows(i, self.uncertain, edge_rows) for i in range(len(self.networks)))
 
     def with_only(self, parameter: Parameter) -> MarginModel:
         """The model with only this parameter uncertain."""
@@ -87,16 +77,7 @@ def margin_model(scenario: Scenario, edges: int | None = None) -> MarginModel:
 
 @lru_cache(maxsize=16)
 def _margin_model(text: str, edges: int) -> MarginModel:
-    scenario = Scenario.model_validate_json(text)
-    return MarginModel(scenario.payload.with_edges(edges), edges, scenario.contact.edges)
-
-
-def coefficient_rows(edges: int) -> RowsOf:
-    def rows(contacts: ContactSet) -> tuple[Array, Labels]:
-        distribution = np.asarray(np.linalg.pinv(replace(contacts.base, edges=edges).grasp_map), dtype=float)
-        return -distribution, np.zeros(len(distribution), dtype=bool)
-
-    return rows
+    return MarginModel(Scenario.model_validate_json(text).payload.with_edges(edges), edges)
 
 
 def edge_rows(contacts: ContactSet) -> tuple[Array, Labels]:

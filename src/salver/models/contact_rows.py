@@ -85,21 +85,17 @@ def cone_rows(contacts: ContactSet) -> tuple[Array, Labels]:
 
 
 def network_rows(
-    network: ContactNetwork,
-    uncertain: UncertainSet,
-    tray_half: Array,
-    rows_of: RowsOf = cone_rows,
-    per_weight: bool = True,
+    network: ContactNetwork, uncertain: UncertainSet, tray_half: Array, rows_of: RowsOf = cone_rows
 ) -> ContactRows:
     """Contact constraints of one network.
 
     rows_of: constraints of each interface, linear in the wrench at B of the upper body, with their labels; default: the
-    facets of the cone. per_weight: divide rows by the normal force at rest.
+    facets of the cone.
     """
     half = uncertain.ranges
     shift = shift_ranges(network, uncertain)
     contacts = sure_contacts(network, tray_half, uncertain)
-    model = _RowModel(network, [rows_of(c) for c in contacts], per_weight)
+    model = _RowModel(network, [rows_of(c) for c in contacts])
     owners = ("", *(body.name for body in network.bodies))
     acting = [p for p in uncertain.parameters if p.loads and p.owner in owners]
     filled = [b for b in network.bodies if b.any_contents and any(p.kind == "inertia" for p in acting if _of(p, b))]
@@ -202,9 +198,8 @@ def _placed(
 class _RowModel:
     """The function c(p) of one network: its rows (n, 12) at any values of the uncertain parameters."""
 
-    def __init__(self, network: ContactNetwork, asked: list[tuple[Array, Labels]], per_weight: bool) -> None:
+    def __init__(self, network: ContactNetwork, asked: list[tuple[Array, Labels]]) -> None:
         self.network = network
-        self.per_weight = per_weight
         self.facets = [rows for rows, _ in asked]
         self.interface = np.repeat(np.arange(len(asked)), [len(rows) for rows in self.facets])
         self.label = np.concatenate([label for _, label in asked])
@@ -256,8 +251,6 @@ class _RowModel:
 
     def weights(self, deviation: Deviation) -> Array:
         """Divisor (n,) of each row: the normal force of its interface at rest on a level tray, N."""
-        if not self.per_weight:
-            return np.ones(len(self.interface))
         return (self._carried(deviation) @ at_rest())[self.interface, 2]
 
     def rows(self, deviation: Deviation) -> Array:
