@@ -1,5 +1,6 @@
 """Live motions: at every moment one is committed that ends at rest with the load in place, whatever happens."""
 
+import gc
 import os
 import time
 import tracemalloc
@@ -257,3 +258,20 @@ def test_a_worker_plans_while_the_loop_runs(cube, given):
         assert worker.alive
     assert not live.committed.at_rest
     assert not worker.alive
+
+
+@pytest.mark.parametrize("before", [False, True], ids=["nobody froze it", "it was frozen before"])
+def test_while_a_worker_runs_no_collection_goes_through_what_existed_before(cube, before):
+    """Such a collection delayed the announcement of an obstacle by up to 40 ms. Who froze it before keeps it so."""
+    live = Live(cube)
+    frozen = gc.get_freeze_count()
+    gc.unfreeze()
+    try:
+        if before:
+            gc.freeze()
+        with Worker(live, process=False):
+            assert gc.get_freeze_count() > 10_000
+        assert (gc.get_freeze_count() > 10_000) == before
+    finally:
+        if frozen:
+            gc.freeze()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import os
 import subprocess
 import sys
@@ -60,14 +61,19 @@ class Worker:
 
         A small thread here exchanges with the process. Start it from a thread that has the loop's real-time priority:
         it inherits that, and the process does not. Without, the loop waits for it on a machine that is busy.
+
+        Until `close`, Python's collector of garbage does not go through what existed before (`gc.freeze`).
         """
         self._live, self._budget, self._stops, self._options = live, budget, stops, options
-        self._closing = threading.Event()
+        self._closing, self._froze = threading.Event(), False
         self._process = _Process(live, options.patience) if process else None
         self._thread = threading.Thread(target=self._work, name="salver-live", daemon=True)
 
     def start(self) -> Self:
         sys.setswitchinterval(min(sys.getswitchinterval(), self._options.switch))
+        # A whole collection takes up to 40 ms, in whichever thread it begins: the loop's, or that of a camera.
+        self._froze = not gc.get_freeze_count()
+        gc.freeze()
         if self._process is not None:
             self._process.ready()  # or else the first lead would be that of a start
         self._thread.start()
@@ -79,6 +85,9 @@ class Worker:
         self._thread.join()
         if self._process is not None:
             self._process.close()
+        if self._froze:  # else somebody else did, and keeps it so
+            gc.unfreeze()
+            self._froze = False
 
     @property
     def alive(self) -> bool:

@@ -263,3 +263,14 @@ def test_a_motion_that_fails_its_verdict_gets_nodes_at_the_instants_at_which_it_
     assert len(nodes)
     assert np.mean(share > 0.97) > 0.5  # each instant has one on either side
     assert share.min() > 0.8
+
+
+def test_a_time_limit_is_of_one_clock(monkeypatch):
+    """Another clock than that of the import, such as processor time, at the beginning of a search and later."""
+    now = [-1e6]
+    monkeypatch.setattr(time, "perf_counter", lambda: now[0])
+    watch = Watch(time_limit=1.0)
+    now[0] += 0.9
+    assert not watch.over()
+    now[0] += 0.2
+    assert watch.over()

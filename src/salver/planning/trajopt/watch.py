@@ -26,7 +26,7 @@ class Watch:
     best: float | None = None
     trying: str = ""
     _part: tuple[int, int] = (0, 1)
-    _begun: float = field(default_factory=time.perf_counter)
+    _begun: float = field(default_factory=lambda: time.perf_counter())  # whichever it is by then
 
     def over(self) -> bool:
         """Whether to end now with the best result so far."""
