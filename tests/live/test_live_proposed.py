@@ -209,6 +209,11 @@ def test_a_stop_is_sought_only_where_it_would_come_sooner(cube, monkeypatch):
     assert late.found is None
     assert late.done
     assert len(sought) == 1
+    # While one motion follows another, a joint may be as far off as on either of them.
+    own = early.found.stray(live.problem)
+    other = own * np.where(np.arange(len(own)) % 2, 2.0, 0.5)
+    both = replace(live._running, stray=other, allowed=other).then(early.found, Halt(), live.now, live.problem)
+    assert np.array_equal(both.allowed, np.maximum(own, other))
 
 
 @pytest.mark.slow
