@@ -12,8 +12,10 @@ from salver.live import Live, Moving
 from salver.live.live import EVADE
 from salver.live.replanning import steer
 from salver.live.replanning.objective import ChunkWanted, TwistWanted, Weights, level
+from salver.live.replanning.replan import Sought
 from salver.live.replanning.steer import STANDARD, TICK, Steering, StepControl
 from salver.planning.fastest import Block
+from salver.planning.trajopt.constraints.constraints import ContactConstraint
 from salver.sensitivity.arm.terms import motion_terms
 from salver.trajectory import JointMotion
 
@@ -37,6 +39,18 @@ def test_an_increment_is_added_to_what_is_committed_from_the_hand_over_on(cube, 
         for mine, before, more in zip(found.sample(t), base.motion.sample(0.17 + t), added, strict=True):
             assert mine == pytest.approx(before + times * more, rel=1e-9, abs=1e-7)
         assert not np.any([found.dq[-1], found.ddq[-1]])
+
+
+def test_a_change_is_evaluated_as_the_motion_that_it_is_but_for_its_moving_start(cube):
+    problem, s = Live(cube).problem, np.linspace(0, 1, 21)
+    z = np.zeros((4, len(s), problem.n))
+    z[0] = problem.start.q + 0.2 * (s - np.sin(2 * np.pi * s) / (2 * np.pi))[:, None]
+    z[2] = 0.8 * np.pi / 1.3**2 * np.sin(2 * np.pi * s)[:, None] * np.arange(1.0, 8.0)
+    known, sought = (each.at(s, z, 1.3) for each in (problem, Sought.of(problem)))
+    (rows,) = problem.contacts
+    assert sought.moving
+    one, other = (next(ContactConstraint(rows, 0.0).blocks(motion)).values for motion in (known, sought))
+    assert np.array_equal(one, other)
 
 
 def test_derivatives_of_what_is_wanted_match_differences(cube):
