@@ -1,6 +1,6 @@
 """What docs/liquids.md says in numbers, written into that page: one command, two tables and a sentence.
 
-    python benchmarks/liquids.py [--only flow|cones|runs|survey|leaning] [-n 1000] [--beside 20] [--minutes 60]
+    python benchmarks/liquids.py [--only flow|cones|runs|places|survey|leaning] [-n 1000] [--beside 20] [--minutes 60]
         [--loads 60]
 
 flow: how high a liquid rises, as predicted and as nonlinear potential flow shows it (potential_flow.py), on the
@@ -13,6 +13,8 @@ plan, with the processor time that it takes, the median of seven after a first; 
 somebody who takes the liquid for a solid, and the straight line in the same time. What was run is kept in
 out/liquids.jsonl and not run again; scenarios take turns by what a run takes, so that the table can be written at any
 time.
+places: the fastest plans where cups may stand millimetres beside their places, with the processor time of one solve,
+and runs at corners of all that is uncertain; kept and continued as those are.
 survey: so many random loads, each with a cup or a box of liquid or several, on random arms between random ends: planned
 as fast as they go, and run at corners of all that is uncertain. What is known of each is in docs/data/liquids.jsonl,
 and of its runs beside it; loads that stand there are not planned again.
@@ -61,6 +63,8 @@ from survey import corners_of, ends_of, read, run_corners, survey
 PAGE = Path(__file__).parents[1] / "docs" / "liquids.md"
 SOLVES = 7
 SCENARIOS, SEED = ("panda-coffee", "panda-four-glasses", "ur10-beaker"), 1
+# Ranges of the place, mm, for which a scenario is planned.
+PLACED = {**dict.fromkeys((*SCENARIOS, "panda-paper-cups"), (2.0, 5.0)), "panda-coffee, turned": (10.0,)}
 KEPT, DRAWS = Path(__file__).parents[1] / "out" / "liquids.jsonl", 1000
 SURVEY, SURVEY_SEED, CORNERS = PAGE.parent / "data" / "liquids.jsonl", 20261123, 4
 LEANING, LEANS = PAGE.parent / "data" / "liquids-leaning.jsonl", 0.5  # over R
@@ -184,6 +188,31 @@ def motions(name: str, n: int, beside: int) -> Iterator[Motion]:
     )
 
 
+def placed(named: str, mm: float) -> Scenario:
+    """A scenario with its containers within a range of their places, mm; "turned": by 90 degrees about the vertical."""
+    name, *turned = named.split(", ")
+    scenario = load(name)
+    changes: dict[str, Any] = {
+        f"objects__{k}__uncertainty__position": 2 * [1e-3 * mm] for k in range(len(scenario.objects))
+    }
+    if turned:
+        changes |= {"motion__goal_yaw": "fixed", "motion__goal__rpy_deg": [0.0, 0.0, 90.0]}
+    return scenario.with_changes(motion__speeds="full", **changes)
+
+
+def placed_motions(named: str, n: int) -> Iterator[Motion]:
+    """Plans for each range, run at corners of it; the plan for exact places is run at those of the largest range."""
+    ranges = PLACED[named]
+    for mm, within in ((0.0, ranges[-1]), *zip(ranges, ranges, strict=True)):
+        began = time.process_time()
+        plan = plan_fastest(placed(named, mm))
+        cpu, payload = f"{time.process_time() - began:.1f}", placed(named, within).payload
+        values = draw(payload.uncertain, n, SEED, "corners", payload.bodies)
+        draws = [dict(zip(payload.uncertain.names, row.tolist(), strict=True)) for row in values]
+        said = f"{mm:g} mm | {within:g} mm"
+        yield Motion(named, said, plan.duration, cpu, n, Experiment(plan).run, draws)
+
+
 def outcome(record: SimulationRecord) -> list[str | float]:
     """What became of a run, and how high its waves came, as a share of the room."""
     return [record.outcome, max(x["peak_wave"] / x["room"] for x in record.summary["objects"] if x.get("room"))]
@@ -198,9 +227,8 @@ def counted(results: list[list[str | float]]) -> str:
     return f"{said} | {highest:.2f}" if highest else f"{said} | –"
 
 
-def run_rows(n: int, beside: int, minutes: float) -> Iterator[str]:
-    """A table of all runs that are kept, after as many more as there is time for."""
-    every = [motion for name in SCENARIOS for motion in motions(name, n, beside)]
+def run_rows(every: list[Motion], minutes: float, said: str = "motion") -> Iterator[str]:
+    """A table of all runs that are kept, after as many more as there is time for. said: heads its column of that."""
     known: dict[str, dict[int, list[str | float]]] = {motion.key: {} for motion in every}
     KEPT.parent.mkdir(exist_ok=True)
     for line in KEPT.read_text().splitlines() if KEPT.exists() else []:
@@ -219,8 +247,8 @@ def run_rows(n: int, beside: int, minutes: float) -> Iterator[str]:
             spent[motion.key] += time.process_time() - began
             file.write(json.dumps([motion.key, k, known[motion.key][k]]) + "\n")
             file.flush()
-    yield "| scenario | s | CPU, s | motion | holds | highest wave / room |"
-    yield "|---|---|---|---|---|---|"
+    yield f"| scenario | s | CPU, s | {said} | holds | highest wave / room |"
+    yield "|---|---|---|---|---|---|" + said.count("|") * "---|"
     for motion in every:
         results = list(known[motion.key].values())
         yield f"| `{motion.scenario}` | {motion.duration:.3f} | {motion.cpu} | {motion.said} | {counted(results)} |"
@@ -336,7 +364,7 @@ def leaning_said(loads: int) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--only", choices=["flow", "cones", "runs", "survey", "leaning"])
+    parser.add_argument("--only", choices=["flow", "cones", "runs", "places", "survey", "leaning"])
     parser.add_argument("-n", type=int, default=1000, help="runs of each plan")
     parser.add_argument("--beside", type=int, default=20, help="runs of each of the other motions")
     parser.add_argument("--minutes", type=float, default=1e6, help="write what there is after so many")
@@ -349,7 +377,11 @@ def main() -> None:
     if options.only in (None, "survey"):
         written(PAGE, "survey", survey_said(options.loads))
     if options.only in (None, "runs"):
-        written(PAGE, "runs", "\n".join(run_rows(options.n, options.beside, options.minutes)))
+        every = [motion for name in SCENARIOS for motion in motions(name, options.n, options.beside)]
+        written(PAGE, "runs", "\n".join(run_rows(every, options.minutes)))
+    if options.only == "places":
+        every = [motion for named in PLACED for motion in placed_motions(named, options.n)]
+        written(PAGE, "places", "\n".join(run_rows(every, options.minutes, "planned for | run within")))
     if options.only == "leaning":
         written(PAGE, "leaning", leaning_said(options.loads))
 

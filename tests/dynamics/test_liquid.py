@@ -106,7 +106,6 @@ def liquid(**changes):
         ),
         (liquid(settled_within=0.5), "needs settled_wave"),
         ({"objects__0__uncertainty__fill": 0.06}, "must be less than fill"),
-        ({"objects__0__uncertainty__position": [0.01, 0.0]}, "does not work with the liquid in"),
         ({"uncertainty__tilt_deg": [1.0, 0.0]}, "does not work with the liquid in"),
         (
             {"motion__goal": {"position": [0.44, 0.1, 0.411], "rpy_deg": [19.7, 0, 0]}},

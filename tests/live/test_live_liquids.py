@@ -31,7 +31,8 @@ LOW = {"fill": 0.035, "damping": 0.03, "mass": 0.225, "friction": 0.44}
 def changed(coffee):
     """A goal that is changed while the arm moves, and again when it has just come to rest and the waves have not; what
     is committed then, and what was told."""
-    live, bases = Live(coffee, lead=LEAD), []
+    placed = coffee.with_changes(objects__0__uncertainty__position=[0.002, 0.003])
+    live, bases = Live(placed, lead=LEAD), []
 
     def noted(wish):
         def say(live):

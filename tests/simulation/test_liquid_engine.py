@@ -12,6 +12,7 @@ from salver.contact_margins import margins
 from salver.dynamics.liquid.interiors import Rectangle, Round
 from salver.dynamics.liquid.sloshing import Liquid
 from salver.dynamics.liquid.surface import SurfaceMotion
+from salver.dynamics.load_cases import LoadCase
 from salver.errors import SalverError
 from salver.export.mujoco import write_scene
 from salver.geometry import exp
@@ -291,6 +292,32 @@ def test_waves_in_a_box_that_turns_go_the_way_that_is_known(coffee):
 
     assert missed(known) < 0.15 * np.abs(seen).max()
     assert missed(alone) > 2 * missed(known)
+
+
+def test_a_cup_beside_its_place_sloshes_as_plans_say(coffee):
+    """Turned there and back about the axis on which it should stand, where no wave would be."""
+    scenario = coffee.with_changes(
+        arm=None, objects__0__friction=3.0, objects__0__uncertainty={"position": [0.02, 0.02]}
+    )
+    t, duration = np.linspace(0, 0.8, 401), 0.8
+    u, du, ddu = t * (duration - t), duration - 2 * t, -2.0
+    scale, up, still = 0.35 * (2 / duration) ** 6, np.array([0.0, 0.0, 1.0]), np.zeros((len(t), 3))
+    angle, rate, change = (scale * x for x in (u**3, 3 * u**2 * du, 6 * u * du**2 + 3 * u**2 * ddu))
+    p = still + np.array([0.4, 0.0, 0.4])
+    turned = exp(angle[:, None] * up)
+    motion = SampledReference(MotionSamples(t, p, still, still, turned, np.outer(rate, up), np.outer(change, up)))
+    found, body, aside = (
+        margins(scenario, motion.sample(np.linspace(0, duration, 201))),
+        scenario.payload.first,
+        (0.02, -0.02),
+    )
+    record = simulate_tray(motion, scenario, parameters=dict(zip(("position_x", "position_y"), aside, strict=True)))
+    case = LoadCase(body, body.inner.fill, body.inner.nominal_damping, aside)
+    told = SurfaceMotion.along((case,), found.t, found.w).crest[0].max()
+    assert told > 2.5e-3
+    assert found.loads.nominal["cup"][0].crest.max() < 1e-6
+    seen = record.surface[(record.t >= 0) & (record.t <= duration), 0, 2].max()
+    assert seen == pytest.approx(told, rel=0.03)
 
 
 @pytest.mark.slow

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from itertools import product
 from typing import Self
 
 import numpy as np
@@ -20,11 +21,14 @@ VERDICT_APART = 0.02  # relative step of frequency between the cases of a verdic
 
 @dataclass(frozen=True, eq=False)
 class LoadCase:
-    """A body's inner dynamics with one value (m) of its quantity and one damping ratio."""
+    """A body's inner dynamics with one value (m) of its quantity and one damping ratio.
+
+    aside: m, where the body stands, from its nominal position along x and y of the tray."""
 
     body: Body
     value: float
     damping: float
+    aside: tuple[float, ...] = (0.0, 0.0)
 
     @property
     def dynamics(self) -> LoadDynamics:
@@ -36,9 +40,16 @@ class LoadCase:
         return self.dynamics.modes(self.value)
 
     @property
-    def name(self) -> tuple[str, float, float]:
+    def deviation(self) -> dict[Parameter, float]:
+        """Deviation from nominal of the uncertain parameters that the case determines: quantity and position."""
+        places = (Parameter(self.body.name, "position", axis) for axis in "xy")
+        own = Parameter(self.body.name, self.dynamics.quantity)
+        return {own: self.value - self.dynamics.value} | dict(zip(places, self.aside, strict=True))
+
+    @property
+    def name(self) -> tuple[str | float, ...]:
         """Unique key of the case within a payload."""
-        return self.body.name, self.value, self.damping
+        return self.body.name, self.value, self.damping, *self.aside
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +57,8 @@ class ModalCases:
     """K cases, of one or more bodies with `alike` dynamics, as arrays.
 
     at_O (K, 3, 12), at_mode (K, n_modes, 2, 12): maps from the tray's motion regressor w to the specific force at O,
-    and to the lateral one at each mode. to_E (K, 6, 6): map from a wrench at O to that at E, in E. omega, kd, mass,
+    and to the lateral one at each mode. to_E (K, 6, 6): map from a wrench at O to that at E, in E; of a body beside its
+    position at an E that is moved as far, where contact rows of a body that stands alone are the same. omega, kd, mass,
     height (K, n_modes, 2): as in `Modes`.
     """
 
@@ -67,10 +79,11 @@ class ModalCases:
         for case, own in zip(each, modes, strict=True):
             body = case.body
             O_E = body.p_EB + body.R_EB @ body.inner_origin_B(case.value)
+            to_E.append(to_tray(O_E, body.R_EB))
+            O_E = O_E + np.array([*case.aside, 0.0])
             at_O.append(frame_map(O_E, body.R_EB)[:3])
             maps = [[frame_map(O_E + z * body.R_EB[:, 2], body.R_EB) for z in heights] for heights in own.height]
             at_mode.append(np.array([[x[0], y[1]] for x, y in maps]))
-            to_E.append(to_tray(O_E, body.R_EB))
         damping = np.array([case.damping for case in each])
         omega = np.stack([m.omega for m in modes])
         return cls(
@@ -112,7 +125,11 @@ def alike(case: LoadCase) -> tuple[type, bool]:
 
 
 def load_cases(body: Body, uncertain: UncertainSet, apart: float = APART) -> tuple[LoadCase, ...]:
-    """Representative cases of a body's inner dynamics for an uncertain set; none without inner dynamics."""
+    """Representative cases of a body's inner dynamics for an uncertain set; none without inner dynamics.
+
+    With an uncertain position each is a case at every corner of its range. The drive of the modes is affine in the
+    position, and limits and contact rows are convex in the modes, so that none of them is larger between the corners
+    (docs/liquids.md, "Place on the tray", has the proof and what it neglects)."""
     inner = body.inner
     if inner is None:
         return ()
@@ -121,4 +138,5 @@ def load_cases(body: Body, uncertain: UncertainSet, apart: float = APART) -> tup
     found = inner.cases(inner.value - away, inner.value + away, apart)
     if Parameter(body.name, "damping") not in half:
         found = [(value, inner.nominal_damping) for value in dict.fromkeys(value for value, _ in found)]
-    return tuple(LoadCase(body, *each) for each in found)
+    ends = [(-h, h) if (h := half.get(Parameter(body.name, "position", axis))) else (0.0,) for axis in "xy"]
+    return tuple(LoadCase(body, *each, aside) for aside in product(*ends) for each in found)

@@ -74,7 +74,7 @@ class CaseHistory:
     along: InitialState
 
     @cached_property
-    def index(self) -> dict[tuple[str, float, float], int]:
+    def index(self) -> dict[tuple[str | float, ...], int]:
         return {case.name: k for k, case in enumerate(all_cases(self.group))}
 
     def places(self, group: CaseGroups) -> Indices:

@@ -152,12 +152,19 @@ class Scenario(Shown, Model):
         for item in self.objects:
             if item.inner is None:
                 continue
-            for key, given in (("position", item.uncertainty.position), ("tilt_deg", self.uncertainty.tilt_deg)):
-                if given is not None and any(given):
-                    raise ValueError(
-                        f"uncertainty.{key} = {list(given)} does not work with the {item.inner.noun} in {item.name}, "
-                        "whose model does not know it; leave one of the two out"
-                    )
+            place, tilts = item.uncertainty.position or (), self.uncertainty.tilt_deg or ()
+            near = next(b for n in self.payload.networks if item.name in (b := [x.name for x in n.bodies]))
+            if any(place) and len(near) > 1:
+                raise ValueError(
+                    f"uncertainty.position = {list(place)} of {item.name} works with the {item.inner.noun} in it only "
+                    f"if it stands on the tray by itself, not with {' and '.join(x for x in near if x != item.name)}; "
+                    "leave the range out, or put it elsewhere"
+                )
+            if any(tilts):
+                raise ValueError(
+                    f"uncertainty.tilt_deg = {list(tilts)} does not work with the {item.inner.noun} in {item.name}, "
+                    "whose model does not know it; leave one of the two out"
+                )
             inner, still = item.inner.dynamics(item.shape.solid().height), np.zeros((1, 2))
             half = item.uncertainty.ranges(item.loose(), True)
             most = inner.value + next((h for p, _, h in half if p.kind == inner.quantity), 0.0)

@@ -248,7 +248,7 @@ def assumed(shape: Shape, on: str | list[str], inner: InnerDynamics | None) -> U
 
     Friction 15 %; mass 10 %; centre of mass 3 mm to the sides, at most a tenth of the width, and 5 % of the height;
     position on the tray 2 mm; fill height 10 %, at most half of the distance to the brim. With a liquid or pendulum the
-    position is exact, because their models do not include its effect.
+    position is exact: a range multiplies the cases that a plan must consider by four.
     """
     try:
         solid = shape.solid()

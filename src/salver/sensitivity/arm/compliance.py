@@ -14,7 +14,6 @@ from salver.dynamics.modal_history import CaseGroups, CaseHistory, InitialState,
 from salver.dynamics.modal_motion import ModalMotion
 from salver.dynamics.modal_state import ModalState
 from salver.geometry import Array
-from salver.models.uncertain.parameters import Parameter
 from salver.sensitivity.arm.load import LoadChange
 from salver.sensitivity.arm.tracking import Deviation, Reaction
 
@@ -191,16 +190,15 @@ def of_cases(several: Sequence[LoadCase], load: LoadChange, dw: Array) -> tuple[
     A case has a value of its own, and with it a mass. Products of two other parameters are neglected: their effect is a
     hundredth of that of single ones.
     """
-    inner = several[0].dynamics
-    own, half = Parameter(several[0].body.name, inner.quantity), load.uncertain.ranges
-    others = [p for p in load.uncertain.parameters if p != own]
-    share = np.array([(case.value - inner.value) / half[own] if own in half else 0.0 for case in several])
+    half = load.uncertain.ranges
+    own = {p: np.array([case.deviation[p] for case in several]) / half[p] for p in several[0].deviation if p in half}
+    others = [p for p in load.uncertain.parameters if p not in own]
     sure, free = np.zeros((len(several), len(load.terms))), np.zeros((len(several), len(load.terms), len(others)))
     for k, factors in enumerate(load.terms):
-        rest = [p for p in factors if p != own]
-        power = share ** (len(factors) - len(rest))
+        rest = [p for p in factors if p not in own]
+        known = np.prod([own[p] for p in factors if p in own], axis=0)
         if not rest:
-            sure[:, k] = power
+            sure[:, k] = known
         elif len(rest) == 1:
-            free[:, k, others.index(rest[0])] = power
+            free[:, k, others.index(rest[0])] = known
     return np.moveaxis(dw @ sure.T, 2, 0), dw @ free[:, None]
