@@ -66,7 +66,7 @@ def test_good_plans_pass_every_check(plan: Plan, arm: ArmModel) -> None:
     assert {c.name for c in checks} >= {
         "numbers", "plan", "limits", "clearance", "reference", "verdict", "rest"
     }  # fmt: skip
-    demand(checks + check_franka(plan, arm))
+    demand(checks + check_franka(plan.scenario, arm, plan.joint))
 
 
 @pytest.mark.slow
@@ -303,7 +303,7 @@ def test_the_way_to_the_start_is_judged_too(plan: Plan, arm: ArmModel) -> None:
 
 
 def _franka(plan: Plan, arm: ArmModel, joint: JointMotion) -> set[str]:
-    return {c.name for c in check_franka(replace(plan, joint=joint), arm) if not c.ok}
+    return {c.name for c in check_franka(plan.scenario, arm, joint) if not c.ok}
 
 
 @pytest.mark.slow
@@ -357,17 +357,19 @@ def test_what_the_robot_cannot_do_is_told_by_name(plan: Plan, arm: ArmModel) -> 
     changed = replace(
         plan, scenario=plan.scenario.with_changes(physics__feedback="object", physics__command_period=0.002)
     )
-    assert {c.name for c in check_franka(changed, arm) if not c.ok} == {"period"}
+    assert {c.name for c in check_franka(changed.scenario, arm, changed.joint) if not c.ok} == {"period"}
     assert 'without a live measurement of the object it must be "joints"' in failed(changed, arm)["feedback"]
     other = replace(plan, scenario=plan.scenario.with_changes(arm__model="ur10"))
-    assert {c.name for c in check_franka(other, arm) if not c.ok} == {"arm"}
+    assert {c.name for c in check_franka(other.scenario, arm, other.joint) if not c.ok} == {"arm"}
     elsewhere = plan.scenario.with_changes(arm__flange="panda_link7")  # set_load speaks of panda_link8
-    refused = [c for c in check_franka(replace(plan, scenario=elsewhere), arm) if not c.ok]
+    refused = [c for c in check_franka(elsewhere, arm, plan.joint) if not c.ok]
     assert [c.name for c in refused] == ["arm"]
     assert refused[0].sentence.startswith("arm.flange is panda_link7; ")
 
 
 def test_a_check_that_compares_with_no_number_is_no_pass(plan: Plan, arm: ArmModel) -> None:
     """Every sentence of a check that passes is free of "nan": none passes because nothing could be computed."""
-    checks: list[Any] = check_plan(plan, arm, plan.scenario.payload.bodies) + check_franka(plan, arm)
+    checks: list[Any] = check_plan(plan, arm, plan.scenario.payload.bodies) + check_franka(
+        plan.scenario, arm, plan.joint
+    )
     assert not any("nan" in c.sentence.replace("panda", "") for c in checks)

@@ -157,7 +157,7 @@ class Rig:
         self.carried = self.plan.scenario.payload.bodies
         self.checks = execute.check_plan(self.plan, self.arm, self.carried)
         execute.demand(self.checks)
-        self.franka = FrankaRobot.check(self.plan, self.arm)
+        self.franka = FrankaRobot.check(self.plan.scenario, self.arm, self.plan.joint)
 
     def throw(self, faults: list[Fault], franka: bool = False) -> Outcome:
         """One run with faults, through the very functions of `salver execute`."""
@@ -200,7 +200,7 @@ class Rig:
 
         yield patch.object(execute, "check_plan", lambda *args: list(self.checks))
         yield patch.object(FrankaRobot, "check", lambda *args: list(self.franka))
-        yield patch.object(SimulatedRobot, "connect", lambda address, plan, arm, *given: robot(plan, arm, STOP_ROOM))
+        yield patch.object(SimulatedRobot, "of", lambda plan, arm, *given: robot(plan, arm, STOP_ROOM))
         yield patch.object(execute.Drive, "run", armed_run)
         yield patch.object(ArmController, "step", faulty("controller", step))
         yield patch.object(stops.PlannedStop, "__init__", faulty("planned", plan))

@@ -84,9 +84,15 @@ def run_plan(
     checks = check_plan(plan, arm, carried, full_speed_only, preflight)
     demand(checks)
     checks.append(check_place(Path(directory)))
-    checks += kind.check(plan, arm)
+    checks += kind.check(plan.scenario, arm, _motion(plan))
     demand(checks)  # before the arm is even connected
-    driven: Robot = kind.connect(address, plan, arm, realtime, *([] if options is None else [options]))
+    driven: Robot
+    if kind is SimulatedRobot:
+        driven = kind.of(plan, arm, realtime)
+    else:
+        driven = kind.connect(address, plan.scenario, arm, realtime, *([] if options is None else [options]))
+    if why := driven.permit(_motion(plan)):
+        raise SalverError(f"Not moved. {why}")
     watchdog = watchdog or Watchdog()
     posture = check_posture(_motion(plan), arm, driven.look(), preflight)
     if move_to_start:

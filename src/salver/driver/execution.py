@@ -201,7 +201,10 @@ class Drive:
         woken = time.perf_counter()
         sensed = self.senses.take(answer, self.expected)
         slowed = self.scaled(sensed.elapsed)
-        self.t += sensed.elapsed * (self.factor if self.stop is None else 1.0)
+        went = sensed.elapsed
+        if self.robot.takes == "position":  # in periods that were missed it held the last command
+            went -= max(round(went / self.period) - 1, 0) * self.period
+        self.t += went * (self.factor if self.stop is None else 1.0)
         self.late.append(self.reference()[:2])
         self.expected = ArmState(*self.late[-1 if self.by_torque else 0])
         sensed.take_for(self.expected)

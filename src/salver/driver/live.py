@@ -22,8 +22,7 @@ from salver.driver.execution import Drive, ExecutionLog, Watchdog, named
 from salver.driver.gate import Gate
 from salver.driver.logs import arrays_of, check_place, keep, summary_of
 from salver.driver.preflight import Check, check_plan, check_posture, demand
-from salver.driver.robots.franka import FR3, FrankaRobot, check_arm, check_franka, within_fr3
-from salver.driver.robots.robots import Robot
+from salver.driver.robots.robots import Robot, robot_class
 from salver.driver.robots.simulated import SimulatedRobot
 from salver.driver.sensing import Sensed
 from salver.driver.signals import Signals, noted_signals
@@ -198,14 +197,17 @@ def run_live(
     """Run a live motion by the lines of a script (`salver.live.script`) and write a run directory: the commanded motion
     is its plan, and the log is in `execution`.
 
-    robot: "simulated"; or "franka", which starts where it stands, with the load in place, and keeps the limits of the
-    Franka Research 3. realtime: keep real time, with a planner in a process of its own; otherwise the simulated arm
-    waits for the planner, and a script gives the same run again. listen: the lines come while the arm moves.
-    signals: through which the caller may ask for a stop. confirm: called with the checks after all of them passed,
-    before anything moves. Raises SalverError when the script or a check fails, ScenarioError when there is no arm or
-    the load is not safe, MissingDependencyError without the robot's library.
+    robot: "simulated"; or another name of `salver.driver.robots.robots.ROBOTS`, which starts where it stands, with the
+    load in place, and keeps limits of its own. realtime: keep real time, with a planner in a process of its own;
+    otherwise the simulated arm waits for the planner, and a script gives the same run again. listen: the lines come
+    while the arm moves. signals: through which the caller may ask for a stop. confirm: called with the checks after all
+    of them passed, before anything moves. Raises SalverError when the script or a check fails, ScenarioError when there
+    is no arm or the load is not safe, MissingDependencyError without the robot's library.
     """
-    known = {"simulated": _simulated, "franka": _franka}[robot](scenario, address, realtime, options)
+    if robot == "simulated":
+        known = _simulated(scenario, realtime, options)
+    else:
+        known = _real(robot_class(robot), scenario, address, realtime, options)
     directory, live, plan, driven = Path(directory), known.live, known.plan, known.robot
     scenario, arm, carried = plan.scenario, live.problem.arm, plan.scenario.payload.bodies
     prompter = Prompter(live, options.script)
@@ -270,21 +272,23 @@ class _Standing:
     checks: list[Check]
 
 
-def _simulated(scenario: Scenario, address: str, realtime: bool, options: LiveRunOptions) -> _Standing:
+def _simulated(scenario: Scenario, realtime: bool, options: LiveRunOptions) -> _Standing:
     live = Live(scenario, lead=None if realtime else options.lead, options=options.kept)
     plan = _resting(scenario, live, options.resting)
     robot = SimulatedRobot(plan, live.problem.arm, options.longest, realtime)
     return _Standing(live, plan, robot, robot.start_time, not realtime, [])
 
 
-def _franka(scenario: Scenario, address: str, realtime: bool, options: LiveRunOptions) -> _Standing:
-    tray, arm = scenario.tray, scenario.load_arm()
-    demand([check_arm(scenario)])
-    scenario = scenario.with_changes(arm__limits=slower(arm.limits, FR3))
-    robot = FrankaRobot(address, arm, tray.mass, np.array(tray.inertia), realtime)
-    live = Live(scenario, robot.look().q, permit=lambda motion: within_fr3(arm, motion), options=options.kept)
+def _real(kind: Any, scenario: Scenario, address: str, realtime: bool, options: LiveRunOptions) -> _Standing:
+    arm = scenario.load_arm()
+    demand(kind.check(scenario, arm))
+    robot: Robot = kind.connect(address, scenario, arm, realtime)
+    if robot.limits is not None:
+        scenario = scenario.with_changes(arm__limits=slower(arm.limits, robot.limits))
+    live = Live(scenario, robot.look().q, permit=robot.permit, options=options.kept)
     plan = _resting(scenario, live, options.resting)
-    return _Standing(live, plan, robot, -scenario.physics.settle_before, False, check_franka(plan, arm))
+    checks = kind.check(scenario, arm, plan.joint)
+    return _Standing(live, plan, robot, -scenario.physics.settle_before, False, checks)
 
 
 def slower(limits: JointLimits, others: JointLimits) -> dict[str, list[float]]:

@@ -145,7 +145,9 @@ def test_the_fastest_motion_keeps_libfrankas_limits_and_is_at_one(fastest: Plan)
     assert fastest.joint is not None
     assert 0.95 < largest_share(fastest.joint) <= 0.985  # 98 % are planned with
     arm = load_arm(fastest.scenario.arm, fastest.scenario.tray)  # type: ignore[arg-type]
-    checks = check_plan(fastest, arm, fastest.scenario.payload.bodies) + check_franka(fastest, arm)
+    checks = check_plan(fastest, arm, fastest.scenario.payload.bodies) + check_franka(
+        fastest.scenario, arm, fastest.joint
+    )
     assert [check.sentence for check in checks if check.required and not check.ok] == []
 
 

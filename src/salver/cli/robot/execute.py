@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from salver.cli.common import ExitCode, Json, numbers, print_json, result_console, say
+from salver.driver.robots.robots import ROBOTS
 from salver.errors import SalverError
 
 if TYPE_CHECKING:
@@ -23,7 +24,7 @@ def execute(
     directory: Annotated[
         Path, typer.Argument(help="A run directory, as `salver plan` makes it; with --live, a scenario or its run.")
     ],
-    robot: Annotated[str, typer.Option(help="Which arm: franka, ur or simulated.")] = "franka",
+    robot: Annotated[str, typer.Option(help=f"Which arm: {', '.join(ROBOTS)}.")] = "franka",
     address: Annotated[str | None, typer.Option(help="Network address of the arm's control interface.")] = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="The simulated arm, in real time.")] = False,
     stem: Annotated[
@@ -91,8 +92,6 @@ def execute(
     if live is not None:
         if move_to_start or full_speed_only or stem != "plan":
             raise SalverError("--live goes with none of --move-to-start, --full-speed-only and --plan.")
-        if robot == "ur":
-            raise SalverError("--live drives a franka or the simulated arm; a ur is driven along plans.")
         result = _told(directory, live, out, robot, address, Watchdog(watchdog), realtime, yes, confirm, option or [])
     else:
         legs = load(scenario_of(directory)).legs if stem == "plan" else []

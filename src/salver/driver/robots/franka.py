@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from salver.driver.robots.robots import Takes
     from salver.driver.sensing import Sensed
     from salver.models.arm.arm import ArmModel
-    from salver.planning.plan import Plan
     from salver.scenario import Scenario
     from salver.trajectory import JointMotion
 
@@ -63,18 +62,22 @@ class FrankaRobot:
     """A Franka arm through pylibfranka's torque interface. Run with pylibfranka 0.20 and 0.21."""
 
     takes: Takes = "torque"
+    limits: JointLimits | None = FR3
     period, lag, speed = PERIOD, 0.0, 1.0
 
     @classmethod
     def connect(
-        cls, address: str, plan: Plan, arm: ArmModel, realtime: bool, options: FrankaOptions | None = None
+        cls, address: str, scenario: Scenario, arm: ArmModel, realtime: bool, options: FrankaOptions | None = None
     ) -> FrankaRobot:
-        tray = plan.scenario.tray
+        tray = scenario.tray
         return cls(address, arm, tray.mass, np.array(tray.inertia), realtime, options or FrankaOptions())
 
     @staticmethod
-    def check(plan: Plan, arm: ArmModel) -> list[Check]:
-        return check_franka(plan, arm)
+    def check(scenario: Scenario, arm: ArmModel, motion: JointMotion | None = None) -> list[Check]:
+        return check_franka(scenario, arm, motion)
+
+    def permit(self, motion: JointMotion) -> str:
+        return within_fr3(self._arm, motion)
 
     def __init__(
         self,
@@ -206,11 +209,10 @@ def _arm_state(state: Any) -> ArmState:
     return ArmState(np.array(state.q), np.array(state.dq))
 
 
-def check_franka(plan: Plan, arm: ArmModel) -> list[Check]:
+def check_franka(scenario: Scenario, arm: ArmModel, motion: JointMotion | None = None) -> list[Check]:
     """Requirements of the Franka Research 3 beyond the Panda's, and limits of its interface."""
-    assert plan.joint is not None
-    physics = plan.scenario.physics
-    right = check_arm(plan.scenario)
+    physics = scenario.physics
+    right = check_arm(scenario)
     checks = [
         right,
         Check(
@@ -219,7 +221,7 @@ def check_franka(plan: Plan, arm: ArmModel) -> list[Check]:
             f"physics.command_period is {physics.command_period:g} s; the arm wants a torque every {PERIOD:g} s.",
         ),
     ]
-    return checks + (_within(FR3, arm, looked_at(plan.joint)) if right.ok else [])
+    return checks + (_within(FR3, arm, looked_at(motion)) if right.ok and motion is not None else [])
 
 
 def check_arm(scenario: Scenario) -> Check:

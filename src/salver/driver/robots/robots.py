@@ -1,7 +1,8 @@
 """Robots as the control loop drives them, and the robots that are known by name.
 
 A robot is asked for its state and given a command, once per period; `salver.driver.execution` does both, and checks,
-watchdog, gate, stops and log are the same for all. Another robot is a class with these methods and a line in `ROBOTS`.
+watchdog, gate, stops and log are the same for all. Another robot is a class with these methods and a line in `ROBOTS`;
+`salver.driver.robots.positions` has most of them for one that takes joint positions.
 """
 
 from __future__ import annotations
@@ -19,13 +20,15 @@ if TYPE_CHECKING:
     from salver.driver.sensing import Sensed
     from salver.geometry import Array
     from salver.models.arm.arm import ArmModel
-    from salver.planning.plan import Plan
+    from salver.models.arm.arm_limits import JointLimits
+    from salver.scenario import Scenario
     from salver.trajectory import JointMotion
 
 ROBOTS = {
     "simulated": "salver.driver.robots.simulated:SimulatedRobot",
     "franka": "salver.driver.robots.franka:FrankaRobot",
     "ur": "salver.driver.robots.ur:URRobot",
+    "xarm": "salver.driver.robots.xarm:XArmRobot",
 }  # name: module and class
 
 
@@ -37,26 +40,18 @@ class Robot(Protocol):
 
     takes: quantity of its commands for each joint: torque (N m, with gravity; an adapter subtracts what its robot
     adds), position (rad) or velocity (rad/s). period: s between two commands. lag: s by which the joints follow their
-    commands. speed: the share of full speed, 0 to 1, at which the robot lets itself be moved now.
+    commands. speed: the share of full speed, 0 to 1, at which the robot lets itself be moved now. limits: those of the
+    robot, where the arm of a scenario may have wider ones.
     """
 
     takes: Takes
     period: float
     lag: float
     speed: float
+    limits: JointLimits | None
 
-    @classmethod
-    def connect(cls, address: str, plan: Plan, arm: ArmModel, realtime: bool) -> Robot:
-        """The robot at an address, with the plan's tray configured. realtime: refuse a machine that cannot keep the
-        period. A robot with options of its own takes them after that.
-
-        Raises SalverError when it does not answer, MissingDependencyError without its library.
-        """
-        ...
-
-    @staticmethod
-    def check(plan: Plan, arm: ArmModel) -> list[Check]:
-        """Checks of a plan by this robot, beyond those of every plan, before it is connected."""
+    def permit(self, motion: JointMotion) -> str:
+        """Why the connected robot would not follow a motion, in a sentence; "" if it would."""
         ...
 
     @property
@@ -88,6 +83,24 @@ class Robot(Protocol):
     def move(self, motion_from: Callable[[Array], JointMotion]) -> None:
         """Follow a slow joint motion from where the arm stands, with an empty tray. Raises SalverError when it is
         interrupted; the arm has stopped then."""
+        ...
+
+
+class RealRobot(Robot, Protocol):
+    """A robot at an address."""
+
+    @classmethod
+    def connect(cls, address: str, scenario: Scenario, arm: ArmModel, realtime: bool) -> Robot:
+        """The robot at an address, with the scenario's tray configured. realtime: refuse a machine that cannot keep the
+        period. A robot with options of its own takes them after that.
+
+        Raises SalverError when it does not answer, MissingDependencyError without its library.
+        """
+        ...
+
+    @staticmethod
+    def check(scenario: Scenario, arm: ArmModel, motion: JointMotion | None = None) -> list[Check]:
+        """Checks of the arm and of a motion by this robot, beyond those of every plan, before it is connected."""
         ...
 
 

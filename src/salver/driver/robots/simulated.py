@@ -18,7 +18,9 @@ if TYPE_CHECKING:
     from salver.driver.robots.robots import Takes
     from salver.driver.sensing import Sensed
     from salver.models.arm.arm import ArmModel
+    from salver.models.arm.arm_limits import JointLimits
     from salver.planning.plan import Plan
+    from salver.scenario import Scenario
     from salver.simulation.record import SimulationRecord
     from salver.trajectory import JointMotion
 
@@ -35,15 +37,19 @@ class SimulatedRobot:
     """
 
     takes: Takes = "torque"
+    limits: JointLimits | None = None
     lag, speed, source = 0.0, 1.0, "simulated arm"
 
     @classmethod
-    def connect(cls, address: str, plan: Plan, arm: ArmModel, realtime: bool) -> SimulatedRobot:
+    def of(cls, plan: Plan, arm: ArmModel, realtime: bool) -> SimulatedRobot:
         return cls(plan, arm, STOP_ROOM, realtime)
 
     @staticmethod
-    def check(plan: Plan, arm: ArmModel) -> list[Check]:
+    def check(scenario: Scenario, arm: ArmModel, motion: JointMotion | None = None) -> list[Check]:
         return []
+
+    def permit(self, motion: JointMotion) -> str:
+        return ""
 
     def move(self, motion_from: Callable[[Array], JointMotion]) -> None:
         """Put the arm at the end of the motion."""

@@ -20,19 +20,14 @@ import numpy as np
 
 from salver.control.arm import ArmState
 from salver.driver.preflight import Check
-from salver.driver.signals import noted_signals
+from salver.driver.robots.positions import Packages, PositionRobot, payload, unlike
 from salver.errors import SalverError
 from salver.geometry import Array, compose, exp, invert
-from salver.geometry import log as rotation_vector
 from salver.models.arm.known_arms import UR_JOINTS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from salver.driver.robots.robots import Takes
-    from salver.driver.sensing import Sensed
     from salver.models.arm.arm import ArmModel
-    from salver.planning.plan import Plan
+    from salver.scenario import Scenario
     from salver.trajectory import JointMotion
 
 PERIOD = 2e-3  # s, of an e-Series
@@ -109,10 +104,7 @@ class Exchange:
     """A client of the controller's data exchange, protocol version 2."""
 
     def __init__(self, address: str, timeout: float) -> None:
-        self._timeout = timeout
-        self._socket = socket.create_connection((address, RTDE_PORT), timeout)
-        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        self._came = b""
+        self._packages = Packages(address, RTDE_PORT, timeout, ">H")
         self._ask("V", struct.pack(">H", 2))
         version = struct.unpack(">4I", self._ask("v", b""))
         if version < LEAST_VERSION:
@@ -132,7 +124,7 @@ class Exchange:
     def newest(self) -> dict[str, Any]:
         """The latest state; waits until there is one."""
         state = b""
-        while not state or self._waiting():
+        while not state or self._packages.waiting():
             kind, body = self._package()
             state = body if kind == "U" else state
         values = iter(self._layout.unpack(state)[1:])
@@ -165,47 +157,28 @@ class Exchange:
         return answer[0]
 
     def _write(self, kind: str, body: bytes) -> None:
-        self._socket.sendall(struct.pack(">HB", 3 + len(body), ord(kind)) + body)
-
-    def _waiting(self) -> bool:
-        """Whether another whole package has come."""
-        self._socket.setblocking(False)
-        try:
-            self._came += self._socket.recv(1 << 16)
-        except BlockingIOError:
-            pass
-        finally:
-            self._socket.settimeout(self._timeout)
-        return len(self._came) >= 3 and len(self._came) >= struct.unpack_from(">H", self._came)[0]
+        self._packages.wire.sendall(struct.pack(">HB", 3 + len(body), ord(kind)) + body)
 
     def _package(self) -> tuple[str, bytes]:
-        while len(self._came) < 3 or len(self._came) < struct.unpack_from(">H", self._came)[0]:
-            if not (more := self._socket.recv(1 << 16)):
-                raise SalverError("it closed the connection")
-            self._came += more
-        size, kind = struct.unpack_from(">HB", self._came)
-        if size < 3:
-            raise SalverError(f"a package of the data exchange has {size} bytes")
-        body, self._came = self._came[3:size], self._came[size:]
-        return chr(kind), body
+        package = self._packages.next()
+        return chr(package[2]), package[3:]
 
 
-class URRobot:
+class URRobot(PositionRobot):
     """An arm of Universal Robots, e-Series, in remote control. `servoj` follows `lag` late, or more."""
 
-    takes: Takes = "position"
-    period = PERIOD
+    kind, period = "ur", PERIOD
 
     @classmethod
     def connect(
-        cls, address: str, plan: Plan, arm: ArmModel, realtime: bool, options: UROptions | None = None
+        cls, address: str, scenario: Scenario, arm: ArmModel, realtime: bool, options: UROptions | None = None
     ) -> URRobot:
-        robot = cls(address, *payload(plan, arm), options or UROptions())
+        robot = cls(address, *payload(scenario, arm), options or UROptions())
         robot.recognise(arm)
         return robot
 
     @staticmethod
-    def check(plan: Plan, arm: ArmModel) -> list[Check]:
+    def check(scenario: Scenario, arm: ArmModel, motion: JointMotion | None = None) -> list[Check]:
         names = arm.joint_names
         fits = len(names) == len(UR_JOINTS) and all(map(str.endswith, names, UR_JOINTS))
         sentence = f"The plan is for the joints {', '.join(names)}; --robot ur drives {', '.join(UR_JOINTS)}."
@@ -213,18 +186,15 @@ class URRobot:
 
     def __init__(self, address: str, mass: float, com_F: Array, options: UROptions = UROptions()) -> None:
         """Connect. mass, com_F (3,): kg, m in the flange's frame, of all that it carries. Raises SalverError."""
-        self._address, self._mass, self._com, self._options = address, mass, com_F, options
-        self.lag = options.lookahead
-        self.speed, self._number, self._begun, self._at, self._first = 1.0, 0, 0, 0.0, True
+        super().__init__(address)
+        self._mass, self._com, self._options = mass, com_F, options
+        self.lag, self.settling = options.lookahead, options.settling
+        self._number, self._begun, self._at, self._first = 0, 0, 0.0, True
         try:
             self._exchange = Exchange(address, options.timeout)
         except (OSError, SalverError, struct.error) as error:
-            raise self._said(error) from None
+            raise self.said(error) from None
         self.look()
-
-    @property
-    def source(self) -> str:
-        return f"ur at {self._address}"
 
     def look(self) -> ArmState:
         state = self._state()
@@ -234,25 +204,12 @@ class URRobot:
     def recognise(self, arm: ArmModel) -> None:
         """Compare the flange's pose in the base frame with the model's. Raises SalverError when they differ: the arm,
         or the frame of the payload's centre of mass, is another one."""
-        state, options, model = self._state(), self._options, arm.pin_model
-        base = model.frames[model.frames[model.getFrameId(arm.joint_names[0])].parentFrame].name
-        q, tcp, offset = state["actual_q"], state["actual_TCP_pose"], state["tcp_offset"]
+        state, options = self._state(), self._options
+        tcp, offset = state["actual_TCP_pose"], state["tcp_offset"]
         p, R = compose(tcp[:3], exp(tcp[3:]), *invert(offset[:3], exp(offset[3:])))
-        p_BF, R_BF = compose(*invert(*arm.link_pose(q, base)), *arm.link_pose(q, arm.flange))
         half_turn = np.diag([-1.0, -1.0, 1.0])  # of ROS's base_link to the controller's base
-        off = (
-            (float(np.linalg.norm(p - by @ p_BF)), float(np.linalg.norm(rotation_vector(R.T @ by @ R_BF))))
-            for by in (np.eye(3), half_turn)
-        )
-        away, turn = min(off, key=lambda pair: pair[0] / options.near + pair[1] / options.turned)
-        if not (away <= options.near and turn <= options.turned):
-            raise self._said(
-                SalverError(
-                    f"the flange is {1e3 * away:.1f} mm and {np.rad2deg(turn):.1f} degrees from where {arm.name} has "
-                    f"{arm.flange}; {1e3 * options.near:g} mm and {np.rad2deg(options.turned):.1f} degrees are "
-                    "accepted. The plan is for another arm, or its arm.flange is not the frame tool0"
-                )
-            )
+        if why := unlike(arm, state["actual_q"], p, R, options.near, options.turned, (np.eye(3), half_turn)):
+            raise self.said(why)
 
     def start(self) -> None:
         """Send the program, and wait until it reads the registers. It has a number of its own, so that it ignores
@@ -269,46 +226,28 @@ class URRobot:
             with socket.create_connection((self._address, SCRIPT_PORT), self._options.timeout) as wire:
                 wire.sendall(program.encode())
         except OSError as error:
-            raise self._said(error) from None
+            raise self.said(error) from None
         for _ in range(round(self._options.timeout / PERIOD)):
             if self._state()[STATUS] == self._begun:
                 self.look()
                 return
-        raise self._said(SalverError("the program does not run; is the robot in remote control?"))
+        raise self.said("the program does not run; is the robot in remote control?")
 
     def read(self) -> tuple[ArmState, float]:
         before = self._at
         state = self._state()
         if state[STATUS] != self._begun:
-            raise self._said(SalverError("the program has ended"))
+            raise self.said("the program has ended")
         self._at = state["timestamp"]
         first, self._first = self._first, False
         return ArmState(state["actual_q"], state["actual_qd"]), 0.0 if first else self._at - before
-
-    def write(self, command: Array, sensed: Sensed, *, last: bool = False) -> None:
-        self._follow(command)
 
     def stop(self) -> None:
         """End the program, which stops an arm that still moves; it ends by itself when no more commands come."""
         self._number = -1
         self._send(np.zeros(6))
 
-    def move(self, motion_from: Callable[[Array], JointMotion]) -> None:
-        with noted_signals() as signals:
-            motion = motion_from(self.look().q)
-            self.start()
-            try:
-                t = 0.0
-                while t < motion.duration + self._options.settling:
-                    self.read()
-                    if signals.seen:
-                        raise SalverError(f"{signals.wish(t)} The arm was stopped on its way to the start.")
-                    t += PERIOD  # whatever its clock says: no command is further on
-                    self._follow(motion.sample(min(t, motion.duration))[0][0])
-            finally:
-                self.stop()
-
-    def _follow(self, q: Array) -> None:
+    def send(self, q: Array) -> None:
         self._number += 1
         self._send(q)
 
@@ -316,27 +255,15 @@ class URRobot:
         try:
             self._exchange.send(self._number, q)
         except OSError as error:
-            raise self._said(error) from None
+            raise self.said(error) from None
 
     def _state(self) -> dict[str, Any]:
         """The newest; raises SalverError when there is none, or the arm was stopped by its own safety."""
         try:
             state = self._exchange.newest()
         except (OSError, SalverError, struct.error) as error:
-            raise self._said(error) from None
+            raise self.said(error) from None
         if (mode := state["safety_mode"]) not in MOVES:
-            raise self._said(SalverError(STOPPED.get(mode, f"safety mode {mode}")))
+            raise self.said(STOPPED.get(mode, f"safety mode {mode}"))
         self.speed = min(max(0.0, state["speed_scaling"] * state["target_speed_fraction"]), 1.0)
         return state
-
-    def _said(self, error: Exception) -> SalverError:
-        return SalverError(f"The arm at {self._address} says: {error}.")
-
-
-def payload(plan: Plan, arm: ArmModel) -> tuple[float, Array]:
-    """Mass, kg, and centre of mass (3,) in the flange's frame, m, of tray and load."""
-    masses, coms_E = [plan.scenario.tray.mass], [arm.tray_com_E]
-    for body in plan.scenario.payload.bodies:
-        masses.append(body.inertial.mass)
-        coms_E.append(body.p_EB + body.R_EB @ body.inertial.com_B)
-    return float(sum(masses)), arm.p_FE + arm.R_FE @ np.average(coms_E, axis=0, weights=masses)
