@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from driver_rig import Fault, Rig, one, spoilt
 from salver.control.arm import ArmState
 from salver.driver.signals import noted_signals
 from salver.files import load_npz
+from wire_faults import WireRig
 
 NAN = float("nan")
 # A clock that runs ahead while the arm is stopped; frozen, false, swapped readings; torques that shake it, or throw a
@@ -222,6 +224,19 @@ def test_nothing_unsafe_leaves_and_no_log_is_lost(rig: Rig, safe: Rig, seed: int
     faults = draw(seed)
     franka = seed % 3 == 0 and not any(fault.odd for fault in faults)
     assert (rig, safe)[seed % 2].throw(faults, franka).wrong() == [], [fault.words for fault in faults]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("robot", ["ur", "xarm"])
+def test_nothing_unsafe_comes_over_the_wire(tmp_path: Path, robot: str) -> None:
+    """`python tests/helpers/driver_faults.py --robot xarm -n 1000` throws a thousand. Of a UR 5 and 15: no more
+    commands come while it moves."""
+    if robot == "xarm":
+        pytest.importorskip("xarm", reason="xarm-python-sdk is not installed")
+    wired = WireRig(tmp_path / "plan", robot)
+    for seed in (2, 5, 15):
+        faults, wrong, _ = wired.throw(seed)
+        assert wrong == [], [fault.words for fault in faults]
 
 
 @pytest.mark.slow

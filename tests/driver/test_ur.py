@@ -18,6 +18,7 @@ import pytest
 from salver import scenario
 from salver.control.arm import ArmState
 from salver.driver import execute
+from salver.driver.live import LiveRunOptions, run_live
 from salver.driver.preflight import Check, check_plan
 from salver.driver.robots import ur
 from salver.driver.sensing import Sensed
@@ -289,6 +290,31 @@ def test_a_speed_is_a_share_of_full_speed(controller: Make, scaling: float, spee
     for _ in range(10):
         driven.look()
     assert driven.speed == speed
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("slowed", [False, True])
+def test_a_ur_is_driven_live_until_it_is_slowed(plan: Plan, controller: Make, tmp_path: Path, slowed: bool) -> None:
+    """To a goal; a live motion keeps its load at full speed only."""
+    robot = controller(paced=True)
+
+    def slow(robot: Controller) -> None:
+        if slowed and np.abs(robot.dq).max() > 0.3:
+            robot.slider = 0.5
+
+    robot.each = slow
+    result = run_live(CASE, ['{"t": 0.0, "goto": [0.6, 0.05, 0.45]}'], tmp_path / "live", "ur", "127.0.0.1",
+                      options=LiveRunOptions(patience=60.0))  # fmt: skip
+    sent, arm, body = np.array(robot.commands), plan.scenario.load_arm(), plan.scenario.payload.bodies[0]
+    assert result.summary["requests"] == {"accepted": 1, "refused": 0, "dropped": 0}
+    if slowed:
+        assert "The robot's speed is at 50 %, and this motion keeps its load at full" in result.summary["stopped"]
+        assert result.summary["load_kept_in_stop"] is True
+    else:
+        assert result.achieved, result.summary["stopped"]
+        assert np.abs(arm.object_pose(sent[-1], body.p_EB, body.R_EB)[0] - [0.6, 0.05, 0.45]).max() < 2e-3
+    assert np.all(np.abs(np.diff(sent, axis=0)) <= 2e-3 * arm.limits.velocity * (1 + 1e-9))
+    assert not robot.dq.any()
 
 
 @pytest.mark.parametrize("refuse", ["input_double_register_27", "safety_mode"])

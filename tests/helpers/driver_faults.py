@@ -1,8 +1,8 @@
 """Faults thrown at the driver: every field of every sample, every call, every phase; and what must hold all the same.
 
 `python tests/helpers/driver_faults.py -n 1000` throws a thousand and prints the counts; `test_faults.py` throws some at
-every test run. Each fault is a seed: with `--seed 17 -n 1` number 17 is thrown again. What must hold after each:
-`driver_rig.py`.
+every test run. `--robot ur` and `--robot xarm` throw theirs on the wire (`wire_faults.py`). Each fault is a seed: with
+`--seed 17 -n 1` number 17 is thrown again. What must hold after each: `driver_rig.py`.
 """
 
 from __future__ import annotations
@@ -115,9 +115,13 @@ def main() -> None:
     asked = argparse.ArgumentParser(description=__doc__.splitlines()[0])  # type: ignore[union-attr]
     asked.add_argument("-n", type=int, default=1000, help="how many faults")
     asked.add_argument("--seed", type=int, default=0, help="number of the first")
+    asked.add_argument("--robot", choices=("franka", "ur", "xarm"), default="franka", help="franka: and the simulated")
     given = asked.parse_args()
     counts: Counter[str] = Counter()
     with tempfile.TemporaryDirectory() as folder:
+        if given.robot != "franka":
+            on_the_wire(Path(folder), given, counts)
+            given.n = 0
         rigs = Rig(Path(folder) / "cool"), Rig(Path(folder) / "safe", every=0.1)
         for seed in range(given.seed, given.seed + given.n):
             faults = draw(seed)
@@ -139,6 +143,24 @@ def main() -> None:
     for name, count in counts.items():
         print(f"{name}: {count}")
     sys.exit(counts["wrong"] > 0)
+
+
+def on_the_wire(folder: Path, given: argparse.Namespace, counts: Counter[str]) -> None:
+    """Faults of a protocol."""
+    from wire_faults import WireRig
+
+    rig = WireRig(folder / "plan", given.robot)
+    for seed in range(given.seed, given.seed + given.n):
+        faults, wrong, summary = rig.throw(seed)
+        counts["runs"] += 1
+        counts["wrong"] += bool(wrong)
+        counts["went on to the end"] += not summary.get("stopped", "-")
+        counts["stopped"] += bool(summary.get("stopped"))
+        counts["stopped, load surely kept"] += bool(summary.get("load_kept_in_stop"))
+        counts["states bridged"] += summary.get("bridged", 0)
+        counts["commands"] += summary.get("timing", {}).get("periods", 0)
+        if wrong or given.n == 1:
+            print(f"{seed}: {'; '.join(f.words for f in faults)}: {'; '.join(wrong) or summary['stopped']}", flush=True)
 
 
 if __name__ == "__main__":

@@ -111,8 +111,9 @@ class Controller:
     def __init__(
         self, q: Array, lag: float = 0.03, *, lockstep: bool = True, refuse: str = "", model: str = "ur5e",
         tcp: tuple[float, ...] = (0.01, -0.02, 0.1, 0.3, 0.2, -0.4), version: tuple[int, ...] = (5, 20, 1, 7),
-        odd: Callable[[str, bytes], bytes] = package,
+        odd: Callable[[str, bytes], bytes] = package, paced: bool = False,
     ) -> None:  # fmt: skip
+        self.paced = paced or not lockstep
         self.model, self.tcp, self.version, self.odd = model, np.array(tcp), version, odd
         self.q, self.dq, self.lockstep, self.refuse = np.array(q, dtype=float), np.zeros(6), lockstep, refuse
         self.registers: dict[str, float] = dict.fromkeys(INPUTS, 0)
@@ -123,6 +124,7 @@ class Controller:
         self.payload: tuple[Any, ...] = ()
         self.commands: list[Array] = []
         self.steps, self.program, self.over, self.inputs = 0, "", False, 0
+        self.gone = False  # its client; the program goes on
         self.error: BaseException | None = None
         self.client: socket.socket | None = None
         self.recipes: dict[str, list[str]] = {}
@@ -182,7 +184,7 @@ class Controller:
         self.commands.append(np.array(q))
         self.late.append(np.array(q))
         self._moved(self.late.popleft())
-        time.sleep(0.0 if self.lockstep else PERIOD)
+        time.sleep(PERIOD if self.paced else 0.0)
         # Not before the client's first command: it waits for a state as long.
         self._period(
             wait=self.lockstep and self.registers["input_int_register_24"] != self.outputs["output_int_register_24"]
@@ -219,7 +221,7 @@ class Controller:
         count = self.inputs
         deadline = time.monotonic() + (1.0 if wait else 0.0)
         self._hear()
-        while wait and self.inputs == count and time.monotonic() < deadline and not self.over:
+        while wait and self.inputs == count and time.monotonic() < deadline and not (self.over or self.gone):
             self._hear(1e-3)
         if self.over or self.mode not in (1, 2):
             raise Ended
@@ -232,17 +234,20 @@ class Controller:
 
     def _hear(self, patience: float = 0.0) -> None:
         assert self.client is not None
+        if self.gone:
+            return
         self.client.settimeout(patience or None)
         self.client.setblocking(bool(patience))
         if patience:
             self.client.settimeout(patience)
         try:
             came = self.client.recv(1 << 16)
-            if not came:
-                raise Ended
+            self.gone = not came
             self._came += came
         except (BlockingIOError, TimeoutError):
             pass
+        except OSError:
+            self.gone = True
         self.client.setblocking(True)
         while len(self._came) >= 3 and len(self._came) >= (size := struct.unpack_from(">H", self._came)[0]):
             kind, body = chr(self._came[2]), self._came[3:size]
@@ -271,4 +276,7 @@ class Controller:
 
     def _send(self, kind: str, body: bytes) -> None:
         assert self.client is not None
-        self.client.sendall(self.odd(kind, body))
+        try:
+            self.client.sendall(self.odd(kind, body))
+        except OSError:
+            self.gone = True

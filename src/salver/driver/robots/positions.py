@@ -5,11 +5,12 @@ from __future__ import annotations
 
 import socket
 import struct
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from salver.driver.robots.robots import Robot
 from salver.driver.signals import noted_signals
 from salver.errors import SalverError
 from salver.geometry import Array, compose, invert
@@ -18,28 +19,20 @@ from salver.geometry import log as rotation_vector
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from salver.control.arm import ArmState
-    from salver.driver.robots.robots import Takes
     from salver.driver.sensing import Sensed
     from salver.models.arm.arm import ArmModel
-    from salver.models.arm.arm_limits import JointLimits
     from salver.scenario import Scenario
     from salver.trajectory import JointMotion
 
 
-class PositionRobot(ABC):
-    """A `salver.driver.robots.robots.Robot` that takes joint positions. Subclasses send them and read the state.
+class PositionRobot(Robot):
+    """A robot that takes joint positions; subclasses connect, read the state and send positions.
 
     kind: its name in `ROBOTS`. settling: s at rest after the way to the start.
     """
 
-    takes: Takes = "position"
     kind: str
-    period: float
-    lag: float
-    speed = 1.0
-    limits: JointLimits | None = None
-    settling = 0.5
+    takes, speed, limits, settling = "position", 1.0, None, 0.5
 
     def __init__(self, address: str) -> None:
         self._address = address
@@ -49,20 +42,8 @@ class PositionRobot(ABC):
         return f"{self.kind} at {self._address}"
 
     @abstractmethod
-    def look(self) -> ArmState: ...
-
-    @abstractmethod
-    def start(self) -> None: ...
-
-    @abstractmethod
-    def read(self) -> tuple[ArmState, float]: ...
-
-    @abstractmethod
     def send(self, q: Array) -> None:
         """Command the joint positions q (n,), rad."""
-
-    @abstractmethod
-    def stop(self) -> None: ...
 
     def permit(self, motion: JointMotion) -> str:
         return ""

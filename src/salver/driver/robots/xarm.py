@@ -78,10 +78,8 @@ class XArmRobot(PositionRobot):
     @staticmethod
     def check(scenario: Scenario, arm: ArmModel, motion: JointMotion | None = None) -> list[Check]:
         fits = arm.n in (6, 7) and all(map(str.endswith, arm.joint_names, JOINTS))
-        sentence = (
-            f"The plan is for the joints {', '.join(arm.joint_names)}; --robot xarm drives joint1 to joint6 or 7."
-        )
-        return [Check("arm", fits, sentence)]
+        found = ", ".join(arm.joint_names)
+        return [Check("arm", fits, f"The plan is for the joints {found}; --robot xarm drives joint1 to joint6 or 7.")]
 
     def __init__(
         self, address: str, arm: ArmModel, mass: float, com_F: Array, options: XArmOptions = XArmOptions()
@@ -103,11 +101,12 @@ class XArmRobot(PositionRobot):
         standard = socket.getdefaulttimeout()
         try:
             address = socket.gethostbyname(address)  # the SDK takes a name for a serial port
+            self._reports = Packages(address, REPORTS, options.timeout, ">I")
+            self._reports.next()  # the SDK would ask a controller that does not answer for minutes
             with redirect_stdout(io.StringIO()):
                 self._api = XArmAPI(address, is_radian=True, enable_report=False, forbid_uds=True)
             weakref.finalize(self, self._api.disconnect)
             self._api.set_timeout(options.timeout)
-            self._reports = Packages(address, REPORTS, options.timeout, ">I")
             self._recognise(Packages(address, SETTINGS, options.timeout, ">I").next())
         except SalverError:
             raise
@@ -152,8 +151,18 @@ class XArmRobot(PositionRobot):
         return ""
 
     def look(self) -> ArmState:
-        state, self._at = self._state()
-        return state
+        report = self._report()
+        if self._servo and (report.state not in MOVES or report.mode != SERVO):
+            self._refuse_errors()
+            why = STATES.get(report.state, f"its state is {report.state}")
+            raise self.said(why if report.mode == SERVO else f"its mode was changed to {report.mode}")
+        self._at = 1e-6 * report.timestamp
+        return ArmState(
+            *(
+                np.array(x[: self._arm.n], dtype=float)
+                for x in (report.actual_joint_angle, report.actual_joint_velocity)
+            )
+        )
 
     def start(self) -> None:
         """Set the payload, then servo mode, in which the arm holds its place until the first command."""
@@ -193,17 +202,8 @@ class XArmRobot(PositionRobot):
         self._refuse_errors()
         raise self.said(f"it does not enter mode {mode}")
 
-    def _state(self) -> tuple[ArmState, float]:
-        """The newest, and the controller's time, s; raises SalverError when there is none, or the arm was stopped."""
-        report = self._report()
-        if self._servo and (report.state not in MOVES or report.mode != SERVO):
-            self._refuse_errors()
-            mode = f"its mode was changed to {report.mode}"
-            raise self.said(STATES.get(report.state, mode) if report.mode == SERVO else mode)
-        q, dq = (np.array(x, dtype=float) for x in (report.actual_joint_angle, report.actual_joint_velocity))
-        return ArmState(q[: self._arm.n], dq[: self._arm.n]), 1e-6 * report.timestamp
-
     def _report(self) -> Any:
+        """The newest; waits until there is one."""
         package = b""
         try:
             while not package or self._reports.waiting():
