@@ -163,7 +163,7 @@ def test_each_extra_has_what_is_said_to_need_it():
                 provided = packages.get(name, [name])
                 assert any(re.match(rf"{p}[>=]", one, re.I) for p in provided for one in here), f"{path.name}: {name}"
             seen.add(extra)
-    assert seen == {"bags", "engine", "gym", "own-loop", "plots", "robot", "tables"}
+    assert seen == {"bags", "engine", "gym", "own-loop", "plots", "robot", "tables", "xarm"}
 
 
 def test_what_a_machine_lacks_is_not_a_missing_package():
