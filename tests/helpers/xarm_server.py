@@ -134,7 +134,7 @@ class Controller:
             self._send(2, self._settings())
         count, began = len(self.commands), time.monotonic()
         serving = self.lockstep and self.followed and self.mode == 1 and self.state in (1, 2) and self.clients[0]
-        until = began + (1.0 if serving else 3e-4 if self.lockstep else PERIOD)
+        until = began + (1.0 if serving else 3e-4 if self.lockstep and self.mode == 0 else PERIOD)
         while time.monotonic() < until and not self.over:
             self._hear()
             if serving and (len(self.commands) > count or self.state not in (1, 2) or not self.clients[0]):
