@@ -105,6 +105,24 @@ def test_a_plan_is_followed_by_who_takes_positions_or_velocities(safe: Rig, take
     assert np.abs(log.q - wanted[0]).max() > 0.01
 
 
+def test_positions_do_not_catch_up_on_periods_that_were_missed(safe: Rig) -> None:
+    """Three periods pass now and then, in which the arm holds its last command: no step is longer for that."""
+
+    class Missing(Follower):
+        def read(self) -> tuple[ArmState, float]:
+            state, elapsed = super().read()
+            if len(self.sent) % 60 != 59:
+                return state, elapsed
+            self.dq = np.zeros(7)
+            return self.look(), 3 * self.period
+
+    robot = Missing(safe, "position")
+    log = drive(safe, robot)
+    assert log.stopped == ""
+    steps = np.abs(np.diff(robot.sent, axis=0)).max(axis=0)
+    assert np.all(steps <= robot.period * np.abs(safe.plan.joint.dq).max(axis=0) * 1.01 + 1e-9)  # type: ignore[union-attr]
+
+
 def test_a_robot_at_half_speed_is_commanded_the_motion_at_half_speed(safe: Rig) -> None:
     robot = Follower(safe, "position", speeds=lambda t: 0.5)
     log = drive(safe, robot)
