@@ -174,7 +174,6 @@ function begin(scene) {
   const ring = Array.from({ length: 41 }, (_, i) => [RING * Math.cos((Math.PI * i) / 20), RING * Math.sin((Math.PI * i) / 20), 0]);
   rings.ring = viewer.upload(tube(ring, 0.0035));
   rings.drop = viewer.upload(revolve([[0.0015, -1], [0.0015, 0]], 8));
-  rings.ball = viewer.upload(revolve(Array.from({ length: 13 }, (_, i) => [Math.sin((Math.PI * i) / 12), -Math.cos((Math.PI * i) / 12)]), 20));
   canvas.addEventListener("pointerdown", (event) => {
     const part = handleAt(event);
     if (!part) return;
@@ -229,10 +228,9 @@ function paint() {
   viewer.marks.length = 0;
   for (const part of handles()) {
     const p = dragged?.part.name === part.name ? dragged.p : placeOf(part), colour = COLOURS[part.name] ?? COLOURS[part.key[0]];
-    viewer.marks.push({ shape: rings.ring, model: at(p), colour, flat: true });
-    if (state.live || part.name === state.chosen) viewer.marks.push({ shape: rings.drop, model: Mat.pose([...p, 1, 0, 0, 0], 0, [1, 1, Math.max(p[2] - state.answer.scene.floor || 0.3, 1e-3)]), colour: [...colour.slice(0, 3), 0.5], flat: true });
+    viewer.marks.push({ shape: rings.ring, model: at(p), colour });
+    if (state.live || part.name === state.chosen) viewer.marks.push({ shape: rings.drop, model: Mat.pose([...p, 1, 0, 0, 0], 0, [1, 1, Math.max(p[2] - state.answer.scene.floor || 0.3, 1e-3)]), colour: [...colour.slice(0, 3), 0.5] });
   }
-  for (const ball of state.live?.balls ?? []) viewer.marks.push({ shape: rings.ball, model: Mat.pose([...ball.p, 1, 0, 0, 0], 0, Array(3).fill(ball.r)), colour: [0.8, 0.15, 0.25, 1] });
   state.stacked = viewer.render(state.time).stacked;
 }
 
