@@ -43,8 +43,8 @@ def test_the_live_mode_of_a_window_is_its_own_and_ends_when_nobody_watches_it(tm
 
 
 @pytest.mark.slow
-def test_the_same_hand_keeps_the_load_of_one_arm_and_loses_that_of_the_other(tmp_path):
-    live = LiveMode(sv.load_scenario("panda-tall-bottle"), {"com_z": 0.003}, tmp_path)
+def test_the_same_hand_keeps_the_load_of_one_arm_and_loses_that_of_the_other():
+    live = LiveMode(sv.load_scenario("panda-tall-bottle"), {"com_z": 0.003})
     try:
         frame = live.frame()
         assert [(title, line) for title, line, _ in frame["names"]] == [("salver", ""), ("without protection", "")]

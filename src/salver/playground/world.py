@@ -9,27 +9,19 @@ import threading
 import time
 from collections.abc import Generator, Mapping
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from salver.control.arm import controller_for
-from salver.driver.live import commanded
 from salver.errors import SalverError, Status
 from salver.geometry import Array, quat_wxyz_from_matrix
 from salver.live import Live, LiveCourse
 from salver.live.replanning.wishes import Refused, numbers
-from salver.planning.plan_files import make_way
 from salver.playground.plant import Plant
 from salver.playground.unprotected import Unprotected
 from salver.scenario import Scenario
 from salver.simulation.scene.engine import mujoco
-from salver.trajectory import JointMotion
-
-LONGEST = 115.0  # s of a recording; a live motion keeps 120 s of what was commanded
-RECORDED = "It is being recorded; end the recording first."
-ENDING = Status("refused", "The recording ends first, at rest.", False)
 
 
 class World:
@@ -41,11 +33,10 @@ class World:
         parameters: Mapping[str, float] | None = None,
         *,
         protected: bool = True,
-        keep_in: Path | None = None,
         lead: float | None = None,
     ) -> None:
         """parameters: true values by name, where not nominal. protected: whether `sv.Live` decides what the hand may
-        do; else the arm is jogged. keep_in: directory for recordings, of a protected motion. lead: see `Live`.
+        do; else the arm is jogged. lead: see `Live`.
 
         Raises ScenarioError when there is no arm, or the load is not safe at rest where the motion begins.
         """
@@ -65,9 +56,6 @@ class World:
         self._hand = (-np.inf, np.zeros(3), np.zeros(3))  # when it spoke last, v_S, omega_S
         self.t = 0.0
         self.note = ""
-        self._keep_in = keep_in
-        self._recorded: float | None = None  # live time since which is recorded, s
-        self._ending = False
         self._placed()
 
     # --- what the controller follows: `salver.control.arm.Course`
@@ -124,15 +112,13 @@ class World:
         with self._lock:
             self.plant.step(self._controller, self.t)
             self.t += self.period
-            if self._recorded is not None:
-                self._watch(self._recorded)
 
     # --- who speaks to it
 
     def say(self, message: Any) -> Status:
         """Handle a message of the page, as JSON: {"goto": [x, y, z]} of the first object, m; {"twist": [vx, vy, vz,
-        turn]}, m/s and rad/s about the vertical; {"stop": true}, which latches until {"resume": true}; {"again": true};
-        {"record": bool}."""
+        turn]}, m/s and rad/s about the vertical; {"stop": true}, which latches until {"resume": true}; {"again":
+        true}."""
         if not isinstance(message, dict) or len(message) != 1:
             return Status("refused", "A message has one key.", False)
         ((key, value),) = message.items()
@@ -149,22 +135,13 @@ class World:
                     return self.live.resume()
                 case "again":
                     return self._again()
-                case "record" if isinstance(value, bool):
-                    return self._record(value)
         return Status("refused", f'There is no message "{str(key)[:40]}".', False)
-
-    @property
-    def _closing(self) -> bool:
-        """Whether the arm comes to rest for the end of a recording."""
-        return self._recorded is not None and self._ending
 
     def _goto(self, value: Any) -> Status:
         try:
             p = numbers(value, (3,), "the goal")
         except Refused as reason:
             return reason.status
-        if self._closing:
-            return ENDING
         status = self.live.goto(p) if self.protected else Status("accepted", "", True)
         self._goal = p if status.ok else None
         return status
@@ -174,56 +151,13 @@ class World:
             twist = numbers(value, (4,), "the twist")
         except Refused as reason:
             return reason.status
-        if self._closing:
-            return ENDING
         v, omega = twist[:3], np.array([0.0, 0.0, twist[3]])
         self._goal = None
         self._hand = (self.t, v, omega)
         return self.live.twist(v, omega) if self.protected else Status("accepted", "", True)
 
-    @property
-    def _resting(self) -> bool:
-        return self.live.committed.at_rest or self.live.now >= self.live.committed.ends
-
-    def _record(self, wanted: bool) -> Status:
-        if wanted == (self._recorded is not None):
-            return Status("accepted", "", True)
-        if wanted and self._keep_in is None:
-            return Status("refused", "There is no directory for recordings; begin with -o DIRECTORY.", False)
-        if wanted and not self._resting:
-            return Status("refused", "A recording begins at rest; press stop first.", False)
-        self._ending = not wanted
-        if wanted:
-            self._recorded = self.live.now
-            return Status("accepted", "", True)
-        stopped = bool(self.live.stopped)
-        status = self.say({"stop": True})
-        return status if stopped else self.live.resume()  # it only has to come to rest
-
-    def _watch(self, since: float) -> None:
-        """A recording that is to end, does so at rest; one that is too long is to end."""
-        if self.live.now - since > LONGEST and not self._ending:
-            self._record(False)
-        if self._closing and self._resting:
-            motion, self._recorded = self.live.commanded(since), None
-            self.note = "The recording is being written."
-            threading.Thread(target=self._kept, args=(motion,), name="recording").start()
-
-    def _kept(self, motion: JointMotion) -> None:
-        """Write a run directory of which the commanded motion is the plan."""
-        assert self._keep_in is not None
-        try:
-            plan = commanded(self.scenario, motion)
-            make_way(plan.scenario, self._keep_in, force=True)
-            plan.save(self._keep_in)
-            self.note = f"The recording is in {self._keep_in}; salver report {self._keep_in} shows it."
-        except Exception as error:  # a recording that cannot be kept is no reason to end
-            self.note = f"The recording could not be kept ({type(error).__name__}: {error})."
-
     def _again(self) -> Status:
         """The arm where it began, everything in its place."""
-        if self._recorded is not None:
-            return Status("refused", RECORDED, False)
         while not self.live.committed.at_rest and self.live.now < self.live.committed.ends:
             self.t += self.period
             self.live.command(self.t)
@@ -302,7 +236,6 @@ class World:
                 "margin": round(state.margin, 4),
                 "said": " ".join(filter(None, (*live, self.note))),
                 "lead": round(state.lead, 3),
-                "recording": None if self._recorded is None else round(self.live.now - self._recorded, 2),
                 "path": self._path(),
             }
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Generator, Mapping
-from pathlib import Path
 from typing import Any
 
 from salver.errors import SalverError, Status
@@ -19,10 +18,10 @@ class LiveMode:
     """world: the protected arm with its load. worker: its planner, a process. unprotected: what if nothing kept the
     load; None where it is not shown."""
 
-    def __init__(self, scenario: Scenario, true: Mapping[str, float] | None, keep_in: Path) -> None:
-        """true: values of parameters that are not nominal, for both arms. keep_in: directory for recordings."""
+    def __init__(self, scenario: Scenario, true: Mapping[str, float] | None) -> None:
+        """true: values of parameters that are not nominal, for both arms."""
         self._scenario, self._true = scenario, true
-        self.world = World(scenario, true, keep_in=keep_in)
+        self.world = World(scenario, true)
         self.worker = Worker(self.world.live).start()
         self.unprotected: World | None = None
         self._lock = threading.RLock()

@@ -48,17 +48,16 @@ class Studio:
         saved: bool = False,
         live: bool = False,
         true: Mapping[str, float] | None = None,
-        keep_in: Path = Path("runs/live"),
         port: int = 0,
     ) -> None:
         """text: the scenario that a window begins with. place: the file in which it is saved. folder: in which files
         are that the scenario names. saved: whether the text is what stands in the file. live: begin in the live mode.
-        true: values there of parameters that are not nominal. keep_in: directory for recordings.
+        true: values there of parameters that are not nominal.
 
         Raises SalverError when the port is taken.
         """
         self.text, self.place, self._folder, self._begins_live = text, place, folder, live
-        self._saved, self._true, self._keep_in = saved, true, keep_in
+        self._saved, self._true = saved, true
         self._looking, self._numbers = threading.Lock(), count()
         self._planners, self._plans = dict[str, PlanningProcess](), dict[str, tuple[str, Path]]()  # of windows
         self.lives: dict[str, LiveMode] = {}
@@ -259,7 +258,7 @@ class Studio:
         scenario = self._checked(text)
         self._close(window)
         with self._looking:
-            self.lives[window] = LiveMode(scenario, self._true, self._keep_in)
+            self.lives[window] = LiveMode(scenario, self._true)
         return {"frame": self.lives[window].frame()}
 
     def _save(self, text: str, over: Any) -> dict[str, Any]:

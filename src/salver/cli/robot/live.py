@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -17,9 +16,6 @@ def live(
         list[str] | None,
         typer.Option("--set", help="True value of a parameter, as mass=0.3 (SI units); repeat for several."),
     ] = None,
-    out: Annotated[
-        Path, typer.Option("--out", "-o", help="Run directory for a recording; an earlier one there is kept.")
-    ] = Path("runs/live"),
     browser: Annotated[bool, typer.Option(help="Open the page in a browser.")] = True,
     json: Json = False,
 ) -> None:
@@ -40,4 +36,4 @@ def live(
     true = named_numbers(set_ or [], "--set", "mass=0.3")
     World(load(scenario), true)  # says at once what cannot be
     text, place, folder, saved = begun(scenario)
-    served(Studio(text, place, folder, saved=saved, live=True, true=true, keep_in=out, port=port), browser, json)
+    served(Studio(text, place, folder, saved=saved, live=True, true=true, port=port), browser, json)

@@ -102,8 +102,6 @@ function report(frame) {
   }));
   byId("stop").textContent = frame.stopped ? "Resume" : "Stop";
   byId("pace").textContent = frame.pace;
-  byId("record").setAttribute("aria-pressed", frame.recording !== null);
-  byId("record").textContent = frame.recording === null ? "Record" : `Recording, ${frame.recording.toFixed(0)} s`;
   if (performance.now() - shownAt < 200) return;
   shownAt = performance.now();
   strips.forEach((strip, i) => strip.draw(frame.t, frame.legends[i]));
@@ -208,7 +206,6 @@ document.addEventListener("keyup", (event) => state.keys.delete(event.key.toLowe
 window.addEventListener("blur", () => state.keys.clear());
 byId("stop").addEventListener("click", () => stop(state.live.stopped ? { resume: true } : { stop: true }));
 byId("again").addEventListener("click", () => hand({ again: true }));
-byId("record").addEventListener("click", () => hand({ record: state.live.recording === null }));
 byId("beside-live").addEventListener("change", (event) => hand({ beside: event.target.checked }));
 byId("speed").addEventListener("input", () => (byId("speed-shown").textContent = `${Number(byId("speed").value).toFixed(2)} m/s`));
 byId("speed").dispatchEvent(new Event("input"));
