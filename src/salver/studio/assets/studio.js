@@ -110,13 +110,13 @@ function show3d(found) {
   play(true);
 }
 
-// More of the plan: run with the straight line in the physics engine, once or a hundred times; its stops.
-async function more(event) {
+// The plan and the straight line in the physics engine.
+async function run() {
   const text = state.text;
   halt();
-  state.said = `${event.target.textContent}: it is computed in another process.`;
+  state.said = "The physics engine runs in another process.";
   tell();
-  const found = await post(event.target.id);
+  const found = await post("run");
   if (text !== state.text || !state.plan || found.ended) return;
   state.said = found.problem ?? found.sentence;
   if (found.legs) show3d({ ...state.plan, legs: found.legs });
@@ -135,12 +135,11 @@ function tell() {
   byId("place").textContent = given.place + (state.text === state.saved ? "" : " (not saved)");
   byId("undo").disabled = !state.done.length;
   byId("redo").disabled = !state.undone.length;
-  for (const control of [byId("play"), byId("scrub"), ...document.querySelectorAll(".more")]) control.disabled = !found?.variants;
+  for (const control of [byId("play"), byId("scrub"), byId("run")]) control.disabled = !found?.variants;
   byId("plan").disabled = wrong;
   for (const id of ["add", "chosen"]) byId(id).disabled = !state.answer;
   byId("report").hidden = !found?.variants;
   byId("report").href = `${here}report/${own}/report.html`;
-  byId("export").hidden = !found?.variants || !found.ok;
 }
 setInterval(() => state.planning !== null && (byId("clock").textContent = `${((performance.now() - state.planning) / 1000).toFixed(0)} s`), 1000);
 
@@ -394,16 +393,7 @@ byId("text").addEventListener("scroll", scrolled);
 byId("plan").addEventListener("click", plan);
 byId("follow").addEventListener("change", (event) => event.target.checked && !state.plan && plan());
 byId("beside").addEventListener("change", paint);
-for (const button of document.querySelectorAll(".more")) button.addEventListener("click", more);
-byId("export").append(...Object.keys(given.formats).map((name) => new Option(name, name)));
-byId("export").addEventListener("change", async (event) => {
-  const kind = event.target.value, file = await (await fetch(`${here}${kind}/${own}`)).blob();
-  event.target.value = "";
-  state.said = file.type.startsWith("text/plain") ? await file.text() : "";
-  tell();
-  const ending = given.formats[kind] + (file.type === "application/zip" ? ".zip" : "");
-  if (!state.said) Object.assign(document.createElement("a"), { href: URL.createObjectURL(file), download: `motion${ending}` }).click();
-});
+byId("run").addEventListener("click", run);
 byId("play").addEventListener("click", () => play(!state.playing));
 byId("scrub").addEventListener("input", (event) => {
   halt();
