@@ -5,14 +5,14 @@ import json
 import numpy as np
 import pytest
 
-from recorded_motions import AT_B, HEADER, JOINTS, NO_TURN, joint_motion, line, write_csv
+from recorded_motions import AT_B, HEADER, JOINTS, NO_TURN, joint_motion, line, series_of, write_csv
 from salver import scenario as scenarios
 from salver.auditing import audit
 from salver.auditing.motion import tray_motion
 from salver.errors import FileFormatError, SalverError
 from salver.geometry import exp, quat_wxyz_from_matrix
 from salver.models.arm.arm import load_arm
-from salver.motion_files import MotionSeries, write
+from salver.motion_files import write
 from salver.motion_files.readers import read, read_path
 from salver.motion_files.samples import tray_samples
 from salver.motion_files.units import Units
@@ -386,7 +386,7 @@ def test_a_controllers_table_in_its_units_is_the_motion_in_rad_and_s(tmp_path, n
     assert np.allclose(again.t, si.t, rtol=0, atol=1e-11)
     assert np.allclose(again.q, si.q, rtol=0, atol=1e-10)
     assert "deg, ms" in again.notes[0]
-    written = read(write(MotionSeries.of(again), tmp_path / "written.csv")[0], lambda: JOINTS)
+    written = read(write(series_of(again), tmp_path / "written.csv")[0], lambda: JOINTS)
     assert written.names == again.names
     assert np.array_equal(written.q, again.q)
     assert not si.notes
@@ -410,14 +410,6 @@ def test_only_the_named_units_are_converted_and_a_time_whose_name_has_a_unit_is_
     named = read(write_csv(tmp_path / "b.csv", header, 1e6 * s.t, s.p_SB, s.quat_SB_wxyz), units=Units.parse("ms"))
     assert np.allclose(named.t, s.t, atol=1e-11)
     assert np.allclose(named.p, s.p_SB, atol=1e-9)
-
-
-def test_rates_of_joints_in_degrees_are_per_second_whatever_the_clock(tmp_path):
-    t, q = joint_motion(rate=100)
-    dq = np.gradient(q, t, axis=0)
-    header = "t," + ",".join(JOINTS) + "," + ",".join(f"{name}_velocity" for name in JOINTS)
-    path = write_csv(tmp_path / "a.csv", header, 1e3 * t, np.rad2deg(q), np.rad2deg(dq))
-    assert np.allclose(read(path, lambda: JOINTS, units=Units.parse("deg,ms")).dq, dq, atol=1e-9)
 
 
 def test_a_prismatic_joint_has_the_unit_of_lengths(tmp_path):

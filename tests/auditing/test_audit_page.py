@@ -10,8 +10,9 @@ from typer.testing import CliRunner
 
 import browser
 import salver as sv
+from recorded_motions import series_of
 from salver.cli import app
-from salver.motion_files import JointSamples, MotionSeries, write
+from salver.motion_files import JointSamples, write
 from salver.motion_files.samples import tray_samples
 
 JOINTS = tuple(f"panda_joint{k}" for k in range(1, 8))
@@ -29,7 +30,7 @@ def tray_file(tmp_path_factory):
     t = np.linspace(0, duration, 400)
     p = np.column_stack([np.full(400, 0.45), 0.3 * shape(t / duration), np.full(400, 0.4)])
     samples = tray_samples(t, p, np.tile([1.0, 0, 0, 0], (400, 1)), "E", "made")
-    return write(MotionSeries.of(samples), tmp_path_factory.mktemp("page") / "<b>motion.csv")[0]
+    return write(series_of(samples), tmp_path_factory.mktemp("page") / "<b>motion.csv")[0]
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +39,7 @@ def joint_file(tmp_path_factory):
     q0 = np.array([0.08, 1.04, -0.78, -1.68, -2.2, 0.84, 1.12])
     q, dq = q0 + 0.3 * shape(s) * np.eye(7)[0], 0.3 * 30 * s**2 * (1 - s) ** 2 / 3 * np.eye(7)[0]
     samples = JointSamples(3 * s[:, 0], JOINTS, q, dq, None, "made", commanded=True)
-    return write(MotionSeries.of(samples), tmp_path_factory.mktemp("page") / "motion.yaml")[0]
+    return write(series_of(samples), tmp_path_factory.mktemp("page") / "motion.yaml")[0]
 
 
 @pytest.mark.slow

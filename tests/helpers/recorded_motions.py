@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
+from salver.motion_files import JointSamples, MotionSeries
 from salver.trajectory import min_jerk_line
 
 START, GOAL = np.array([0.5, -0.25, 0.4]), np.array([0.5, 0.25, 0.4])
@@ -18,6 +19,15 @@ AT_B, NO_TURN = np.zeros(3), np.eye(3)
 def line(duration, rate=1000.0):
     t = np.arange(round(duration * rate) + 1) / rate
     return min_jerk_line(duration, START, GOAL, np.eye(3), np.eye(3)).sample(t)
+
+
+def series_of(samples):
+    """Samples as a motion to be written."""
+    ns = np.round(samples.t * 1e9).astype(np.int64)
+    if isinstance(samples, JointSamples):
+        return MotionSeries(ns, samples.names, samples.q, samples.dq, samples.ddq)
+    names = ("p_SB", "quat_SB_wxyz") if samples.frame == "B" else ("p_SE", "quat_SE_wxyz")
+    return MotionSeries(ns, **dict(zip(names, (samples.p, samples.quat_wxyz), strict=True)))
 
 
 def write_csv(path: Path, header: str, *columns) -> Path:

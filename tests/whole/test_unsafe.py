@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 from salver import scenario
 from salver.cli import app
 from salver.errors import Status, UnsafeError
-from salver.export import FORMATS, OF_PLANS, convert, write_export
+from salver.export import FORMATS, write_export
 from salver.files import load_npz, read_json
 from salver.motion_files import read
 from salver.planning.make import plan_pair
@@ -20,7 +20,7 @@ from salver.planning.plan import load_plan
 
 # Stem of a run directory to what fails there.
 FAILING = {"plan": "cannot follow", "baseline": "contact condition is missed", "nominal": "no time left to search"}
-OF_FILES = [name for name in FORMATS if name not in OF_PLANS]
+OF_FILES = [name for name in FORMATS if name not in ("mujoco", "urscript")]
 
 
 @pytest.fixture(scope="module")
@@ -77,18 +77,11 @@ def test_no_format_is_written_unless_its_name_and_its_first_line_say_so(
 
 
 @pytest.mark.parametrize("file_format", OF_FILES)
-def test_a_file_that_was_renamed_still_says_so_and_is_converted_to_nothing_else(
-    run: Path, tmp_path: Path, file_format: str
-) -> None:
+def test_a_file_that_was_renamed_still_says_so(run: Path, tmp_path: Path, file_format: str) -> None:
     files = write_export(run, file_format, tmp_path / f"carry{FORMATS[file_format]}", rate=20.0, unsafe=True)
     written = files[0] if file_format != "ros2" else tmp_path / "carry_bag-UNSAFE"
     renamed = written.rename(tmp_path / f"fine{FORMATS[file_format]}")
     assert read(renamed).verdict.startswith("UNSAFE: ur5 cannot follow")
-    for other in OF_FILES:
-        with pytest.raises(UnsafeError, match="ur5 cannot follow"):
-            convert(renamed, other, tmp_path / f"other{FORMATS[other]}")
-        paths, _ = convert(renamed, other, tmp_path / f"other{FORMATS[other]}", unsafe=True)
-        assert all("UNSAFE" in str(path) for path in paths)
 
 
 def test_every_file_of_a_run_directory_carries_the_verdict(run: Path) -> None:

@@ -3,22 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from salver.errors import SalverError
 from salver.files import output_file, write_atomic
 from salver.motion_files.verdict import place_for
 
-if TYPE_CHECKING:
-    from salver.scenario import Scenario
-
 FORMATS = {
     "csv": ".csv", "json": ".json", "ros2": "_bag", "yaml": ".yaml", "moveit": ".yaml", "mujoco": "_mujoco",
     "urscript": ".script",
 }  # fmt: skip
-
-
-OF_PLANS = ("mujoco", "urscript")  # formats that a motion without a plan cannot have
 
 
 def write_export(
@@ -69,38 +62,3 @@ def write_export(
     if endings := ENDINGS[file_format]:
         target = output_file(target if target.suffix else target.with_suffix(endings[0]), endings)
     return write(read_motion(directory, stem, rate, pause), target, file_format, unsafe=unsafe)
-
-
-def convert(
-    path: str | Path,
-    file_format: str,
-    target: str | Path | None = None,
-    scenario: Scenario | None = None,
-    topic: str | None = None,
-    units: str | None = None,
-    *,
-    unsafe: bool = False,
-) -> tuple[list[Path], tuple[str, ...]]:
-    """Write a motion file in another format; returns the files, and the repairs made on reading. By default beside the
-    file, with the ending of the format.
-
-    scenario: its arm names the joints, if the file only numbers them. topic: topic of a bag with several motions.
-    units: units of a table, as in "deg,mm,ms"; written files are in rad, m, s. unsafe: write also a motion that is
-    marked unsafe, as `write_export`. Raises SalverError, FileFormatError.
-    """
-    if file_format not in FORMATS or file_format in OF_PLANS:
-        known = ", ".join(name for name in FORMATS if name not in OF_PLANS)
-        raise SalverError(
-            f'A motion file cannot be written as "{file_format}"; known are {known}; '
-            f"{' and '.join(OF_PLANS)} are for run directories."
-        )
-    from salver.export.motion import motion_of_file
-    from salver.motion_files import ENDINGS, write
-
-    motion, notes = motion_of_file(Path(path), scenario, topic, units)
-    place = Path(path).with_name(Path(path).stem + FORMATS[file_format]) if target is None else Path(target)
-    if target is None and place == Path(path):
-        raise SalverError(f"{path} would be written over itself; name another file with -o.")
-    if ENDINGS[file_format]:
-        place = output_file(place, ENDINGS[file_format])
-    return write(motion, place, file_format, unsafe=unsafe), notes

@@ -12,12 +12,10 @@ import numpy as np
 from salver.errors import SalverError
 from salver.files import provenance
 from salver.geometry import Array, interpolated, quat_wxyz_from_matrix
-from salver.motion_files import JointSamples, MotionSeries, TraySamples, read
-from salver.motion_files.samples import MOST_SAMPLES, reordered
-from salver.motion_files.units import Units
+from salver.motion_files import MotionSeries
+from salver.motion_files.samples import MOST_SAMPLES
 from salver.planning.plan import Plan
 from salver.planning.round import MultiLegPlan, load
-from salver.scenario import Scenario
 
 PAUSE = 5.0  # s between two legs in a file, unless another is given
 
@@ -98,31 +96,6 @@ def _stops(plan: Plan, names: tuple[str, ...], rate: float | None) -> tuple[tupl
         q, dq, ddq = motion.sample(ns * 1e-9)
         made.append((round(begins * 1e9), MotionSeries(ns, names, q, dq, ddq)))
     return tuple(made)
-
-
-def motion_of_file(
-    path: Path, scenario: Scenario | None = None, topic: str | None = None, units: str | None = None
-) -> tuple[MotionSeries, tuple[str, ...]]:
-    """The motion of a file: joints with velocities and accelerations, the tray if it is in the same table, and repairs.
-
-    scenario: whose arm names the joints. units: of a table, as in "deg,mm,ms". Raises FileFormatError.
-    """
-    names, known = tuple[str, ...](), Units.parse(units)
-    if scenario is not None and scenario.arm is not None:
-        arm = scenario.load_arm()
-        names, known = arm.joint_names, Units.parse(units, arm.linear)
-    found = read(path, lambda: names, topic, as_path=True, units=known)
-    motion, notes = MotionSeries.of(found), found.notes
-    if not isinstance(found, JointSamples):
-        return motion, notes
-    if names:
-        motion = MotionSeries.of(reordered(found, names))
-        motion = replace(motion, joint_names=names)  # of joints that were only numbered
-    if found.form in ("csv", "json"):
-        tray = read(path, lambda: found.names, units=known)
-        if isinstance(tray, TraySamples) and tray.frame == "E":
-            motion = replace(motion, p_SE=tray.p, quat_SE_wxyz=tray.quat_wxyz)
-    return motion, notes
 
 
 def _instants(t: Array, duration: float, rate: float | None) -> Array:

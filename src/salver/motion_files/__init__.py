@@ -4,7 +4,7 @@
 """
 
 from salver.motion_files.motion import MotionSeries
-from salver.motion_files.readers import is_motion_file, of_columns, read, read_path
+from salver.motion_files.readers import of_columns, read, read_path
 from salver.motion_files.samples import JointSamples, Samples, TraySamples
 from salver.motion_files.writers import ENDINGS, form_of, write
 
@@ -15,7 +15,6 @@ __all__ = [
     "Samples",
     "TraySamples",
     "form_of",
-    "is_motion_file",
     "of_columns",
     "read",
     "read_path",

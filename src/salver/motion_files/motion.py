@@ -11,7 +11,6 @@ import numpy as np
 
 from salver.display import Outlined
 from salver.geometry import Array
-from salver.motion_files.samples import JointSamples, Samples
 
 STOPS = "/salver/stops"  # topic of a bag
 
@@ -56,16 +55,6 @@ class MotionSeries(Outlined):
         """The arrays that are not None, by name, in the order of the files."""
         values = {name: getattr(self, name) for name in QUANTITIES}
         return {name: value for name, value in values.items() if value is not None and value.shape[1]}
-
-    @classmethod
-    def of(cls, samples: Samples) -> MotionSeries:
-        """The motion of samples that were read, to be written again."""
-        ns: Any = np.round(samples.t * 1e9).astype(np.int64)
-        if isinstance(samples, JointSamples):
-            return cls(ns, samples.names, samples.q, samples.dq, samples.ddq, verdict=samples.verdict)
-        if samples.frame == "B":
-            return cls(ns, p_SB=samples.p, quat_SB_wxyz=samples.quat_wxyz, verdict=samples.verdict)
-        return cls(ns, p_SE=samples.p, quat_SE_wxyz=samples.quat_wxyz, verdict=samples.verdict)
 
     @classmethod
     def in_turn(cls, parts: Sequence[MotionSeries], pause: float, step: float) -> MotionSeries:

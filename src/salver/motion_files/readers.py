@@ -7,8 +7,7 @@ CSV, one header line, separated by commas, semicolons, tabs or blanks (decimal c
 - a tray motion: `x, y, z` (m) and `qw, qx, qy, qz`, in any order. Also `p_SE_x, ..., quat_SE_w, ...`,
   `pose.position.x, ..., pose.orientation.w, ...`. `p_SB_x, ..., quat_SB_w, ...` is the motion of the object's frame B;
 - a joint motion: the joints' names (with or without `_position`, or `q_` before), or `q1 ... qn`, `J1 ... Jn`,
-  `A1 ... An`, in rad; with `dq_` or `_velocity` their velocities, with `ddq_` or `_acceleration` their accelerations.
-  It counts as a recording, not as a command.
+  `A1 ... An`, in rad. It counts as a recording, not as a command.
 
 Other columns are ignored. Other units: `salver.motion_files.units`.
 """
@@ -108,7 +107,7 @@ def _read(path: Path, joint_names: JointNames, topic: str | None, as_path: bool,
         document = read_document(path)
         if isinstance(document, Mapping) and document.get("format") == FORMAT:
             return replace(_of_json(document, str(path), joint_names, as_path), form="json")
-        return samples_of(document, path, as_path)
+        return replace(samples_of(document, path, as_path), form="message")
     if ending == ".npz":
         return _of_arrays(path)
     if ending in TABLES:
@@ -117,11 +116,6 @@ def _read(path: Path, joint_names: JointNames, topic: str | None, as_path: bool,
         f'{path} ends in "{path.suffix}"; accepted are .csv, .txt, .tsv, .yaml, .yml, .json, .bag, .mcap, .db3 and '
         "directories of ROS 2 bags."
     )
-
-
-def is_motion_file(path: Path) -> bool:
-    """Whether a path is a motion file or a bag, and not a run directory."""
-    return _exists(path) and (path.is_file() or (path / "metadata.yaml").is_file())
 
 
 def _of_arrays(path: Path) -> JointSamples:
@@ -238,11 +232,8 @@ def of_table(
         said = f"The columns {unknown} are not used: the arm's joints are {', '.join(names)}."
         return replace(tray, notes=(*units.notes, *tray.notes, *([said] if unknown else [])))
     if joints:
-        size = units.of_joints(len(joints))
-        rates = [_rates(header, values, tuple(joints), order) for order in (1, 2)]
-        dq, ddq = (None if rate is None else rate * size for rate in rates)
-        q = values[:, list(joints.values())] * size
-        arm = joint_samples(t, tuple(joints), q, dq, ddq, source, fewest=2 if as_path else FEWEST)
+        q = values[:, list(joints.values())] * units.of_joints(len(joints))
+        arm = joint_samples(t, tuple(joints), q, None, None, source, fewest=2 if as_path else FEWEST)
         return replace(arm, notes=units.notes + arm.notes)
     best = max(poses.values(), key=len) if poses else {}
     missing = [name.removeprefix("p") for name in _POSE if name not in best]
@@ -283,18 +274,6 @@ def _joint_columns(header: list[str], joint_names: tuple[str, ...]) -> dict[str,
         for name, j in position.items()
         if name != header[j] and not any(pattern.fullmatch(header[j].lower()) for pattern in poses)
     }
-
-
-_RATES = {1: ("dq_{}", "velocity.{}", "{}_velocity", "{}_vel"), 2: ("ddq_{}", "acceleration.{}", "{}_acceleration")}
-
-
-def _rates(header: list[str], values: Array, joints: tuple[str, ...], order: int) -> Array | None:
-    """Velocities (order 1) or accelerations (2) of all joints, or None if the table lacks some."""
-    for pattern in _RATES[order]:
-        names = [pattern.format(name.removeprefix("q_")) for name in joints]
-        if all(name in header for name in names):
-            return values[:, [header.index(name) for name in names]]
-    return None
 
 
 def read_path(path: Path, joint_names: tuple[str, ...], topic: str | None = None, units: Units = SI) -> Array:

@@ -46,15 +46,11 @@ def read_document(path: Path) -> Any:
 
 def samples_of(document: Any, path: Path, as_path: bool = False) -> Samples:
     """A trajectory_msgs/JointTrajectory or a nav_msgs/Path, as `ros2 topic echo` or a script writes it."""
-    form = "message" if path.suffix.lower() == ".json" else "yaml"
     message = _find_trajectory(document)
     if message is not None:
-        if isinstance(document, Mapping) and "joint_trajectory" in document:
-            form = "moveit"
-        samples = _from_trajectory(message["joint_names"], message["points"], str(path), as_path)
-        return replace(samples, form=form)
+        return _from_trajectory(message["joint_names"], message["points"], str(path), as_path)
     if isinstance(document, Mapping) and _is_row(document.get("poses")):
-        return replace(_from_path(document["poses"], path.stem, str(path)), form=form)
+        return _from_path(document["poses"], path.stem, str(path))
     raise FileFormatError(
         f"{path} holds no JointTrajectory, which needs joint_names and points, and no Path, which needs poses."
     )

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from salver.errors import SalverError, needs
-from salver.files import new_directory, to_json, write_atomic
+from salver.files import new_directory, write_atomic
 from salver.geometry import Array
 from salver.motion_files.motion import STOPS, MotionSeries
 from salver.motion_files.verdict import warns
@@ -163,7 +163,9 @@ def write_robot_trajectory(motion: MotionSeries, path: Path) -> list[Path]:
     def wrapped(joints: dict[str, Any]) -> dict[str, Any]:
         return {"joint_trajectory": joints, "multi_dof_joint_trajectory": _NO_OTHER_JOINTS}
 
-    message = wrapped(_joints(motion, path))
+    if not motion.joint_names:
+        raise SalverError(f"{path} cannot be a joint trajectory: the motion is one of the tray, without joints.")
+    message = wrapped(messages(motion)["joint_trajectory"])
     text = _headed(motion, "moveit_msgs/msg/RobotTrajectory") + "\n".join(_block(message, "")) + "\n"
     return [write_atomic(path, text, keep=True), *_write_stops(motion, path, wrapped)]
 
@@ -175,20 +177,6 @@ def _headed(motion: MotionSeries, kind: str) -> str:
 
 
 _NO_OTHER_JOINTS = {"header": {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": ""}, "joint_names": [], "points": []}
-
-
-def write_message(motion: MotionSeries, path: Path) -> list[Path]:
-    """Write a trajectory_msgs/JointTrajectory as JSON, with its verdict if that is a warning. Raises SalverError for a
-    motion of the tray."""
-    verdict = {"verdict": motion.verdict} if warns(motion.verdict) else {}
-    return [write_atomic(path, to_json({**verdict, **_joints(motion, path)}), keep=True)]
-
-
-def _joints(motion: MotionSeries, path: Path) -> dict[str, Any]:
-    found = messages(motion).get("joint_trajectory")
-    if found is None:
-        raise SalverError(f"{path} cannot be a joint trajectory: the motion is one of the tray, without joints.")
-    return found
 
 
 def _block(value: dict[str, Any], indent: str) -> list[str]:

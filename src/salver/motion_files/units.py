@@ -20,7 +20,7 @@ _SIZES = {
 
 @dataclass(frozen=True)
 class Units:
-    """Factors from a table's units to rad, m and s; velocities and accelerations are always per second.
+    """Factors from a table's units to rad, m and s.
 
     prismatic: (n,) whether each joint of the arm is prismatic. text: the units as the user gave them, empty for SI.
     """

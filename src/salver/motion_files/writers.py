@@ -19,7 +19,6 @@ from salver.motion_files.verdict import place_for, warns
 ENDINGS = {
     "csv": (".csv", ".txt"),
     "json": (".json",),
-    "message": (".json",),
     "yaml": (".yaml", ".yml"),
     "moveit": (".yaml", ".yml"),
     "ros2": (),
@@ -35,7 +34,7 @@ def write(motion: MotionSeries, path: str | Path, form: str | None = None, *, un
     """
     from salver.motion_files import ros_writers
 
-    form = form_of(path, form)
+    form = form_of(path) if form is None else form
     path = place_for(path, motion.verdict, unsafe)
     if form == "ros2":
         return ros_writers.write_bag(motion, Path(path))
@@ -45,20 +44,17 @@ def write(motion: MotionSeries, path: str | Path, form: str | None = None, *, un
         "json": write_json,
         "yaml": ros_writers.write_yaml,
         "moveit": ros_writers.write_robot_trajectory,
-        "message": ros_writers.write_message,
     }
     return writers[form](motion, target)
 
 
-def form_of(path: str | Path, like: str | None = None) -> str:
-    """The format of a file by its ending; `like` decides if the ending is ambiguous. Raises SalverError."""
+def form_of(path: str | Path) -> str:
+    """The format of a file by its ending. Raises SalverError."""
     ending = Path(path).suffix.lower()
-    matching = [form for form, endings in ENDINGS.items() if ending in endings or (not ending and form == "ros2")]
-    if not matching:
-        raise SalverError(
-            f"{path} is not a name for a motion: it must end in .csv, .json, .yaml, or in nothing (a bag)."
-        )
-    return like if like in matching else matching[0]
+    for form, endings in ENDINGS.items():
+        if ending in endings or (not ending and form == "ros2"):
+            return form
+    raise SalverError(f"{path} is not a name for a motion: it must end in .csv, .json, .yaml, or in nothing (a bag).")
 
 
 def columns(motion: MotionSeries) -> dict[str, Array]:

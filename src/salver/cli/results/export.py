@@ -7,13 +7,12 @@ from typing import Annotated
 
 import typer
 
-from salver.cli.checks.audit import Topic, Units
 from salver.cli.common import Json, Unsafe, print_json, say
 from salver.errors import SalverError
 
 
 def export(
-    directory: Annotated[Path, typer.Argument(help="A run directory, as `salver plan` makes it; or a motion file.")],
+    directory: Annotated[Path, typer.Argument(help="A run directory, as `salver plan` makes it.")],
     file_format: Annotated[str, typer.Option("--format", help="csv, json, ros2, yaml, moveit, mujoco or urscript.")],
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="File to write (ros2, mujoco: new directory).")
@@ -24,12 +23,6 @@ def export(
     ] = "plan",
     rate: Annotated[float | None, typer.Option(help="Samples per second; default: the plan's own instants.")] = None,
     pause: Annotated[float | None, typer.Option(help="Seconds at rest between the legs of a plan; default 5.")] = None,
-    scenario: Annotated[
-        str | None,
-        typer.Option("-s", "--scenario", help="Scenario with the arm, for a motion file that only numbers joints."),
-    ] = None,
-    topic: Topic = None,
-    units: Units = None,
     stop_input: Annotated[
         int, typer.Option(help="urscript: standard digital input, 0 to 7, that requests a stop when it is low.")
     ] = 0,
@@ -39,8 +32,7 @@ def export(
     """Write a planned motion for other programs: CSV, JSON, ROS 2 bag (mcap), ROS 2 messages as YAML
     (moveit: a RobotTrajectory), MuJoCo scene, URScript program.
 
-    Numbers keep all their digits; times are whole nanoseconds. It also converts a motion file (CSV, JSON, YAML, ROS
-    bag, log of a run) to another of these formats: its joint motion, if it has one, and in a table the tray's poses.
+    Numbers keep all their digits; times are whole nanoseconds.
 
     A motion that failed verification (of the plan, its check or its arm) is written only with --unsafe, with UNSAFE at
     the beginning of the file and in its name: cube-UNSAFE.csv.
@@ -49,34 +41,16 @@ def export(
 
     Ends with 3 when the motion is unsafe and --unsafe was not given.
     """
-    from salver.export import convert, write_export
-    from salver.motion_files import is_motion_file
+    from salver.export import write_export
+    from salver.export.motion import PAUSE
+    from salver.planning.round import has_legs
 
-    if is_motion_file(directory):
-        from salver import scenario as scenarios
-
-        if rate is not None or stem != "plan" or pause is not None:
-            raise SalverError(
-                "--rate, --plan and --pause are for run directories; a motion file keeps its own instants."
-            )
-        chosen = None if scenario is None else scenarios.load(scenario)
-        paths, notes = convert(directory, file_format, output, chosen, topic, units, unsafe=unsafe)
-        for note in notes:
-            say(f"salver: {note}")
-    else:
-        if (scenario, topic, units) != (None, None, None):
-            raise SalverError(f"--scenario, --topic and --units are for motion files; {directory} is not one.")
-        from salver.export.motion import PAUSE
-        from salver.planning.round import has_legs
-
-        legs = stem == "plan" and has_legs(directory)
-        if pause is not None and not legs:
-            raise SalverError(f"--pause is for a plan of several legs; {directory}, {stem}, is one motion.")
-        paths = write_export(
-            directory, file_format, output, stem, rate, pause=pause, unsafe=unsafe, stop_input=stop_input
-        )
-        if legs:
-            say(f"salver: the arm rests for {PAUSE if pause is None else pause:g} s between two legs (--pause).")
+    legs = stem == "plan" and has_legs(directory)
+    if pause is not None and not legs:
+        raise SalverError(f"--pause is for a plan of several legs; {directory}, {stem}, is one motion.")
+    paths = write_export(directory, file_format, output, stem, rate, pause=pause, unsafe=unsafe, stop_input=stop_input)
+    if legs:
+        say(f"salver: the arm rests for {PAUSE if pause is None else pause:g} s between two legs (--pause).")
     if json:
         print_json({"files": [str(path) for path in paths]})
     else:
