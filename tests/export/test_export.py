@@ -49,16 +49,6 @@ def test_csv_keeps_every_digit(directory: Path, tmp_path: Path) -> None:
     assert np.array_equal(np.stack([table[f"tau_{j}"] for j in motion.joint_names], axis=1), motion.tau)
 
 
-def test_json_keeps_every_digit_and_says_where_it_comes_from(directory: Path, tmp_path: Path) -> None:
-    (path,) = write_export(directory, "json", tmp_path / "motion.json")
-    document = json.loads(path.read_text())
-    motion = read_motion(directory)
-    for name in ("t", "q", "ddq", "tau", "p_SE", "quat_SE_wxyz", "alpha_B"):
-        assert np.array_equal(np.array(document[name]), getattr(motion, name)), name
-    assert document["provenance"]["scenario_digest"] == motion.about["provenance"]["scenario_digest"]
-    assert scenario.parse(document["scenario"], "exported").digest == motion.about["provenance"]["scenario_digest"]
-
-
 def test_exported_motion_is_the_plan(directory: Path) -> None:
     """Against the plan's own arrays, the tray by forward kinematics of the exported joints."""
     from salver.models.arm.arm import load_arm
@@ -376,7 +366,7 @@ def test_without_an_arm_paths_alone_are_exported(tmp_path: Path) -> None:
 
 
 def test_mistakes_get_a_sentence(directory: Path, tmp_path: Path) -> None:
-    with pytest.raises(SalverError, match=r'no export format "xml"; known are csv, json, .*, mujoco, urscript'):
+    with pytest.raises(SalverError, match=r'no export format "xml"; known are csv, ros2, .*, mujoco, urscript'):
         write_export(directory, "xml")
     for file_format in ("ros2", "mujoco"):
         (tmp_path / file_format).mkdir()

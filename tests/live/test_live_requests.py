@@ -266,7 +266,7 @@ def test_only_so_many_seconds_are_kept(cube):
 @pytest.mark.slow
 def test_the_file_of_a_session_is_audited(session, tmp_path):
     live, told = session
-    for name in ("session.csv", "session.json", "session"):
+    for name in ("session.csv", "session.yaml", "session"):
         files = live.save(tmp_path / name)
         samples = read(files[0] if name != "session" else tmp_path / name, lambda: live.problem.arm.joint_names)
         assert samples.t[-1] == pytest.approx(live.now)

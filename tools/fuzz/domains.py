@@ -304,7 +304,7 @@ def command(rng: Rng, folder: Path) -> None:
     lines = (
         ["export", run, "--format", "csv", "--rate", strange()],
         ["export", run, "--format", strange()],
-        ["export", run, "--format", "json", "--plan", strange()],
+        ["export", run, "--format", "yaml", "--plan", strange()],
         ["export", run, "--format", "csv", "-o", run / strange()],
         ["report", run, "-o", folder / strange()],
         ["report", run / strange()],

@@ -1,4 +1,4 @@
-"""Plans for other programs: CSV, JSON, ROS 2, MuJoCo, URScript."""
+"""Plans for other programs: CSV, ROS 2, MuJoCo, URScript."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from salver.files import output_file, write_atomic
 from salver.motion_files.verdict import place_for
 
 FORMATS = {
-    "csv": ".csv", "json": ".json", "ros2": "_bag", "yaml": ".yaml", "moveit": ".yaml", "mujoco": "_mujoco",
+    "csv": ".csv", "ros2": "_bag", "yaml": ".yaml", "moveit": ".yaml", "mujoco": "_mujoco",
     "urscript": ".script",
 }  # fmt: skip
 

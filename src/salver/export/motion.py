@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from salver.errors import SalverError
-from salver.files import provenance
+from salver.files import versions
 from salver.geometry import Array, interpolated, quat_wxyz_from_matrix
 from salver.motion_files import MotionSeries
 from salver.motion_files.samples import MOST_SAMPLES
@@ -45,11 +44,8 @@ def read_motion(
         )
     parts = [_series(leg, rate) for leg in legs]
     motion = MotionSeries.in_turn(parts, pause, 1 / (rate or still)) if len(parts) > 1 else parts[0]
-    about = {
-        "provenance": provenance(plan.scenario),
-        "method": plan.method,
-        "scenario": json.loads(plan.scenario.model_dump_json(exclude_none=True)),
-    }
+    arm = plan.scenario.arm
+    about = {"scenario": plan.scenario.name, "arm": arm.model if arm else "none", "salver": versions()["salver"]}
     return replace(motion, about=about, verdict=plan.verdict)
 
 

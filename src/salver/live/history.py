@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from salver.errors import SalverError
-from salver.files import provenance
 from salver.live.committed.motion import SAME, between, joined
 from salver.motion_files import MotionSeries, write
 from salver.planning.fastest import TransportProblem
@@ -68,6 +67,5 @@ class CommandHistory:
         if motion is None:
             raise SalverError(f"since is {since:g}; nothing was commanded after it, and up to now ({until:g} s).")
         ns: Any = np.round(1e9 * np.append(np.arange(0.0, motion.duration - 0.5 / rate, 1 / rate), motion.duration))
-        about = {"provenance": provenance(problem.scenario), "method": "live"}
         names, states = problem.arm.joint_names, motion.sample(1e-9 * ns)
-        return write(MotionSeries(ns.astype(np.int64), names, *states, about=about), path)
+        return write(MotionSeries(ns.astype(np.int64), names, *states), path)

@@ -21,10 +21,10 @@ class MotionSeries(Outlined):
 
     ns (T,): int64, nanoseconds from the start. joint_names: n names, empty without joints; q, dq, ddq, tau (T, n).
     p_SE, quat_SE_wxyz: the tray. p_SB, quat_SB_wxyz, v_S, a_S, omega_B, alpha_B: the first object. Unknown quantities
-    are None. about: provenance, for the heading of a file. verdict: one line, which begins with "UNSAFE: " if the
-    motion failed; empty without a verdict. stops: (instant in ns at which this motion may be left, motion of the joints
-    to rest, with its own time from 0). After a stop request the next stop is taken, or the motion is finished if none
-    is left.
+    are None. about: scenario, arm and version, for the heading of a program. verdict: one line, which begins with
+    "UNSAFE: " if the motion failed; empty without a verdict. stops: (instant in ns at which this motion may be left,
+    motion of the joints to rest, with its own time from 0). After a stop request the next stop is taken, or the motion
+    is finished if none is left.
     """
 
     ns: Array
@@ -49,12 +49,6 @@ class MotionSeries(Outlined):
     def t(self) -> Array:
         """Times (T,), s."""
         return self.ns * 1e-9
-
-    @property
-    def known(self) -> dict[str, Array]:
-        """The arrays that are not None, by name, in the order of the files."""
-        values = {name: getattr(self, name) for name in QUANTITIES}
-        return {name: value for name, value in values.items() if value is not None and value.shape[1]}
 
     @classmethod
     def in_turn(cls, parts: Sequence[MotionSeries], pause: float, step: float) -> MotionSeries:
@@ -84,7 +78,6 @@ class MotionSeries(Outlined):
 
 
 RATES = ("dq", "ddq")
-OF_ALL = ("p_SE", "quat_SE_wxyz", "q", *RATES, "tau")
-QUANTITIES = (
-    "p_SE", "quat_SE_wxyz", "p_SB", "quat_SB_wxyz", "v_S", "a_S", "omega_B", "alpha_B", "q", "dq", "ddq", "tau",
-)  # fmt: skip
+OF_JOINTS = ("q", *RATES, "tau")
+OF_ALL = ("p_SE", "quat_SE_wxyz", *OF_JOINTS)
+QUANTITIES = (*OF_ALL[:2], "p_SB", "quat_SB_wxyz", "v_S", "a_S", "omega_B", "alpha_B", *OF_JOINTS)  # in a table's order

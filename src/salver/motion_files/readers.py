@@ -1,4 +1,4 @@
-"""Reading of motion files: choice of the format, tables (CSV, or columns in memory), salver's JSON.
+"""Reading of motion files: choice of the format, tables (CSV, or columns in memory).
 `salver.motion_files.ros_readers` reads formats of ROS.
 
 CSV, one header line, separated by commas, semicolons, tabs or blanks (decimal commas where commas do not separate):
@@ -25,7 +25,6 @@ import numpy as np
 from salver.errors import FileFormatError
 from salver.files import load_npz, read_text
 from salver.geometry import Array
-from salver.motion_files.motion import QUANTITIES
 from salver.motion_files.samples import (
     FEWEST,
     NUMBERED,
@@ -48,7 +47,6 @@ JointNames = Callable[[], tuple[str, ...]]
 # m, by which the distance of two points of the tray may change: lags of one sample of 100 a second, at 1 m/s, of each.
 APART = 0.02
 LARGEST = 500_000_000  # bytes of a text file
-FORMAT = "salver motion"  # of JSON that salver wrote
 BAGS = (".bag", ".mcap", ".db3")
 TABLES = (".csv", ".txt", ".tsv")
 
@@ -69,8 +67,8 @@ def read(
 
     Args:
         path: .csv or .txt; .npz with t and q, as `salver execute` and `salver simulate` log joints; .yaml, .yml or
-            .json with a trajectory_msgs/JointTrajectory (also in a MoveIt RobotTrajectory) or a nav_msgs/Path; .json
-            that salver wrote; a bag (.bag, .mcap, .db3, or a directory with metadata.yaml).
+            .json with a trajectory_msgs/JointTrajectory (also in a MoveIt RobotTrajectory) or a nav_msgs/Path; a bag
+            (.bag, .mcap, .db3, or a directory with metadata.yaml).
         joint_names: returns the arm's joint names; called only if a table needs them.
         topic: topic of a bag.
         as_path: only the path matters, not the time: joints are preferred to the tray, and two samples suffice.
@@ -104,10 +102,7 @@ def _read(path: Path, joint_names: JointNames, topic: str | None, as_path: bool,
     if ending in (".yaml", ".yml", ".json"):
         from salver.motion_files.ros_readers import read_document, samples_of
 
-        document = read_document(path)
-        if isinstance(document, Mapping) and document.get("format") == FORMAT:
-            return replace(_of_json(document, str(path), joint_names, as_path), form="json")
-        return replace(samples_of(document, path, as_path), form="message")
+        return replace(samples_of(read_document(path), path, as_path), form="message")
     if ending == ".npz":
         return _of_arrays(path)
     if ending in TABLES:
@@ -134,38 +129,6 @@ def _exists(path: Path) -> bool:
         return path.exists()
     except (OSError, ValueError):  # an invalid file name
         return False
-
-
-def _of_json(document: Mapping[str, Any], source: str, joint_names: JointNames, as_path: bool) -> Samples:
-    """Samples from arrays by name, as `salver.motion_files.writers.write_json` writes them."""
-    names = document.get("joint_names")
-    header, parts = ["t"], []
-    try:
-        t = np.array(document["t"], dtype=float)
-        for name in QUANTITIES:
-            if document.get(name):
-                values = np.array(document[name], dtype=float)
-                if values.shape[:1] != t.shape or values.ndim != 2:
-                    raise ValueError
-                header += column_names(name, tuple(map(str, names or ())))
-                parts.append(values)
-        table = np.column_stack([t, *parts])
-        if t.ndim != 1 or table.shape[1] != len(header):
-            raise ValueError
-    except (KeyError, TypeError, ValueError, OverflowError):
-        raise FileFormatError(
-            f"{source} is not a motion that salver wrote: t must be a list of numbers, and every array a list of as "
-            "many rows."
-        ) from None
-    return of_table(header, table, source, joint_names, as_path)
-
-
-def column_names(quantity: str, joint_names: tuple[str, ...]) -> list[str]:
-    """Headings of a quantity's columns: p_SE_x, quat_SE_w, q_panda_joint1."""
-    if quantity in ("q", "dq", "ddq", "tau"):
-        return [f"{quantity}_{name}" for name in joint_names]
-    parts = "wxyz" if quantity.startswith("quat") else "xyz"
-    return [f"{quantity.removesuffix('_wxyz')}_{part}" for part in parts]
 
 
 def of_columns(

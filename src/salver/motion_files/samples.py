@@ -25,8 +25,8 @@ class TraySamples(Outlined):
     """Poses of the tray frame E (or of the object frame B) in S.
 
     t (N,): s from the first sample. p (N, 3): m. quat_wxyz (N, 4): continuous in sign, of norm 1 up to rounding in the
-    file. frame: "E" or "B". notes: repairs on reading, as sentences. form: format of the file: "csv", "json" (salver's
-    own), "npz", "message" (of ROS) or "ros2" (a bag). verdict: the warning in the file ("UNSAFE: why"), else empty.
+    file. frame: "E" or "B". notes: repairs on reading, as sentences. form: format of the file: "csv", "npz",
+    "message" (of ROS) or "ros2" (a bag). verdict: the warning in the file ("UNSAFE: why"), else empty.
     """
 
     t: Array

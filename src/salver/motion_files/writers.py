@@ -1,4 +1,4 @@
-"""Writing of motion files: choice of the format; CSV and JSON, with all digits of every number.
+"""Writing of motion files: choice of the format; CSV, with all digits of every number.
 `salver.motion_files.ros_writers` writes formats of ROS."""
 
 from __future__ import annotations
@@ -6,19 +6,16 @@ from __future__ import annotations
 import csv
 import io
 from pathlib import Path
-from typing import Any
 
 from salver.errors import SalverError
-from salver.files import output_file, to_json, write_atomic
+from salver.files import output_file, write_atomic
 from salver.geometry import Array
-from salver.motion_files.motion import MotionSeries
-from salver.motion_files.readers import FORMAT, column_names
+from salver.motion_files.motion import OF_JOINTS, QUANTITIES, MotionSeries
 from salver.motion_files.verdict import place_for, warns
 
 # File endings by format; a bag is a directory.
 ENDINGS = {
     "csv": (".csv", ".txt"),
-    "json": (".json",),
     "yaml": (".yaml", ".yml"),
     "moveit": (".yaml", ".yml"),
     "ros2": (),
@@ -28,7 +25,7 @@ ENDINGS = {
 def write(motion: MotionSeries, path: str | Path, form: str | None = None, *, unsafe: bool = False) -> list[Path]:
     """Write a motion; returns the files. An existing file at `path` is kept, numbered.
 
-    form: one of `ENDINGS`; default: by the file's ending (.json: salver's own; none: a bag). unsafe: also write a
+    form: one of `ENDINGS`; default: by the file's ending (none: a bag). unsafe: also write a
     motion that failed verification, marked with UNSAFE in its name and at its beginning. Raises SalverError,
     UnsafeError.
     """
@@ -41,7 +38,6 @@ def write(motion: MotionSeries, path: str | Path, form: str | None = None, *, un
     target = output_file(path, ENDINGS[form])
     writers = {
         "csv": write_csv,
-        "json": write_json,
         "yaml": ros_writers.write_yaml,
         "moveit": ros_writers.write_robot_trajectory,
     }
@@ -54,14 +50,17 @@ def form_of(path: str | Path) -> str:
     for form, endings in ENDINGS.items():
         if ending in endings or (not ending and form == "ros2"):
             return form
-    raise SalverError(f"{path} is not a name for a motion: it must end in .csv, .json, .yaml, or in nothing (a bag).")
+    raise SalverError(f"{path} is not a name for a motion: it must end in .csv, .yaml, or in nothing (a bag).")
 
 
 def columns(motion: MotionSeries) -> dict[str, Array]:
     """Columns (T,) by name: t, then each component, such as p_SE_x, quat_SE_w, q_panda_joint1, in SI units."""
     out: dict[str, Array] = {"t": motion.t}
-    for name, values in motion.known.items():
-        out.update(zip(column_names(name, motion.joint_names), values.T, strict=True))
+    for name in QUANTITIES:
+        values = getattr(motion, name)
+        if values is not None and values.shape[1]:
+            parts = motion.joint_names if name in OF_JOINTS else "wxyz" if name.startswith("quat") else "xyz"
+            out |= {f"{name.removesuffix('_wxyz')}_{part}": x for part, x in zip(parts, values.T, strict=True)}
     return out
 
 
@@ -76,16 +75,3 @@ def write_csv(motion: MotionSeries, path: Path) -> list[Path]:
     for row in zip(*(values.tolist() for values in table.values()), strict=True):
         writer.writerow([repr(float(value)) for value in row])
     return [write_atomic(path, text.getvalue(), keep=True)]
-
-
-def write_json(motion: MotionSeries, path: Path) -> list[Path]:
-    """Write the arrays by name, with their provenance."""
-    document: dict[str, Any] = {
-        **({"verdict": motion.verdict} if motion.verdict else {}),
-        "format": FORMAT,
-        **motion.about,
-        "joint_names": list(motion.joint_names),
-        "t": motion.t,
-        **motion.known,
-    }
-    return [write_atomic(path, to_json(document), keep=True)]

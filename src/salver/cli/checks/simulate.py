@@ -55,7 +55,7 @@ def simulate(
         Path | None,
         typer.Option(
             help="Write the executed motion of arm, tray and first object to this motion file; its ending gives the "
-            "format (.csv, .json, .yaml; none: ROS bag)."
+            "format (.csv, .yaml; none: ROS bag)."
         ),
     ] = None,
     json: Json = False,

@@ -13,7 +13,7 @@ from salver.errors import SalverError
 
 def export(
     directory: Annotated[Path, typer.Argument(help="A run directory, as `salver plan` makes it.")],
-    file_format: Annotated[str, typer.Option("--format", help="csv, json, ros2, yaml, moveit, mujoco or urscript.")],
+    file_format: Annotated[str, typer.Option("--format", help="csv, ros2, yaml, moveit, mujoco or urscript.")],
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="File to write (ros2, mujoco: new directory).")
     ] = None,
@@ -29,7 +29,7 @@ def export(
     unsafe: Unsafe = False,
     json: Json = False,
 ) -> None:
-    """Write a planned motion for other programs: CSV, JSON, ROS 2 bag (mcap), ROS 2 messages as YAML
+    """Write a planned motion for other programs: CSV, ROS 2 bag (mcap), ROS 2 messages as YAML
     (moveit: a RobotTrajectory), MuJoCo scene, URScript program.
 
     Numbers keep all their digits; times are whole nanoseconds.
