@@ -186,9 +186,6 @@ def test_the_share_of_instants_from_which_a_stop_keeps_the_load(cube_plans: Path
         known.margin[0, 0] = 1.0  # one instant is left of 40
     specs = {spec["title"]: spec for spec in build(run, None).specs.values()}
     assert max(specs["Stops on the path"]["series"][0]["y"]) == pytest.approx(100 / 40, rel=0.05)
-    shortest = specs["Shortest stop on the path"]["series"][0]
-    assert shortest["x"][0] == 0.0  # time, from the first instant on
-    assert np.all(np.diff(shortest["x"]) >= 0)
 
 
 def test_a_share_is_told_of_what_has_a_zero() -> None:

@@ -41,25 +41,11 @@ class Braking:
     """Margins of the load during stops on the path.
 
     durations (M,): s. margin (K, M): least contact margin during a stop from each of K instants, evenly over the
-    motion, as a share of the weight; NaN if the motion itself ends sooner. begins (K,): these instants, s.
+    motion, as a share of the weight; NaN if the motion itself ends sooner.
     """
 
     durations: Array
     margin: Array
-    begins: Array
-
-    @property
-    def shortest(self) -> Array:
-        """Shortest of the durations (K,), s, in which a stop that begins at each instant keeps the load; NaN if none
-        does."""
-        keeps = self.margin >= 0
-        return np.where(keeps.any(axis=1), self.durations[keeps.argmax(axis=1)], np.nan)
-
-    @property
-    def steps(self) -> tuple[Array, Array]:
-        """`shortest` as a curve of steps: times (2 K,) and durations (2 K,), s, from each instant to the next."""
-        step = self.begins[1] - self.begins[0]
-        return np.stack([self.begins, self.begins + step], axis=1).ravel(), np.repeat(self.shortest, 2)
 
     @property
     def kept(self) -> Array:
@@ -88,4 +74,4 @@ def braking(model: MarginModel, tray: MotionSamples, worst: bool, options: Braki
     margins = Margins(model, np.arange(len(w), dtype=float), w)
     found = np.full((options.instants, options.durations), np.nan)
     found[k, m] = (margins.exact_worst if worst else margins.exact).reshape(places.shape).min(axis=1)
-    return Braking(durations, found, tray.t[0] + begins)
+    return Braking(durations, found)

@@ -1,9 +1,8 @@
-"""Numbers in rows: what the solver did, how much of the arm is used."""
+"""Results in rows: what was found, how much of the arm is used."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,51 +12,16 @@ if TYPE_CHECKING:
     from salver.models.arm.arm import ArmModel
     from salver.reports.run import ReportedMotion, ReportedRun
 
-Rows = list[tuple[str, str]]
 
-
-def solver_rows(run: ReportedRun) -> Rows:
-    """How each motion was found, and its provenance; all of plan.json is on the page besides."""
-    rows: list[tuple[str, Any]] = []
+def found_rows(run: ReportedRun) -> list[tuple[str, str]]:
+    """What was found of each motion, in sentences; all of plan.json is on the page besides."""
+    rows = []
     for m in run.motions:
-        name, summary = m.label.lower(), m.summary
-        solver = summary.get("solver") or {}
-        rows += [
-            (f"{name}: result", summary.get("status", {}).get("sentence")),
-            (f"{name}: check", summary.get("verification", {}).get("sentence")),
-            (f"{name}: arm", summary.get("arm", {}).get("sentence")),
-            (f"{name}: wrong parameters", _arm_chain(summary.get("arm_chain"), summary.get("verification", {}))),
-            (f"{name}: solver", solver.get("name")),
-            (f"{name}: sensitivity cost, eq (13)", _text(summary.get("cost"))),
-            (f"{name}: weighting", summary.get("weighting") if solver else None),
-        ]
-    made = run.plan.summary.get("provenance", {})
-    versions = ", ".join(f"{key} {value}" for key, value in made.get("versions", {}).items())
-    rows += [
-        ("scenario digest", made.get("scenario_digest")),
-        ("seed", _text(made.get("seed"))),
-        ("made by", f"salver {made['salver']}, Python {made.get('python')}, {made.get('platform')}" if made else None),
-        ("with", versions),
-    ]
-    return [(name, str(value)) for name, value in rows if value]
-
-
-def _arm_chain(chain: Mapping[str, Any] | None, check: Mapping[str, Any]) -> str | None:
-    """Effect of parameter errors through the arm's controller, to first order."""
-    if not chain or "tray_position_radius" not in chain:
-        return None
-    text = (
-        f"They move the tray by at most {1e3 * chain['tray_position_radius']:.2g} mm and "
-        f"{1e3 * chain['tray_rotation_radius']:.2g} mrad; torques reach {100 * chain['torque_share']:.0f} % of the "
-        "limits"
-    )
-    if chain.get("contact_slack") is not None:
-        text += f"; the contact condition keeps {chain['contact_slack']:.3g} {check.get('unit', '')}".rstrip()
-    return text + "."
-
-
-def _text(item: Any) -> str | None:
-    return f"{item:.6g}" if isinstance(item, int | float) else item
+        for name, key in (("result", "status"), ("check", "verification"), ("arm", "arm")):
+            sentence = (m.summary.get(key) or {}).get("sentence")
+            if sentence:
+                rows.append((f"{m.label.lower()}: {name}", sentence))
+    return rows
 
 
 def arm_usage(m: ReportedMotion, arm: ArmModel) -> dict[str, np.ndarray]:

@@ -82,7 +82,6 @@ def show(summary: dict[str, Any]) -> None:
     ]
     if any(plan["tube"] for plan in each):
         rows.append(["coefficient left its tube", *(_rate(plan["tube"] and plan["tube"]["left"]) for plan in each)])
-        rows.append(["furthest out", *(_excess(plan["tube"]) for plan in each)])
     if any(plan.get("stops") for plan in each):
         for name, label in (("lost", "lost in a stop"), ("beyond_a_limit", "kept beyond a limit of the arm")):
             rows.append([label, *(_rate(plan["stops"] and plan["stops"][name]) for plan in each)])
@@ -118,19 +117,6 @@ def _rate(rate: dict[str, Any] | None) -> str:
     if not rate:
         return ""
     return f"{rate['count']} of {rate['of']} ({100 * rate['low']:.1f} to {100 * rate['high']:.1f} %)"
-
-
-def _excess(tube: dict[str, Any] | None) -> str:
-    if not tube:
-        return ""
-    settled = tube["excess_settled"]["max"]
-    later = f"; {_share(settled)} after start-up" if settled > 0 else ""
-    return f"{tube['worst_excess']:.3g} N ({_share(tube['worst_excess_relative'])} the radius{later})"
-
-
-def _share(value: float) -> str:
-    """A share of the radius in per cent, or as a multiple for a lost load that is far outside."""
-    return f"{value:.3g} times" if value >= 10 else f"{100 * value:.3g} % of"
 
 
 def _range(values: dict[str, float] | None, scale: float, unit: str) -> str:

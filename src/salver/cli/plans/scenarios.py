@@ -37,9 +37,9 @@ def scenarios(
 
     out = result_console()
     for item in found:
-        duration = "free" if item.motion.duration is None else f"{item.motion.duration:g} s"
-        carried = f"{duration}; {_objects_in_words(item)}; uncertain: {_uncertain_in_words(item)}"
-        out.print(Text.assemble((item.name, "bold"), f"  {carried}"))
+        kinds = dict.fromkeys(parameter.kind for parameter in item.uncertain.parameters)
+        facts = f"{item.facts()['way']}; {item.facts()['carried']}; uncertain: {', '.join(kinds) or 'nothing'}"
+        out.print(Text.assemble((item.name, "bold"), f"  {facts}"))
         out.print(Padding(Text(item.summary), (0, 0, 0, 4)), soft_wrap=False)
 
 
@@ -61,16 +61,3 @@ def _record(item: Scenario) -> dict[str, Any]:
         "arm": item.arm.model if item.arm else None,
         "digest": item.digest,
     }
-
-
-def _objects_in_words(item: Scenario) -> str:
-    friction = f"friction {min(o.friction for o in item.objects):g}"
-    if len(item.objects) == 1:
-        return f"{item.objects[0].name} {item.objects[0].mass:g} kg, {friction}"
-    return f"{len(item.objects)} objects, {sum(o.mass for o in item.objects):g} kg, {friction}"
-
-
-def _uncertain_in_words(item: Scenario) -> str:
-    """The kinds of uncertain parameters: "mass, com, friction"."""
-    kinds = [parameter.kind for parameter in item.uncertain.parameters]
-    return ", ".join(dict.fromkeys(kinds)) or "nothing"

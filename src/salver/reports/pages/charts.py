@@ -127,19 +127,6 @@ def margin_charts(run: ReportedRun) -> list[Spec]:
                 "series": [series(m, m.label, known.durations, 100 * known.kept) for m, known in stops],
             }
         )
-    shortest = [(m, known) for m, known in stops if np.isfinite(known.shortest).any()]
-    if shortest:
-        charts.append(
-            time_chart(
-                "Shortest stop on the path",
-                "duration of the stop, s",
-                [series(m, m.label, *known.steps) for m, known in shortest],
-                "A stop that begins at this instant keeps the load if it takes this long, in the worst case. A gap: no "
-                "stop on the path that ends before the motion keeps it there; only planned stops do, or going on.",
-                "s",
-                zero=True,
-            )
-        )
     return charts
 
 
@@ -201,17 +188,6 @@ def sensitivity_charts(run: ReportedRun) -> list[Spec]:
         ]
         if any(max(c["y"]) > 1e-6 for c in curves):
             charts.append(time_chart(title, f"tube radius, {unit}", curves, note, unit, zero=True))
-    forces = [series(m, m.label, m.t, m.arrays["cone_radius"].max(axis=1)) for m in run.motions]
-    charts.append(
-        time_chart(
-            "Contact forces",
-            "widest tube r, N",
-            forces,
-            "Half-width of the widest tube among the cone coefficients.",
-            "N",
-            zero=True,
-        )
-    )
     parameters = [run.parameter(str(n)) for n in run.plan.arrays["parameter_names"]]
     if len(parameters) > 1:
         charts.append(_by_parameter(run.plan, parameters))

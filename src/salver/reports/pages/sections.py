@@ -13,7 +13,7 @@ from salver.models.arm.arm_limits import LIMITS
 from salver.reports.pages import charts, perturbed_runs
 from salver.reports.pages.cells import NOTHING, joined, motion_cell, outcome_cell, speed_bar, table
 from salver.reports.pages.words import campaign_outcomes, length, true_parameters
-from salver.reports.tables import arm_usage, solver_rows
+from salver.reports.tables import arm_usage, found_rows
 from salver.wording import listed, number
 
 if TYPE_CHECKING:
@@ -224,7 +224,7 @@ def _limits_in_words(arm: ArmModel) -> str:
 
 
 def _provenance(run: ReportedRun) -> Markup:
-    details = table(["computed", ""], solver_rows(run))
+    details = table(["", ""], found_rows(run))
     for name in ("scenario.toml", *(f"{m.stem}.json" for m in run.motions)):
         text = (run.directory / name).read_text(encoding="utf-8")
         details += Markup("<details><summary>{}</summary><pre>{}</pre></details>").format(name, text)
