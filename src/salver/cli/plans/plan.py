@@ -129,9 +129,9 @@ def plan(
     if chosen.legs:
         if beside is not None or not arm:
             raise typer.BadParameter("--beside and --no-arm are not for a task of several legs; leave them out.")
-        plans = _legs(chosen, method, directory, options, time_limit)
-    else:
-        plans = _pair(chosen, method, arm, beside or "baseline", directory, force, options, time_limit)
+        if method != "fastest" and chosen.motion.duration is None:
+            raise typer.BadParameter(f"--{method} is not for a task of several legs: it is planned as fast as is safe.")
+    plans = _planned(chosen, method, arm, beside or "baseline", directory, force, options, time_limit)
     if stops:
         plans["plan"] = stopping(plans["plan"], lambda: save_plans(directory, plans, force))
     save_plans(directory, plans, force)
@@ -155,7 +155,7 @@ def _method(scenario: Scenario, arm: bool, asked: list[str]) -> str:
     return "fastest" if method == "robust" and scenario.motion.duration is None else method
 
 
-def _pair(
+def _planned(
     scenario: Scenario,
     method: str,
     arm: bool,
@@ -165,33 +165,21 @@ def _pair(
     options: FastestOptions | None,
     time_limit: float | None,
 ) -> dict[str, Plan | MultiLegPlan]:
-    """By name: the plan, and the plan that it is compared with."""
+    """By name: the plan, and the plan that it is compared with; a task of several legs has none."""
+    from salver.planning.fastest.legs import plan_legs
     from salver.planning.make import plan_pair
     from salver.planning.plan_files import check_place
     from salver.run_directory import check_free
 
-    if method == "fastest":  # the scenario to be saved, with its duration, is known after planning
+    if method == "fastest" or scenario.legs:  # the scenario to be saved, with its duration, is known after planning
         check_free(directory)
     else:
         check_place(scenario, directory, edited=True, force=force)
     with searching(time_limit) if method != "robust" or beside == "nominal" else nullcontext() as search:
+        if scenario.legs:
+            return {"plan": plan_legs(scenario, options=options, watch=search)}
         found, other = plan_pair(scenario, method, arm, beside, options=options, watch=search)
     return {"plan": found, beside: other}
-
-
-def _legs(
-    scenario: Scenario, method: str, directory: Path, options: FastestOptions | None, time_limit: float | None
-) -> dict[str, Plan | MultiLegPlan]:
-    """By name: the plan of a task of several legs."""
-    from salver.planning.fastest.legs import plan_legs
-    from salver.run_directory import check_free
-
-    if method != "fastest" and scenario.motion.duration is None:
-        raise typer.BadParameter(f"--{method} is not for a task of several legs, which is planned as fast as is safe.")
-    check_free(directory)
-    with searching(time_limit) as search:
-        found = plan_legs(scenario, options=options, watch=search)
-    return {"plan": found}
 
 
 def _tell(directory: Path, plans: dict[str, Plan | MultiLegPlan]) -> None:
@@ -215,22 +203,9 @@ def _tell(directory: Path, plans: dict[str, Plan | MultiLegPlan]) -> None:
 
 def _show_legs(plan: MultiLegPlan) -> None:
     """Print a plan of several legs."""
-    console, scenario = result_console(), plan.scenario
+    console = result_console()
     _head(plan)
-    titles = ("leg", "on the tray", "then", "duration", "left, worst case", "friction needed / sure", "arm")
-    rows = [
-        (
-            str(k),
-            ", ".join(item.name for item in leg.scenario.objects),
-            ", ".join([*(f"- {name}" for name in asked.taken), *(f"+ {name}" for name in asked.added)]),
-            f"{leg.duration:.4g} s",
-            f"{100 * leg.left:.1f} %",
-            _friction(leg),
-            "yes" if leg.arm_status is not None and leg.arm_status.ok else "NO",
-        )
-        for k, (leg, asked) in enumerate(zip(plan.legs, scenario.legs, strict=True), 1)
-    ]
-    print_table(titles, rows, left=titles)
+    _print_columns({f"leg {k}": leg for k, leg in enumerate(plan.legs, 1)})
     console.print(f"Not checked: {'; '.join(plan.unchecked)}.")
     console.print(headed("all", plan.status))
     for k, leg in enumerate(plan.legs, 1):
@@ -257,19 +232,14 @@ def _solved(plan: Plan | MultiLegPlan) -> str:
     return f"Solved in {1e3 * float(plan.solver['seconds']):.1f} ms by {plan.solver['name']}."
 
 
-def show(plan: Plan, other: Plan, beside: str) -> None:
-    """Print the plan beside the plan that it is compared with."""
-    console, scenario = result_console(), plan.scenario
-    _head(plan)
-    uncertain = ", ".join(
-        f"{name} ±{half:.3g}" for name, half in zip(plan.uncertain.names, plan.uncertain.half_range, strict=True)
-    )
-    console.print(
-        f"Uncertain ({plan.uncertain.kind}, SI units): {uncertain or 'nothing'}; duration {plan.duration:.4g} s"
-    )
-    console.print(plan.speeds.sentence)
-    lines: dict[str, Callable[[Plan], str]] = {"sensitivity cost, eq (13)": lambda p: f"{p.cost:.4g}"}
-    if scenario.contact.condition == "paper":
+def _print_columns(plans: dict[str, Plan]) -> None:
+    """Print plans side by side, each under its name."""
+    first, *others = plans.values()
+    lines: dict[str, Callable[[Plan], str]] = {}
+    if any(other.scenario.objects != first.scenario.objects for other in others):
+        lines["on the tray"] = lambda p: ", ".join(item.name for item in p.scenario.objects)
+    lines |= {"duration": lambda p: f"{p.duration:.4g} s", "sensitivity cost, eq (13)": lambda p: f"{p.cost:.4g}"}
+    if first.scenario.contact.condition == "paper":
         lines |= {
             "least cone coefficient, nominal": lambda p: f"{1e3 * p.cone_coefficients.min():.1f} mN",
             "least cone coefficient, in its tube": lambda p: (
@@ -282,14 +252,29 @@ def show(plan: Plan, other: Plan, beside: str) -> None:
         "distance to tipping, worst case": lambda p: millimetres(
             min(m.tip_over_worst.min() for m in p.margins.interfaces)
         ),
-        **({"room inside the load, worst case": _room} if scenario.payload.dynamic else {}),
+    }
+    if any(plan.scenario.payload.dynamic for plan in plans.values()):
+        lines["room inside the load, worst case"] = _room
+    lines |= {
         "contact condition kept everywhere": lambda p: "yes" if p.verification.violation == 0 else "NO",
         "arm can follow, as far as checked": lambda p: (
             "-" if p.arm_status is None else "yes" if p.arm_status.ok else "NO"
         ),
     }
+    print_table(("", *plans), ((label, *map(value, plans.values())) for label, value in lines.items()))
+
+
+def show(plan: Plan, other: Plan, beside: str) -> None:
+    """Print the plan beside the plan that it is compared with."""
+    console = result_console()
+    _head(plan)
+    uncertain = ", ".join(
+        f"{name} ±{half:.3g}" for name, half in zip(plan.uncertain.names, plan.uncertain.half_range, strict=True)
+    )
+    console.print(f"Uncertain ({plan.uncertain.kind}, SI units): {uncertain or 'nothing'}")
+    console.print(plan.speeds.sentence)
     names = (plan.method, beside)
-    print_table(("", *names), ((label, value(plan), value(other)) for label, value in lines.items()))
+    _print_columns(dict(zip(names, (plan, other), strict=True)))
     # The arm's own sentence says what is not checked of it.
     blind = plan.unchecked if plan.arm_status is None else (*plan.scenario.payload.unmodelled, *plan.unshaken)
     if blind:
@@ -308,7 +293,8 @@ def show(plan: Plan, other: Plan, beside: str) -> None:
 
 def _room(plan: Plan) -> str:
     """Remaining room of the load's liquid or pendulum, during the motion and after it, in words."""
-    return millimetres(min(each.room for each in plan.margins.load_verdicts(worst=True)), "no edge")
+    rooms = (each.room for each in plan.margins.load_verdicts(worst=True))
+    return millimetres(min(rooms, default=float("inf")), "no edge")
 
 
 def _friction(plan: Plan) -> str:
