@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
 from shlex import quote
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -25,8 +25,6 @@ from salver.simulation.record import FOLDER, SimulationRecord, load_record
 if TYPE_CHECKING:
     from salver.scenario import Scenario
 
-FILMS = (".mp4", ".mkv", ".webm")  # by ffmpeg
-STILLS = (".gif", ".webp")  # by pillow
 LABELS = {"plan": "planned", "baseline": "straight line", "nominal": "planned for nominal values"}
 
 
@@ -55,15 +53,12 @@ def write_film(
 
     rate: pictures a second. speed: of time in the film; 0.25 shows it four times slower. width, height: of a picture.
     most: pictures, a few minutes of film.
-    Formats by the ending of `path`: mp4, mkv, webm through ffmpeg; gif, webp without it. Raises SalverError for
-    what cannot be, MissingDependencyError when there is no encoder or no OpenGL.
+    Formats by the ending of `path`: mp4 through ffmpeg, gif without it. Raises SalverError for what cannot be,
+    MissingDependencyError when there is no encoder or no OpenGL.
     """
     path = Path(path)
-    if path.suffix not in (*FILMS, *STILLS):
-        raise SalverError(
-            f"{path} ends in none of {', '.join((*FILMS, *STILLS))}; a film needs one of them (a "
-            "recording for Foxglove: .mcap)."
-        )
+    if path.suffix not in (".mp4", ".gif"):
+        raise SalverError(f"{path} must end in .mp4 or .gif, or in .mcap for a recording that Foxglove shows.")
     if not (0.1 <= rate <= 120 and 1e-3 <= speed <= 10):
         raise SalverError(
             f"{rate:g} pictures a second at {speed:g} times the speed: it must be 0.1 to 120 pictures a second, "
@@ -74,7 +69,7 @@ def write_film(
     with needs("engine", "A film"):
         import PIL  # noqa: F401
     width, height = width - width % 2, height - height % 2  # the encoder halves both
-    save = _ffmpeg(path) if path.suffix in FILMS else _pillow(path)
+    save = _ffmpeg(path) if path.suffix == ".mp4" else _pillow(path)
     scenes = _scenes(Path(directory), stem)
     seconds = sum(scene.seconds for scene in scenes)
     if seconds * rate / speed > most:
@@ -180,8 +175,8 @@ def _ffmpeg(path: Path) -> Save:
     program = find_ffmpeg()
     if program is None:
         raise MissingDependencyError(
-            f"{path.suffix} needs ffmpeg, which is not here; install ffmpeg, or pip install 'salver[video]', or name a "
-            f"file that ends in {' or '.join(STILLS)}."
+            ".mp4 needs ffmpeg, which is not here; install ffmpeg, or pip install 'salver[video]', or name a file that "
+            "ends in .gif."
         )
 
     def save(pictures: Iterator[np.ndarray], rate: float) -> None:
@@ -190,15 +185,10 @@ def _ffmpeg(path: Path) -> Save:
         with writing(path):
             path.parent.mkdir(parents=True, exist_ok=True)
         temporary = path.with_name(f".{path.stem}.tmp{path.suffix}")
-        codec = (
-            ["-c:v", "libvpx-vp9", "-b:v", "0", "-crf", "33"]
-            if path.suffix == ".webm"
-            else ["-c:v", "libx264", "-crf", "20"]
-        )
         raw = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", f"{rate:g}", "-i", "-"]
-        command = [program, "-y", "-loglevel", "error", *raw, *codec, "-pix_fmt", "yuv420p"]
-        command += ["-movflags", "+faststart"] if path.suffix == ".mp4" else []
-        with subprocess.Popen([*command, str(temporary)], stdin=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        codec = ["-c:v", "libx264", "-crf", "20", "-pix_fmt", "yuv420p", "-movflags", "+faststart"]
+        command = [program, "-y", "-loglevel", "error", *raw, *codec, str(temporary)]
+        with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE) as process:
             assert process.stdin is not None
             assert process.stderr is not None
             try:
@@ -221,14 +211,11 @@ def _pillow(path: Path) -> Save:
     def save(pictures: Iterator[np.ndarray], rate: float) -> None:
         from PIL import Image
 
-        images = [Image.fromarray(np.ascontiguousarray(p)) for p in pictures]
-        if path.suffix == ".gif":
-            images = [image.quantize(96) for image in images]
+        images = [Image.fromarray(np.ascontiguousarray(p)).quantize(96) for p in pictures]
         content = io.BytesIO()
-        options: dict[str, Any] = {"quality": 80} if path.suffix == ".webp" else {"optimize": True}
         milliseconds = max(20, round(1e3 / rate))  # browsers slow down what is quicker
         images[0].save(
-            content, path.suffix[1:], save_all=True, append_images=images[1:], duration=milliseconds, loop=0, **options
+            content, "gif", save_all=True, append_images=images[1:], duration=milliseconds, loop=0, optimize=True
         )
         write_atomic(path, content.getvalue(), keep=True)
 

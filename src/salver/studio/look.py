@@ -76,13 +76,10 @@ def _mistaken(text: str, found: Sequence[Mistake]) -> Look:
 
 def change(text: str, folder: Path, changes: Sequence[tuple[Key, Any]]) -> str:
     """The text with the changes and their consequences: assumed ranges are written into the text before one of them is
-    changed, and a start posture follows the start pose, or is left out where no posture reaches it.
-
-    The key ["tray", "flange"], the place (3,) of the flange in the tray's frame, m, changes offset and height."""
+    changed, and a start posture follows the start pose, or is left out where no posture reaches it."""
     before = checked(text, folder)
     try:
         first = [] if isinstance(before, list) else _first(before, tomllib.loads(text), changes)
-        changes = [each for one in changes for each in _placed(before, *one)]
     except (LookupError, TypeError, ValueError) as error:
         raise ScenarioError(f"There is no such change ({error}).") from None
     after = changed(text, [*first, *changes])
@@ -108,16 +105,6 @@ def _first(before: Scenario, data: dict[str, Any], changes: Sequence[tuple[Key, 
                 assumed = before.objects[k].uncertainty.model_dump(mode="json", exclude_defaults=True)
                 found += [(["objects", k, "uncertainty", name], _written(half)) for name, half in assumed.items()]
     return found
-
-
-def _placed(before: Scenario | list[Mistake], key: Key, value: Any) -> list[tuple[Key, Any]]:
-    """A change as changes of keys that the text has."""
-    if list(key) != ["tray", "flange"]:
-        return [(key, value)]
-    if isinstance(before, list):
-        raise ValueError("the text has mistakes")
-    x, y, z = np.round(-before.tray.R_FE @ np.array(value, dtype=float), 6).tolist()
-    return [(["tray", "offset"], [x, y]), (["tray", "height"], z)]
 
 
 def _tray_stays(before: Scenario, moved_E: Array) -> list[tuple[Key, Any]]:

@@ -13,7 +13,7 @@ from salver.cli.common import Json, print_json, say
 def render(
     directory: Annotated[Path, typer.Argument(help="A run directory with a simulation (`salver simulate`).")],
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", help="Film to write: .mp4, .mkv, .webm, .gif or .webp; or .mcap.")
+        Path | None, typer.Option("-o", "--output", help="Film to write: .mp4 or .gif; or .mcap.")
     ] = None,
     stem: Annotated[
         str,
@@ -29,7 +29,7 @@ def render(
 ) -> None:
     """Film the simulated runs of a directory, without a display.
 
-    MuJoCo draws the pictures, which needs OpenGL; ffmpeg makes the film (not needed for gif, webp).
+    MuJoCo draws the pictures, which needs OpenGL; ffmpeg makes the film (not needed for a gif).
     With a name that ends in .mcap, one motion is written as a recording for Foxglove or RViz: the simulated one, or the
     planned one if it was not simulated.
 

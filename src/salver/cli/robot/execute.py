@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from salver.cli.common import ExitCode, Json, numbers, print_json, result_console, say
-from salver.driver.robots.robots import ROBOTS
+from salver.cli.common import ExitCode, Json, print_json, result_console, say
 from salver.errors import SalverError
 
 if TYPE_CHECKING:
@@ -49,12 +47,7 @@ def execute(
     out: Annotated[
         Path, typer.Option("--out", "-o", help="With --live: run directory for what was commanded, and the log.")
     ] = Path("runs/live"),
-    option: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="With --live: an option of the run, as longest=300 or live.strayed=0.02; repeat for several."
-        ),
-    ] = None,
+    longest: Annotated[float, typer.Option(help="With --live: the run ends at rest within this time, s.")] = 120.0,
     yes: Annotated[bool, typer.Option("--yes", help="Do not ask before the arm moves.")] = False,
     json: Json = False,
 ) -> None:
@@ -86,13 +79,15 @@ def execute(
     confirm = _warned if simulated else _assent(yes, json)
     if not 0 < watchdog < 1:
         raise SalverError(f"--watchdog is {watchdog:g} rad; it must be above 0 and below 1.")
-    if option and live is None:
-        raise SalverError("--option goes with --live; a run along a plan has none.")
+    if not 0 < longest < float("inf"):
+        raise SalverError(f"--longest is {longest:g} s; it must be a number above 0.")
     done: list[dict[str, Any]] = []
     if live is not None:
         if move_to_start or full_speed_only or stem != "plan":
             raise SalverError("--live goes with none of --move-to-start, --full-speed-only and --plan.")
-        result = _told(directory, live, out, robot, address, Watchdog(watchdog), realtime, yes, confirm, option or [])
+        if robot == "ur":
+            raise SalverError("--live drives a franka or the simulated arm; a ur is driven along plans.")
+        result = _told(directory, live, out, robot, address, Watchdog(watchdog), realtime, yes, confirm, longest)
     else:
         legs = load(scenario_of(directory)).legs if stem == "plan" else []
         if legs and yes and not simulated:
@@ -136,7 +131,7 @@ def _told(
     realtime: bool,
     yes: bool,
     confirm: Callable[[list[Check]], bool],
-    changed: list[str],
+    longest: float,
 ) -> Execution:
     """Run a live motion by the lines of a script."""
     import sys
@@ -155,33 +150,10 @@ def _told(
             "With --live - requests come from standard input, so nobody can be asked there; give --yes to let the "
             "arm move."
         )
-    options = LiveRunOptions()
-    for change in changed:
-        options = _changed(options, *change.partition("=")[::2])
     return run_live(
         case, wishes, out, robot, there, watchdog,
-        realtime=realtime, source=source, listen=listen, confirm=confirm, options=options,
+        realtime=realtime, source=source, listen=listen, confirm=confirm, options=LiveRunOptions(longest=longest),
     )  # fmt: skip
-
-
-def _changed(options: Any, name: str, value: str, before: str = "") -> Any:
-    """Options with one number changed, by its name: `live.strayed` is a field of a field."""
-    first, _, rest = name.partition(".")
-    known = {field.name: getattr(options, field.name) for field in fields(options)}
-    if first not in known:
-        wrong = f'there is no "{before}{first}"' if first else f'"{before[:-1]}" is a group'
-        raise SalverError(f"--option: {wrong}; there are {', '.join(before + key for key in known)}.")
-    now = known[first]
-    if is_dataclass(now):
-        return replace(options, **{first: _changed(now, rest, value, f"{before}{first}.")})
-    if rest or not isinstance(now, int | float):
-        raise SalverError(f"--option {before}{name} names no number.")
-    given = numbers(value)
-    number = given[0] if len(given) == 1 else 0.0
-    if not 0.0 < number < float("inf") or type(now)(number) != number:
-        whole = "whole " if isinstance(now, int) else ""
-        raise SalverError(f'--option {before}{name} is "{value}"; it must be a {whole}number above 0, as {now:g}.')
-    return replace(options, **{first: type(now)(number)})
 
 
 def _given(robot: str, address: str | None) -> str:

@@ -6,7 +6,7 @@ const given = JSON.parse(document.getElementById("data").textContent);
 const byId = (id) => document.getElementById(id);
 const here = location.pathname.replace(/\/?$/, "/");
 const own = crypto.randomUUID();  // this window
-const COLOURS = { start: [0.0, 0.45, 0.7, 1], goal: [0.84, 0.37, 0.0, 1], tray: [0.0, 0.62, 0.45, 1], objects: [0.9, 0.62, 0.0, 1], obstacles: [0.35, 0.38, 0.42, 1] };
+const COLOURS = { start: [0.0, 0.45, 0.7, 1], goal: [0.84, 0.37, 0.0, 1], objects: [0.9, 0.62, 0.0, 1], obstacles: [0.35, 0.38, 0.42, 1] };
 const coarse = inSoftware();
 const RING = 0.04;  // m, within which a ring is taken hold of
 const state = { text: given.text, saved: null, mistakes: [], answer: null, verdict: null, plan: null, planning: null, said: "", done: [], undone: [], chosen: "goal", leg: 0, time: 0, speed: 1, playing: false, gesture: null, base: "", viewer: null, looks: 0, live: null, frames: 0, held: null, keys: new Set() };
@@ -185,7 +185,7 @@ function begin(scene) {
   canvas.addEventListener("pointermove", (event) => {
     if (dragged) return drag(event);
     const part = event.buttons ? null : handleAt(event);
-    byId("hint").textContent = part ? `${part.name}: drag${part.name === "tray" ? " the flange that holds it" : part.handle.of === "world" ? "" : " on the tray"}${lifted(part) ? ", with shift up and down" : ""}` : "drag a ring: that thing · elsewhere: turn · wheel: zoom";
+    byId("hint").textContent = part ? `${part.name}: drag${part.handle.of === "world" ? "" : " on the tray"}${lifted(part) ? ", with shift up and down" : ""}` : "drag a ring: that thing · elsewhere: turn · wheel: zoom";
   });
   canvas.addEventListener("pointerup", () => {
     if (dragged && state.held) hand({ goto: state.held });
