@@ -85,7 +85,6 @@ def _known(audit: Audit) -> Markup:
         ["judged", f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC, by salver {versions()['salver']}"],
         ["for", f"scenario {audit.scenario.name}, digest {audit.scenario.digest}"],
         *(widths or [["ranges", "none: the nominal values alone"]]),
-        ["arm", audit.arm.sentence],
         ["nominal", audit.nominal.sentence],
         ["worst case", audit.worst.sentence],
     ]
@@ -97,8 +96,6 @@ def _known(audit: Audit) -> Markup:
             ["reckoned with", f"shakes of up to {audit.motion.options.highest:g} Hz that the samples do not show"]
         )
     rows += [[f"what {name} costs", f"{100 * cost:.1f} % of the weight"] for name, cost in audit.costs.items()]
-    rows.append(["speeds, worst case", audit.speeds_worst.sentence])
-    rows.append(["pace, worst case", audit.speeds_worst.pace.sentence])
     details = Markup("<details><summary>{}</summary><pre>{}</pre></details>")
     return table(["", ""], rows) + details.format("all figures", to_json(audit.summary()))
 

@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from salver.geometry import log
-from salver.reports.pages.charts import record_curve
 from salver.reports.parameters import pretty, quantity, ranges
-from salver.wording import listed, number
+from salver.wording import listed
 
 if TYPE_CHECKING:
     from salver.reports.run import ReportedRun
@@ -34,29 +33,29 @@ def verdict(run: ReportedRun) -> Headline:
     if not plan.summary.get("ok", True):
         return Headline("bad", "No safe plan was found", str(plan.summary.get("verdict", "")).removeprefix("UNSAFE: "))
     blind = plan.summary.get("unchecked", [])
-    exactly = "" if run.scenario.uncertain.size else "For exactly these values: "
-    promise = (f"Not checked: {'; '.join(blind)}. " if blind else "") + exactly + _promise(run)
+    said = [
+        f"Not checked: {'; '.join(blind)}." if blind else "",
+        "" if run.scenario.uncertain.size else "For exactly these values.",
+        plan.summary.get("stops", {}).get("sentence", ""),
+    ]
+    detail = " ".join(filter(None, said))
     outcomes = campaign_outcomes(run.campaign, plan.stem)
     if outcomes:
-        return of_campaign(load, outcomes, f"{promise}.")
+        return of_campaign(load, outcomes, detail)
     if plan.simulation is not None:
         outcome = str(plan.simulation.summary.get("outcome", "unknown"))
-        slip = record_curve(plan.simulation, "slip")
-        moved = f"; slip in the physics engine {length(float(np.max(slip)))}" if slip is not None else ""
         true = true_parameters(run, plan.simulation.summary)
         true = f" with {true}" if true else ""
         if outcome == "holds":
             stay = "stay" if several else "stays"
-            return Headline("good", f"{load} {stay} put, in theory and in simulation{true}", f"{promise}{moved}.")
+            return Headline("good", f"{load} {stay} put, in theory and in simulation{true}", detail)
         which = plan.simulation.summary.get("worst_object", run.bodies[0].name)
         what = {"limit": "the arm broke its limits", "lost": f"the {which} left the tray"}.get(
             outcome, f"the {which} {outcome}"
         )
-        return Headline("bad", f"In simulation{true} {what}", f"{promise}{moved}.")
+        return Headline("bad", f"In simulation{true} {what}", detail)
     verb = "are" if several else "is"
-    return Headline(
-        "good", f"{load} {verb} predicted to stay put for every parameter in the assumed range", f"{promise}."
-    )
+    return Headline("good", f"{load} {verb} predicted to stay put for every parameter in the assumed range", detail)
 
 
 def of_campaign(load: str, outcomes: Mapping[str, int], promise: str) -> Headline:
@@ -67,24 +66,6 @@ def of_campaign(load: str, outcomes: Mapping[str, int], promise: str) -> Headlin
     others = ", ".join(f"{n} {word}" for word, n in outcomes.items() if word != "holds" and n)
     detail = f"The others: {others}. {promise}" if others else promise
     return Headline(level, f"{load} stayed put in {count} perturbed runs", detail)
-
-
-def _promise(run: ReportedRun) -> str:
-    """The plan's guarantees in figures, with its stops."""
-    stops = run.plan.summary.get("stops", {}).get("sentence", "")
-    return f"{_margins(run)}. {stops.rstrip('.')}" if stops else _margins(run)
-
-
-def _margins(run: ReportedRun) -> str:
-    curves, plan = run.contact[run.plan.stem], run.plan
-    if curves.coefficient is not None:
-        text = f"Needs a friction coefficient of {float(curves.coefficient.max()):.3f}, there is {curves.available:g}"
-    else:
-        text = f"Needs at most {100 * float(curves.friction.max()):.0f} % of the friction there is"
-    if run.paper:
-        return f"{text}; least cone coefficient within its tube {number(float(plan.cone_floor.min()), 3)} N"
-    left = 100 * float(curves.worst.min())
-    return f"{text}; in the worst case {left:.1f} % of the weight are left before anything moves"
 
 
 def campaign_outcomes(campaign: Mapping[str, Any] | None, stem: str) -> dict[str, int]:
