@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from recorded_motions import AT_B, HEADER, JOINTS, NO_TURN, joint_motion, line, series_of, write_csv
+from recorded_motions import HEADER, JOINTS, joint_motion, line, series_of, write_csv
 from salver import scenario as scenarios
 from salver.auditing import audit
 from salver.auditing.motion import tray_motion
@@ -87,24 +87,8 @@ def test_sign_flips_of_quaternions_are_no_turns(tmp_path):
     s = line(1.0)
     quat = s.quat_SB_wxyz * np.where(np.arange(len(s.t)) % 3 == 0, -1, 1)[:, None]
     samples = read(write_csv(tmp_path / "a.csv", "t,x,y,z,qw,qx,qy,qz", s.t, s.p_SB, quat))
-    motion = tray_motion(samples, None, AT_B, NO_TURN)
+    motion = tray_motion(samples, None)
     assert np.abs(motion.samples.omega_B).max() < 1e-9
-
-
-def test_the_motion_of_the_object_is_told_of_the_tray(tmp_path):
-    # The tray turns about z at constant rate below an object frame B on its axis, 0.3 m up and moving in x.
-    t = np.linspace(0, 2, 2001)
-    p = np.column_stack([0.1 * t**2, 0 * t, 0 * t + 0.5])
-    quat = quat_wxyz_from_matrix(exp(np.outer(t, [0, 0.2, 0])))
-    header = "t,p_SB_x,p_SB_y,p_SB_z,quat_SB_w,quat_SB_x,quat_SB_y,quat_SB_z"
-    samples = read(write_csv(tmp_path / "a.csv", header, t, p, quat))
-    motion = tray_motion(samples, None, np.array([0, 0, -0.3]), NO_TURN).samples
-    middle = len(motion.t) // 2
-    now = motion.t[middle]
-    expected = p[0] + [0.1 * now**2, 0, 0] - 0.3 * np.array([np.sin(0.2 * now), 0, np.cos(0.2 * now)])
-    assert np.allclose(motion.p_SB[middle], expected, atol=1e-6)
-    centripetal = 0.3 * 0.04 * np.array([np.sin(0.2 * now), 0, np.cos(0.2 * now)])
-    assert np.allclose(motion.a_S[middle], np.array([0.2, 0, 0]) + centripetal, atol=1e-4)
 
 
 def test_joint_columns_by_name_in_any_order_or_by_number(tmp_path):
@@ -145,9 +129,9 @@ def test_ros_messages_as_json_and_yaml_give_the_motion_of_the_csv(tmp_path, arm)
     with open(tmp_path / "c.yaml", "w") as file:
         YAML(typ="safe").dump(trajectory_message(t, q, stamp=("secs", "nsecs")), file)
         file.write("---\n")
-    expected = tray_motion(read(csv, lambda: JOINTS), arm, AT_B, NO_TURN).samples
+    expected = tray_motion(read(csv, lambda: JOINTS), arm).samples
     for name in ("b.json", "c.yaml"):
-        motion = tray_motion(read(tmp_path / name), arm, AT_B, NO_TURN).samples
+        motion = tray_motion(read(tmp_path / name), arm).samples
         assert np.allclose(motion.a_S, expected.a_S, atol=1e-6)
 
 
@@ -160,7 +144,7 @@ def test_waypoints_with_velocities_are_joined_as_the_controller_does(tmp_path, a
     ddq = np.outer((60 * u - 180 * u**2 + 120 * u**3) / 4, direction)
     at = np.arange(0, 2001, 250)
     (tmp_path / "a.json").write_text(json.dumps(trajectory_message(t[at], q[at], dq[at], ddq[at])))
-    motion = tray_motion(read(tmp_path / "a.json"), arm, AT_B, NO_TURN)
+    motion = tray_motion(read(tmp_path / "a.json"), arm)
     expected = forward.tray_motion(arm, JointMotion(t, q, dq, ddq))
     k = 777
     nearest = np.argmin(np.abs(motion.samples.t - t[k]))
@@ -320,9 +304,9 @@ def test_missing_files_joints_and_arms_are_told(tmp_path, arm):
     path = write_csv(tmp_path / "a.csv", "t," + ",".join([*JOINTS[:6], "elbow"]), t, q)
     samples = read(path, lambda: JOINTS)
     with pytest.raises(FileFormatError, match="has no joint panda_joint7; it has panda_joint1"):
-        tray_motion(samples, arm, AT_B, NO_TURN)
+        tray_motion(samples, arm)
     with pytest.raises(SalverError, match="the scenario has no arm"):
-        tray_motion(samples, None, AT_B, NO_TURN)
+        tray_motion(samples, None)
 
 
 def test_repeated_times_are_left_out_and_told(tmp_path):
@@ -360,7 +344,7 @@ def test_different_samples_at_one_time_are_spread_till_the_next():
     """A clock of 30 ms over samples of 100 Hz."""
     t = np.arange(30) / 100
     p = np.stack([t**2, 0 * t, 0 * t], axis=1)
-    samples = tray_samples(np.floor(t / 0.03 + 1e-9) * 0.03, p, np.tile([1.0, 0, 0, 0], (30, 1)), "E", "by hand")
+    samples = tray_samples(np.floor(t / 0.03 + 1e-9) * 0.03, p, np.tile([1.0, 0, 0, 0], (30, 1)), "by hand")
     assert np.allclose(samples.t, t, atol=1e-12)
     assert np.array_equal(samples.p, p)
     assert "20 samples have the time of the one before and were spread" in samples.notes[0]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from recorded_motions import AT_B, GOAL, HEADER, JOINTS, NO_TURN, START, joint_motion, line, write_csv
+from recorded_motions import GOAL, HEADER, JOINTS, START, joint_motion, line, write_csv
 from salver import scenario as scenarios
 from salver.auditing.motion import tray_motion
 from salver.auditing.options import DEFAULT, AuditOptions
@@ -130,8 +130,8 @@ def test_where_two_parts_of_a_long_recording_meet_there_is_one_instant():
     """Of two at once waves would be no numbers."""
     t = np.arange(20 * 1000 + 1) / 1000.0
     p = np.stack([0 * t, 0.2 * np.sin(2 * np.pi * 0.4 * t), 0 * t], axis=1)
-    seen = TraySamples(t, p, np.tile([1.0, 0, 0, 0], (len(t), 1)), "E", "seen.csv")
-    motion = tray_motion(seen, None, AT_B, NO_TURN).samples
+    seen = TraySamples(t, p, np.tile([1.0, 0, 0, 0], (len(t), 1)), "seen.csv")
+    motion = tray_motion(seen, None).samples
     assert np.diff(motion.t).min() > 1e-5
     assert (motion.t[0], motion.t[-1]) == (t[0], t[-1])
     expected = -0.2 * (2 * np.pi * 0.4) ** 2 * np.sin(2 * np.pi * 0.4 * motion.t)
@@ -143,8 +143,8 @@ def test_a_step_between_two_samples_is_told_whatever_it_does_to_the_load(rate):
     t = np.arange(2 * rate + 1) / rate
     p = np.zeros((len(t), 3))
     p[t > 1, 1] = 0.02
-    seen = TraySamples(t, p, np.tile([1.0, 0, 0, 0], (len(t), 1)), "E", "seen.csv")
-    doubts = dict(tray_motion(seen, None, AT_B, NO_TURN).doubts)
+    seen = TraySamples(t, p, np.tile([1.0, 0, 0, 0], (len(t), 1)), "seen.csv")
+    doubts = dict(tray_motion(seen, None).doubts)
     assert doubts["jump"] == f"the position jumps by 20 mm from 1.000 s to {1 + 1 / rate:.3f} s"
 
 
@@ -156,7 +156,7 @@ def test_noise_that_is_stated_of_joints_reaches_the_tray_through_the_jacobian(ar
     moved = np.array([(a[0] - b[0]) / (2 * h) for a, b in ends])
     turned = np.array([log(b[1].T @ a[1]) / (2 * h) for a, b in ends])
     samples = JointSamples(np.arange(200) / 100, JOINTS, np.tile(q, (200, 1)), None, None, "by hand")
-    sensor = tray_motion(samples, arm, AT_B, NO_TURN, AuditOptions(noise=noise)).recording.sensor
+    sensor = tray_motion(samples, arm, AuditOptions(noise=noise)).recording.sensor
     assert sensor.position.size == pytest.approx(noise * np.linalg.norm(moved) / np.sqrt(3), rel=1e-6)
     assert sensor.orientation.size == pytest.approx(0.5 * noise * np.linalg.norm(turned) / np.sqrt(3), rel=1e-6)
 
@@ -166,8 +166,8 @@ def test_the_bandwidths_that_are_told_are_the_least_and_the_most():
     t = np.arange(3001) / 1000
     jolt = 1e-3 * np.sin(2 * np.pi * 30 * (t - 1.4)) * np.exp(-(((t - 1.5) / 0.05) ** 2))
     truth = min_jerk_line(3.0, START, GOAL, np.eye(3), np.eye(3)).sample(t)
-    seen = TraySamples(t, truth.p_SB + jolt[:, None], truth.quat_SB_wxyz, "E", "by hand")
-    bandwidth = tray_motion(seen, None, AT_B, NO_TURN, AuditOptions(noise=1e-6)).recording.bandwidth
+    seen = TraySamples(t, truth.p_SB + jolt[:, None], truth.quat_SB_wxyz, "by hand")
+    bandwidth = tray_motion(seen, None, AuditOptions(noise=1e-6)).recording.bandwidth
     least, most = bandwidth.min(), bandwidth.max()
     assert least < 30 < 55 < most
 
@@ -176,12 +176,12 @@ def test_quaternions_of_nearly_unit_norm_are_made_unit_and_others_refused():
     t, p = np.arange(40) / 100, np.zeros((40, 3))
     quat = quat_wxyz_from_matrix(exp(np.outer(t, [0.1, 0.2, 0.3])))
     for norm in (0.985, 1.015):
-        assert tray_samples(t, p, norm * quat, "E", "by hand").quat_wxyz == pytest.approx(quat, abs=1e-12)
+        assert tray_samples(t, p, norm * quat, "by hand").quat_wxyz == pytest.approx(quat, abs=1e-12)
     for norm in (0.975, 1.025, 0.5, 2.0, 0.0):
         wrong = quat.copy()
         wrong[7] *= norm
         with pytest.raises(FileFormatError, match=rf"the quaternion of sample 8 has norm {norm:.4g};"):
-            tray_samples(t, p, wrong, "E", "by hand")
+            tray_samples(t, p, wrong, "by hand")
 
 
 def test_four_digits_of_quaternions_are_a_resolution(tmp_path):
@@ -216,7 +216,7 @@ def test_turning_about_a_fixed_axis(tmp_path):
     axis = np.array([1.0, 2.0, 2.0]) / 3
     quat = quat_wxyz_from_matrix(exp(np.outer(angle, axis)))
     samples = read(write_csv(tmp_path / "a.csv", HEADER, t, np.tile(START, (len(t), 1)), quat))
-    motion = tray_motion(samples, None, AT_B, NO_TURN).samples
+    motion = tray_motion(samples, None).samples
     v = motion.t / 2
     assert np.allclose(motion.omega_B, np.outer(0.6 * (30 * v**2 - 60 * v**3 + 30 * v**4), axis), atol=1e-5)
     inner = slice(1, -1)  # at the ends it turns as two samples inside
@@ -254,7 +254,7 @@ def test_inside_a_gap_nothing_is_known_and_outside_of_it_all_that_was():
     there = (t < 0.42) | (t > 0.58)
     p = np.stack([0.2 * t**3 * (10 - 15 * t + 6 * t**2), 0 * t, 0 * t], axis=1)
     quat = np.tile([1.0, 0, 0, 0], (len(t), 1))
-    found = tray_motion(TraySamples(t[there], p[there], quat[there], "E", "seen.csv"), None, AT_B, NO_TURN)
+    found = tray_motion(TraySamples(t[there], p[there], quat[there], "seen.csv"), None)
     begin, end = t[there][t[there] < 0.5].max(), t[there][t[there] > 0.5].min()
     inside = (found.samples.t > begin) & (found.samples.t < end)
     assert inside.any()

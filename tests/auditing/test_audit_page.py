@@ -29,7 +29,7 @@ def tray_file(tmp_path_factory):
     duration = float(np.sqrt(10 * 0.3 / (np.sqrt(3) * 0.4 * 9.81)))
     t = np.linspace(0, duration, 400)
     p = np.column_stack([np.full(400, 0.45), 0.3 * shape(t / duration), np.full(400, 0.4)])
-    samples = tray_samples(t, p, np.tile([1.0, 0, 0, 0], (400, 1)), "E", "made")
+    samples = tray_samples(t, p, np.tile([1.0, 0, 0, 0], (400, 1)), "made")
     return write(series_of(samples), tmp_path_factory.mktemp("page") / "<b>motion.csv")[0]
 
 

@@ -57,7 +57,7 @@ def test_a_shake_that_noise_hides_raises_no_wave_by_more_than_is_allowed_for(cup
     """Shakes of every frequency, as large as would just be found, begun anywhere: against the filters themselves. In a
     box waves along both sides add up."""
     t, p, quat = line(1.2, noise=1e-4)
-    motion = tray_motion(TraySamples(t, p, quat, "E", "line", ()), None, np.zeros(3), np.eye(3))
+    motion = tray_motion(TraySamples(t, p, quat, "line", ()), None)
     box = {"objects__0__shape": {"type": "box", "size": [0.09, 0.07, 0.085]}}
     box |= {"objects__0__liquid": {"kind": "water", "size": [0.08, 0.06], "fill": 0.05, "brim": 0.08}}
     body = (cup.with_changes(**box) if square else cup).payload.first
@@ -97,7 +97,7 @@ def test_what_is_missed_of_a_jolt_is_as_fast_as_the_jolt(cup):
     ramps = [np.clip(1 - np.abs(fine - at) / 0.01, 0, None) for at in (0.7, 0.72)]
     speed = cumulative_trapezoid(3.0 * (ramps[0] - ramps[1]), fine, initial=0.0)
     p[:, 0] += np.interp(t, fine, cumulative_trapezoid(speed, fine, initial=0.0))
-    motion = tray_motion(TraySamples(t, p, quat, "E", "line", ()), None, np.zeros(3), np.eye(3))
+    motion = tray_motion(TraySamples(t, p, quat, "line", ()), None)
     assert motion.missed.max() > 0.5
     t = motion.samples.t
     part = SloshingResponse.of(

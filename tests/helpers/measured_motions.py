@@ -86,7 +86,7 @@ def samples(name: str, way: str) -> JointSamples | TraySamples:
         return joint_samples(_rested(q), RATE, name)
     tray = _rested(_sloshing()[f"{name}/tray"] / FINE)
     quat_wxyz = tray[:, [6, 3, 4, 5]] * np.array([1.0, *(3 * [-1.0 if way == "mirrored" else 1.0])])
-    return TraySamples(np.arange(len(tray)) / RATE, tray[:, :3], quat_wxyz, "E", name)
+    return TraySamples(np.arange(len(tray)) / RATE, tray[:, :3], quat_wxyz, name)
 
 
 def _rested(samples: Array) -> Array:
@@ -285,7 +285,7 @@ def tray_samples(run: str) -> TraySamples:
     turned = Rotation.from_euler("xyz", np.unwrap(pose[:, 4:7], axis=0))
     quat_wxyz = continuous((turned * turned[0].inv()).as_quat()[:, [3, 0, 1, 2]])
     place = pose[:, 1:4] - pose[0, 1:4] + np.array([0.0, 0.0, 0.5])
-    return TraySamples(CLOCK * (pose[:, 0] - pose[0, 0]), place, quat_wxyz, "E", run)
+    return TraySamples(CLOCK * (pose[:, 0] - pose[0, 0]), place, quat_wxyz, run)
 
 
 def slipped(run: str) -> tuple[Array, Array]:

@@ -26,8 +26,7 @@ def series_of(samples):
     ns = np.round(samples.t * 1e9).astype(np.int64)
     if isinstance(samples, JointSamples):
         return MotionSeries(ns, samples.names, samples.q, samples.dq, samples.ddq)
-    names = ("p_SB", "quat_SB_wxyz") if samples.frame == "B" else ("p_SE", "quat_SE_wxyz")
-    return MotionSeries(ns, **dict(zip(names, (samples.p, samples.quat_wxyz), strict=True)))
+    return MotionSeries(ns, p_SE=samples.p, quat_SE_wxyz=samples.quat_wxyz)
 
 
 def write_csv(path: Path, header: str, *columns) -> Path:

@@ -27,6 +27,7 @@ from salver.motion_files import (
     read_path,
     write,
 )
+from salver.motion_files.readers import read_table
 from salver.motion_files.samples import tray_samples
 from salver.motion_files.units import Units
 
@@ -44,7 +45,7 @@ def swing(duration=2.0, rate=200.0, reach=0.3):
     s = t / duration
     p = np.tile([0.45, 0.0, 0.4], (len(t), 1))
     p[:, 1] = reach * s**3 * (10 - 15 * s + 6 * s**2)
-    return tray_samples(t, p, np.tile([1.0, 0, 0, 0], (len(t), 1)), "E", "swing")
+    return tray_samples(t, p, np.tile([1.0, 0, 0, 0], (len(t), 1)), "swing")
 
 
 def joint_swing(count=60, duration=2.0):
@@ -76,20 +77,15 @@ def test_joints_come_back_to_the_last_digit(tmp_path_factory, data, form):
 
 
 @pytest.mark.parametrize("form", [form for form in FORMS if form != "moveit"])
-@pytest.mark.parametrize("frame", ["E", "B"])
-def test_poses_come_back_to_the_last_digit(tmp_path, form, frame):
+def test_poses_come_back_to_the_last_digit(tmp_path, form):
     rng = np.random.default_rng(5)
     quat = rng.normal(size=4) + 0.05 * rng.normal(size=(20, 4)).cumsum(axis=0)
     samples = tray_samples(np.arange(20) * 0.01, rng.normal(size=(20, 3)), quat / np.linalg.norm(quat, axis=1)[:, None],
-                           frame, "made")  # fmt: skip
+                           "made")  # fmt: skip
     path = named(form, tmp_path)
-    files = write(series_of(samples), path, form)
-    if form == "yaml" and frame == "B":  # a message does not say whose path it is, its name does
-        (files[0]).rename(tmp_path / "motion_object_path.yaml")
-        path = tmp_path / "motion_object_path.yaml"
+    write(series_of(samples), path, form)
     again = read(path)
     assert isinstance(again, TraySamples)
-    assert again.frame == frame
     assert np.array_equal(again.p, samples.p)
     assert np.allclose(again.quat_wxyz, samples.quat_wxyz, rtol=0, atol=1e-15)
 
@@ -179,7 +175,7 @@ def test_a_command_to_the_joints_moves_the_tray_as_forward_kinematics_says(tmp_p
 
 def test_a_file_that_begins_at_speed_is_not_run(tmp_path):
     samples = swing(1.0, 500.0)
-    half = tray_samples(samples.t[250:] - samples.t[250], samples.p[250:], samples.quat_wxyz[250:], "E", "half")
+    half = tray_samples(samples.t[250:] - samples.t[250], samples.p[250:], samples.quat_wxyz[250:], "half")
     (path,) = write(series_of(half), tmp_path / "half.csv")
     with pytest.raises(SalverError, match=r"begins at 0\.56 m/s; a run in the engine begins at rest"):
         sv.simulate(path, "panda-cube")
@@ -259,7 +255,7 @@ def test_what_a_run_did_is_a_recording_without_velocities(tmp_path):
     (path,) = write(series_of(swing()), tmp_path / "a.csv")
     typed("simulate", path, "-s", "panda-cube", "--write", tmp_path / "ran.csv")
     ran = read(tmp_path / "ran.csv")
-    assert ran.frame == "E"
+    assert isinstance(ran, TraySamples)
     assert ran.t[0] == 0
     assert np.ptp(ran.p[:, 1]) == pytest.approx(0.3, abs=1e-6)
     record = sv.simulate(path, "panda-cube")
@@ -314,15 +310,25 @@ def test_every_command_that_reads_a_table_takes_its_units_and_writes_si(tmp_path
     assert np.allclose(read_waypoints(tmp_path / "taught.csv", case, units="deg"), q[::50], atol=1e-9)
 
 
-@pytest.mark.parametrize("apart", [0.0, 0.01, 0.03])
-def test_poses_of_the_tray_and_of_the_object_that_move_apart_are_refused(apart):
-    t = np.linspace(0.0, 1.0, 101)
-    table = {"t": t}
-    for frame, x in (("SE", t), ("SB", 0.1 + (1 + apart) * t)):
-        table |= {f"p_{frame}_x": x, f"p_{frame}_y": 0 * t, f"p_{frame}_z": 0 * t}
-        table |= {f"quat_{frame}_{part}": 0 * t + (part == "w") for part in "wxyz"}
-    if apart < 0.02:
-        assert of_columns(table).frame == "E"
-    else:
-        with pytest.raises(FileFormatError, match="p_SE_x and p_SB_x belong to points that move apart"):
-            of_columns(table)
+def test_the_path_of_an_object_is_not_taken_for_the_trays(tmp_path):
+    tray = swing()
+    both = MotionSeries(
+        series_of(tray).ns, p_SE=tray.p, quat_SE_wxyz=tray.quat_wxyz, p_SB=2 * tray.p, quat_SB_wxyz=tray.quat_wxyz
+    )
+    (path,) = write(both, tmp_path / "both.csv")
+    assert np.array_equal(read(path).p, tray.p)
+    write(both, tmp_path / "bag")
+    assert np.array_equal(read(tmp_path / "bag").p, tray.p)
+    with pytest.raises(FileFormatError, match="topic /salver/object_path is the path of an object"):
+        read(tmp_path / "bag", topic="/salver/object_path")
+    (_, of_object) = write(both, tmp_path / "both.yaml")
+    with pytest.raises(FileFormatError, match="is the path of an object; give that of the tray"):
+        read(of_object)
+    alone = {name: column for name, column in zip(*table_of(path), strict=True) if "SE" not in name}
+    with pytest.raises(FileFormatError, match="holds neither a tray motion nor a joint motion"):
+        of_columns(alone)
+
+
+def table_of(path):
+    header, values = read_table(path)
+    return header, values.T

@@ -62,18 +62,12 @@ class AuditedMotion(Outlined):
     options: AuditOptions = DEFAULT
 
 
-def tray_motion(
-    samples: Samples, arm: ArmModel | None, p_BE: Array, R_BE: Array, options: AuditOptions = DEFAULT
-) -> AuditedMotion:
-    """The motion of the tray frame E. p_BE, R_BE: pose of E in the object frame B, for files with the motion of B.
-
-    Raises FileFormatError or SalverError.
-    """
+def tray_motion(samples: Samples, arm: ArmModel | None, options: AuditOptions = DEFAULT) -> AuditedMotion:
+    """The motion of the tray frame E. Raises FileFormatError or SalverError."""
     if isinstance(samples, TraySamples):
         found = repaired(channels_of(samples), options)
         samples = replace(samples, t=found.t, p=found.y[:, :3], quat_wxyz=found.y[:, 3:])
-        motion = _recorded(samples, None, found, options)
-        return replace(motion, samples=motion.samples.of_frame(p_BE, R_BE)) if samples.frame == "B" else motion
+        return _recorded(samples, None, found, options)
     if arm is None:
         raise SalverError(
             f"{samples.source} is a joint motion, but the scenario has no arm; give it one, or a tray motion."
@@ -94,7 +88,7 @@ def tray_motion(
     found = _in_ranges(repaired(channels_of(samples), options), samples.q, arm, options)
     poses = [arm.tray_pose(q) for q in found.y]
     quat = continuous(quat_wxyz_from_matrix(np.array([R for _, R in poses])))
-    seen = TraySamples(found.t, np.array([p for p, _ in poses]), quat, "E", samples.source, samples.notes)
+    seen = TraySamples(found.t, np.array([p for p, _ in poses]), quat, samples.source, samples.notes)
     return _recorded(seen, _gains(arm, found), found, options)
 
 

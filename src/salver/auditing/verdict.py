@@ -27,7 +27,7 @@ from salver.dynamics.load_limits import LoadVerdict
 from salver.dynamics.payload_response import PayloadResponse
 from salver.errors import SalverError, Status
 from salver.files import provenance
-from salver.geometry import Array, Indices, invert, lean
+from salver.geometry import Array, Indices, lean
 from salver.models.tray_motion import at_rest, motion_vector
 from salver.models.uncertain.parameters import unshaken
 from salver.motion_files import JointSamples, Samples, of_columns, read
@@ -472,10 +472,9 @@ def read_for(
 
 def audit_samples(samples: Samples, scenario: Scenario, options: AuditOptions = DEFAULT) -> Audit:
     """`audit` of samples."""
-    first = scenario.payload.first
     joints = samples if isinstance(samples, JointSamples) else None
     arm = None if joints is None else _arm(scenario)
-    motion = tray_motion(samples, arm, *invert(first.p_EB, first.R_EB), options)
+    motion = tray_motion(samples, arm, options)
     return Audit(scenario, samples.source, motion, joints)
 
 

@@ -5,7 +5,7 @@ CSV, one header line, separated by commas, semicolons, tabs or blanks (decimal c
 
 - time: `t`, `time`, `time_s`, `timestamp`, `time_from_start` (s), or `t_`, `time_`, `stamp_` with ms, us or ns;
 - a tray motion: `x, y, z` (m) and `qw, qx, qy, qz`, in any order. Also `p_SE_x, ..., quat_SE_w, ...`,
-  `pose.position.x, ..., pose.orientation.w, ...`. `p_SB_x, ..., quat_SB_w, ...` is the motion of the object's frame B;
+  `pose.position.x, ..., pose.orientation.w, ...`;
 - a joint motion: the joints' names (with or without `_position`, or `q_` before), or `q1 ... qn`, `J1 ... Jn`,
   `A1 ... An`, in rad. It counts as a recording, not as a command.
 
@@ -39,13 +39,11 @@ from salver.motion_files.verdict import verdict_in
 
 _TIME: dict[str, float | None] = dict.fromkeys(("t", "time", "timestamp", "time_from_start"))  # None: `--units`
 _TIME |= {"time_s": 1.0, **{f"{name}_{unit}": size for name in ("t", "time", "stamp") for unit, size in PARTS.items()}}
-_POSITION = re.compile(r"(?:pose[._])?(?:p|pos|position)?(?:[._]?(s[eb]))?[._]?([xyz])")
-_QUATERNION = re.compile(r"(?:pose[._])?(?:q|quat|quaternion|orientation)(?:[._]?(s[eb]))?[._]?([wxyz])")
+_POSITION = re.compile(r"(?:pose[._])?(?:p|pos|position)?(?:[._]?se)?[._]?([xyz])")
+_QUATERNION = re.compile(r"(?:pose[._])?(?:q|quat|quaternion|orientation)(?:[._]?se)?[._]?([wxyz])")
 _POSE = ("px", "py", "pz", "qw", "qx", "qy", "qz")
 JointNames = Callable[[], tuple[str, ...]]
 
-# m, by which the distance of two points of the tray may change: lags of one sample of 100 a second, at 1 m/s, of each.
-APART = 0.02
 LARGEST = 500_000_000  # bytes of a text file
 BAGS = (".bag", ".mcap", ".db3")
 TABLES = (".csv", ".txt", ".tsv")
@@ -176,21 +174,13 @@ def of_table(
         )
     column, unit = clocks[0]
     t = values[:, column] * (units.time if unit is None else unit)
-    poses = _pose_columns(lowered)
-    whole = {frame: place for frame, place in poses.items() if len(place) == len(_POSE)}
+    place = _pose_columns(lowered)
+    whole = len(place) == len(_POSE)
     names = joint_names() if as_path or not whole else ()
     joints = _joint_columns(header, names) if as_path or not whole else {}
     if whole and not joints:
-        frame, place = next(iter(whole.items()))
-        for other in whole.values():  # points of one rigid body
-            lines = [units.length * (values[:, other[name]] - values[:, place[name]]) for name in _POSE[:3]]
-            if np.ptp(np.linalg.norm(lines, axis=0)) > APART:
-                one, two = header[place["px"]], header[other["px"]]
-                raise FileFormatError(
-                    f"{source}: {one} and {two} belong to points that move apart; leave out one of them."
-                )
         pose = values[:, [place[name] for name in _POSE]]
-        tray = tray_samples(t, units.length * pose[:, :3], pose[:, 3:], "B" if frame == "sb" else "E", source)
+        tray = tray_samples(t, units.length * pose[:, :3], pose[:, 3:], source)
         unknown = ", ".join(name for name in header if names and "joint" in name.lower())
         said = f"The columns {unknown} are not used: the arm's joints are {', '.join(names)}."
         return replace(tray, notes=(*units.notes, *tray.notes, *([said] if unknown else [])))
@@ -198,24 +188,23 @@ def of_table(
         q = values[:, list(joints.values())] * units.of_joints(len(joints))
         arm = joint_samples(t, tuple(joints), q, None, None, source, fewest=2 if as_path else FEWEST)
         return replace(arm, notes=units.notes + arm.notes)
-    best = max(poses.values(), key=len) if poses else {}
-    missing = [name.removeprefix("p") for name in _POSE if name not in best]
+    missing = [name.removeprefix("p") for name in _POSE if name not in place]
     expected = f"joints {', '.join(names)} or q1 ... q{len(names)}" if names else "joints q1 ... qn"
-    found = f" (no column for {missing[0]})" if best else ""
+    found = f" (no column for {missing[0]})" if place else ""
     raise FileFormatError(
         f"{source} holds neither a tray motion{found} nor a joint motion: it needs the columns x, y, z, qw, qx, qy, "
         f"qz, or {expected}; its header is {', '.join(header)}."
     )
 
 
-def _pose_columns(header: list[str]) -> dict[str, dict[str, int]]:
-    """Columns of poses: frame ("", "se", "sb") -> {"px": column, ..., "qz": column}."""
-    found: dict[str, dict[str, int]] = {}
+def _pose_columns(header: list[str]) -> dict[str, int]:
+    """Columns of the tray's pose: {"px": column, ..., "qz": column}."""
+    found: dict[str, int] = {}
     for j, name in enumerate(header):
         for letter, pattern in (("q", _QUATERNION), ("p", _POSITION)):
             match = pattern.fullmatch(name)
             if match:
-                found.setdefault(match[1] or "", {}).setdefault(letter + match[2], j)
+                found.setdefault(letter + match[1], j)
                 break
     return found
 

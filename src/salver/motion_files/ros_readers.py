@@ -27,7 +27,7 @@ PATH = "nav_msgs/msg/Path"
 WRENCH = "geometry_msgs/msg/WrenchStamped"
 SPARSE = 0.03  # s, largest distance from a joint's sample to one of the wrist
 KINDS = (TRAJECTORY, JOINT_STATE, POSE, PATH)
-OBJECT = "object_path"  # end of the name of a path of the object's frame B
+OBJECT = "object_path"  # end of the topic with the first object's path, which is not the tray's
 LARGEST_YAML, LARGEST_JSON = 5_000_000, 100_000_000  # bytes; YAML is read at about 0.2 MB/s
 LARGEST_BAG = 2_000_000_000  # bytes
 MOST_MESSAGES = 5_000_000
@@ -270,9 +270,9 @@ def _choose(connections: Sequence[Any], topic: str | None, path: Path) -> list[A
                 f"{', '.join(KINDS)}."
             )
         return chosen
-    # Paths beside a joint motion are derived from it, and a path of the object from that of the tray.
+    # Paths beside a joint motion are derived from it.
     usable = [c for c in usable if c.topic != STOPS]
-    usable = [c for c in usable if c.msgtype != PATH] or [c for c in usable if not c.topic.endswith(OBJECT)] or usable
+    usable = [c for c in usable if c.msgtype != PATH] or [c for c in usable if not c.topic.endswith(OBJECT)]
     topics = {c.topic for c in usable}
     if len(topics) != 1:
         problem = "holds no motion" if not topics else f"holds {len(topics)} motions; name one with --topic"
@@ -320,11 +320,13 @@ def _poses(messages: Sequence[tuple[int, Any]], source: str) -> TraySamples:
     p = np.array([[m.pose.position.x, m.pose.position.y, m.pose.position.z] for _, m in messages])
     q = [m.pose.orientation for _, m in messages]
     quat = np.array([[x.w, x.x, x.y, x.z] for x in q])
-    return tray_samples(_times(messages), p, quat, "E", source)
+    return tray_samples(_times(messages), p, quat, source)
 
 
 def _from_path(poses: Any, name: str, source: str) -> TraySamples:
-    """Samples of a nav_msgs/Path, in which every pose has a stamp: of the tray, or of the object by its name."""
+    """Samples of a nav_msgs/Path, in which every pose has a stamp. name: of its topic or file."""
+    if name.endswith(OBJECT):
+        raise FileFormatError(f"{source} is the path of an object; give that of the tray.")
     rows = []
     try:
         for pose in poses:
@@ -339,4 +341,4 @@ def _from_path(poses: Any, name: str, source: str) -> TraySamples:
         ) from None
     if not len(table):
         raise FileFormatError(f"{source}: the Path has no poses.")
-    return tray_samples(table[:, 0], table[:, 1:4], table[:, 4:], "B" if name.endswith(OBJECT) else "E", source)
+    return tray_samples(table[:, 0], table[:, 1:4], table[:, 4:], source)

@@ -22,17 +22,16 @@ AT_REST = 0.02  # m/s or rad/s, below which a motion is at rest between two legs
 
 @dataclass(frozen=True, repr=False)
 class TraySamples(Outlined):
-    """Poses of the tray frame E (or of the object frame B) in S.
+    """Poses of the tray frame E in S.
 
     t (N,): s from the first sample. p (N, 3): m. quat_wxyz (N, 4): continuous in sign, of norm 1 up to rounding in the
-    file. frame: "E" or "B". notes: repairs on reading, as sentences. form: format of the file: "csv", "npz",
-    "message" (of ROS) or "ros2" (a bag). verdict: the warning in the file ("UNSAFE: why"), else empty.
+    file. notes: repairs on reading, as sentences. form: format of the file: "csv", "npz", "message" (of ROS) or "ros2"
+    (a bag). verdict: the warning in the file ("UNSAFE: why"), else empty.
     """
 
     t: Array
     p: Array
     quat_wxyz: Array
-    frame: str
     source: str
     notes: tuple[str, ...] = ()
     form: str = "csv"
@@ -89,7 +88,7 @@ def cuts_at_rests(samples: Samples, count: int) -> list[slice]:
     return [slice(a, b + 1) for a, b in pairwise(cuts)]
 
 
-def tray_samples(t: Array, p: Array, quat_wxyz: Array, frame: str, source: str) -> TraySamples:
+def tray_samples(t: Array, p: Array, quat_wxyz: Array, source: str) -> TraySamples:
     """Check and repair poses. Raises FileFormatError, one sentence with the row."""
     _finite({"the time": t, "the position": p, "the quaternion": quat_wxyz}, source)
     norm = np.linalg.norm(quat_wxyz, axis=1)
@@ -106,7 +105,7 @@ def tray_samples(t: Array, p: Array, quat_wxyz: Array, frame: str, source: str) 
         )
     quat = continuous(quat_wxyz / np.median(norm))  # one factor for all samples keeps the resolution of the file
     t, keep, notes = _clock(t, np.hstack([p, quat]), source)
-    return TraySamples(t[keep] - t[0], p[keep], quat[keep], frame, source, notes)
+    return TraySamples(t[keep] - t[0], p[keep], quat[keep], source, notes)
 
 
 def joint_samples(
