@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.optimize import brentq
 
 from salver.contact_margins import margin_model
 from salver.contact_margins.time_scaling import TimeScaled
@@ -181,11 +182,8 @@ def _shortest(scaled: TimeScaled, durations: Array, margin: Array) -> float | No
     failing = np.flatnonzero(margin < 0)
     if not len(failing):
         return float(durations[0])
-    low, high = durations[failing[-1]], durations[failing[-1] + 1]
-    while high - low > 1e-3:
-        middle = 0.5 * (low + high)
-        low, high = (low, middle) if scaled.slack(1.0 / middle) >= 0 else (middle, high)
-    return float(high)
+    between = durations[failing[-1]], durations[failing[-1] + 1]
+    return float(brentq(lambda duration: scaled.slack(1.0 / duration), *between, xtol=5e-4) + 5e-4)
 
 
 @lru_cache(maxsize=4)

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from contextlib import nullcontext
-from enum import StrEnum
 from pathlib import Path
 from shlex import quote
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -34,12 +33,7 @@ if TYPE_CHECKING:
     from salver.scenario import Scenario
 
 
-class Effort(StrEnum):
-    """The names in `salver.planning.fastest.EFFORTS`, repeated here because importing that loads solvers."""
-
-    QUICK = "quick"
-    NORMAL = "normal"
-    THOROUGH = "thorough"
+Effort = Literal["quick", "normal", "thorough"]  # of `salver.planning.fastest.EFFORTS`, whose import loads solvers
 
 
 def plan(
