@@ -219,7 +219,7 @@ def read_json(path: str | Path) -> Any:
 def sealed(obj: Mapping[str, Any]) -> dict[str, Any]:
     """A JSON object with its digest added, so that an edit by hand is detected."""
     plain: dict[str, Any] = _plain(obj)
-    return {**plain, "digest": _digest(plain)}
+    return {**plain, "digest": digest_of(plain)[:16]}
 
 
 def read_sealed(path: str | Path) -> dict[str, Any]:
@@ -227,13 +227,14 @@ def read_sealed(path: str | Path) -> dict[str, Any]:
     found = read_json(path)
     if not isinstance(found, dict):
         raise FileFormatError(f"{path} is not a file that salver wrote: it holds a {type(found).__name__}.")
-    if found.pop("digest", None) != _digest(found):
+    if found.pop("digest", None) != digest_of(found)[:16]:
         raise FileFormatError(f"{path} was edited or damaged since salver wrote it; make it again.")
     return found
 
 
-def _digest(obj: Any) -> str:
-    return hashlib.sha256(json.dumps(obj, sort_keys=True).encode()).hexdigest()[:16]
+def digest_of(value: Any) -> str:
+    """SHA-256 of a value that JSON can hold, independent of the order of its keys."""
+    return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()
 
 
 def provenance(scenario: Any) -> dict[str, Any]:

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import fcntl
-import hashlib
 import itertools
-import json
 import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from salver.errors import FileFormatError, SalverError, reason
-from salver.files import read_json, save_result
+from salver.files import digest_of, read_json, save_result
 
 EARLIER = "earlier"  # folder of replaced plans, numbered, each with its results
 SCENARIO = "scenario.toml"
@@ -135,11 +133,6 @@ def plan_digest(directory: Path, stem: str) -> str:
     if not isinstance(certified, dict):
         raise FileFormatError(f"{path} has no certificate, which results need to name their plan; plan again.")
     return digest_of({key: value for key, value in certified.items() if key != "record"})[:12]
-
-
-def digest_of(value: Any) -> str:
-    """SHA-256 of a value that JSON can hold, independent of the order of its keys."""
-    return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()
 
 
 def _holds(directory: Path, stem: str) -> bool:

@@ -17,8 +17,8 @@ import annotated_types
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
-# Keys that earlier versions wrote into every run directory, and what to do about them.
-_LEFT = {"motion.stop": "; stops no longer keep to the path: delete the line, and plan again"}
+from salver.wording import listed
+
 _COUNTS = {1: "one", 2: "two", 3: "three", 4: "four", 5: "five", 6: "six"}
 
 
@@ -36,7 +36,7 @@ def sentences(error: ValidationError, model: type[BaseModel], data: Any, where: 
 def _sentence(item: Any, model: type[BaseModel], data: Any, keys: tuple[Any, ...], accepted: Any, where: str) -> str:
     key = _path(keys)
     if item["type"] == "extra_forbidden":
-        return f"{where}: unknown key {key}{_LEFT.get(key) or _suggestion(model, data, keys)}."
+        return f"{where}: unknown key {key}{_suggestion(model, data, keys)}."
     if item["type"] == "value_error":
         text = str(item.get("ctx", {}).get("error", item["msg"]))
         return f"{where}: {key}: {text}." if key else f"{where}: {text}."
@@ -109,7 +109,7 @@ def in_words(annotation: Any, metadata: Iterable[Any] = ()) -> str:
     if origin in (Union, types.UnionType):
         return _union_in_words([a for a in args if a is not type(None)], metadata)
     if origin is Literal:
-        return _either([json.dumps(a) for a in args])
+        return listed(map(json.dumps, args), "or")
     if origin is tuple:
         return _each(_COUNTS[len(args)], args[0])
     if origin is list:
@@ -126,11 +126,11 @@ def in_words(annotation: Any, metadata: Iterable[Any] = ()) -> str:
 def _union_in_words(members: list[Any], metadata: list[Any]) -> str:
     tags = [_tag(_bare(m)) for m in members]
     if len(members) > 1 and all(tags):
-        return f"a table whose type is {_either([json.dumps(t) for t in tags])}"
+        return f"a table whose type is {listed(map(json.dumps, tags), 'or')}"
     if len(members) > 1 and all(get_origin(_bare(m)) is tuple for m in members):
-        counts = _either([_COUNTS[len(get_args(_bare(m)))] for m in members])
+        counts = listed((_COUNTS[len(get_args(_bare(m)))] for m in members), "or")
         return _each(counts, get_args(_bare(members[0]))[0])
-    return _either([in_words(m, metadata) for m in members])
+    return listed(dict.fromkeys(in_words(m, metadata) for m in members), "or")
 
 
 def _each(count: str, element: Any) -> str:
@@ -187,11 +187,6 @@ def _tag(model: Any) -> str | None:
     """The value of `type` that selects this model in a union of tables."""
     field = getattr(model, "model_fields", {}).get("type")
     return get_args(field.annotation)[0] if field is not None and get_origin(field.annotation) is Literal else None
-
-
-def _either(words: list[Any]) -> str:
-    unique = list(dict.fromkeys(words))
-    return unique[0] if len(unique) == 1 else f"{', '.join(unique[:-1])} or {unique[-1]}"
 
 
 def _suggestion(model: type[BaseModel], data: Any, keys: tuple[Any, ...]) -> str:

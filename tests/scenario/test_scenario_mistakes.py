@@ -121,11 +121,6 @@ BAD = [
     ("motion.goal", GONE, f"motion.goal is missing; it {POSE}."),
     ("objects.0.mass", GONE, f"objects[0].mass is missing; it {NUMBER} at least 1e-06 and at most 100."),
     ("motions", {}, "unknown key motions; did you mean motion."),
-    (
-        "motion.stop",
-        "free",
-        "unknown key motion.stop; stops no longer keep to the path: delete the line, and plan again.",
-    ),
     ("motion.star", {}, "unknown key motion.star; did you mean start."),
     ("motion.start.positon", [0, 0, 0], "unknown key motion.start.positon; did you mean position."),
     ("objects.0.mas", 1, "unknown key objects[0].mas; did you mean mass."),

@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from salver.errors import FileFormatError
-from salver.run_directory import CERTIFICATE, digest_of
+from salver.files import digest_of
+from salver.run_directory import CERTIFICATE
 
 if TYPE_CHECKING:
     from salver.scenario import Scenario

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import math
 from collections.abc import Mapping
 from copy import deepcopy
@@ -18,6 +16,7 @@ from pydantic import Field, ValidationError, model_validator
 from salver.display import Shown
 from salver.errors import ScenarioError
 from salver.fields import Model, Text, Whole
+from salver.files import digest_of
 from salver.geometry import lean
 from salver.models.arm.tables import Arm
 from salver.models.bodies import Body, bodies
@@ -332,8 +331,7 @@ class Scenario(Shown, Model):
     @property
     def digest(self) -> str:
         """Content hash: 12 hexadecimal digits of the resolved scenario."""
-        text = json.dumps(self.resolved, sort_keys=True)
-        return hashlib.sha256(text.encode()).hexdigest()[:12]
+        return digest_of(self.resolved)[:12]
 
     def with_changes(self, **changes: Any) -> Scenario:
         """A validated copy with keys replaced, named by paths with `__` for the dots: `motion__duration=1.5`."""
