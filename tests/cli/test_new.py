@@ -142,7 +142,7 @@ def test_a_conical_cup_has_walls_of_one_thickness():
     load, liquid = new.READERS["load"]("cone 0.03 0.04 0.1"), new.READERS["liquid"]("coffee 0.06 10%")
     assert new._room_for(("cone", [0.03, 0.2, 0.1])) == "0.44 0.44"
     text = new.written(
-        "cup", load, liquid, (0.02, "10%"), (0.4, "10%"), [0.25, 0.25], ("panda", None), ([0.5, -0.3, 0.4],) * 2, []
+        "cup", load, liquid, (0.02, "10%"), (0.4, "10%"), [0.25, 0.25], ("panda", None), ([0.5, -0.3, 0.4],) * 2
     )
     (item,) = scenario.parse(tomllib.loads(text), "cup").objects
     assert (item.shape.type, item.shape.radius, item.shape.top_radius, item.shape.height) == ("cone", 0.03, 0.04, 0.1)
