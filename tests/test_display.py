@@ -16,7 +16,7 @@ def shown(tmp_path_factory):
     directory = plan.save(tmp_path_factory.mktemp("shown"))
     run = sv.simulate(plan, parameters={"mass": 0.28})
     campaign = run_campaign(directory, 2, jobs=1)
-    return {"scenario": plan.scenario, "plan": plan, "run": run, "campaign": campaign, "margins": sv.margins(plan)}
+    return {"scenario": plan.scenario, "plan": plan, "run": run, "campaign": campaign, "margins": plan.margins}
 
 
 @pytest.mark.slow

@@ -23,7 +23,7 @@ def drawn(axes):
 
 
 def test_margins_are_drawn_on_axes_that_are_given(plan):
-    margins, own = sv.margins(plan), Figure().subplots()
+    margins, own = plan.margins, Figure().subplots()
     assert margins.plot(own) == [own]
     assert own.get_xlabel() == "time, s"
     curves = drawn([own])["contact margin,\n% of the weight"]

@@ -20,7 +20,6 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from salver.auditing import Audit
     from salver.campaigns import Campaign
-    from salver.contact_margins import Margins
     from salver.geometry import Array
     from salver.live import Live
     from salver.planning.fastest import FastestOptions
@@ -30,7 +29,6 @@ if TYPE_CHECKING:
     from salver.scenario import Scenario
     from salver.simulation.record import SimulationRecord
     from salver.simulation.round import RoundRecord
-    from salver.trajectory import MotionSamples
 
 __version__ = "0.1.0"
 __all__ = [
@@ -40,7 +38,6 @@ __all__ = [
     "fastest",
     "load_plan",
     "load_scenario",
-    "margins",
     "plan",
     "plan_legs",
     "report",
@@ -262,7 +259,7 @@ def audit(
     from salver.planning.plan import Plan
 
     if isinstance(motion, Plan):
-        raise ScenarioError("audit is for motions that salver did not plan; a Plan knows its own: sv.margins(plan).")
+        raise ScenarioError("audit is for motions that salver did not plan; a Plan knows its own: plan.margins.")
     return run(motion, _scenario(scenario), topic, AuditOptions(highest, noise, gap), units)
 
 
@@ -405,41 +402,6 @@ def campaign(
     from salver.campaigns import run_campaign
 
     return run_campaign(directory, n, seed, method, stems, jobs, stops=stops)
-
-
-def margins(motion: Plan | MotionSamples, scenario: Scenario | str | Path | None = None) -> Margins:
-    """Compute every contact margin along a motion (`salver.contact_margins`).
-
-    Args:
-        motion: a Plan, or MotionSamples of the first object's frame B.
-        scenario: the scenario with the load, for MotionSamples.
-
-    Returns:
-        The Margins, nominal and in the worst case of the uncertain set.
-
-    Raises:
-        ScenarioError: a motion without a scenario, or a mistake in it.
-
-    Examples:
-        >>> bool(sv.margins(sv.plan("panda-cube")).exact_worst.min() > 0.3)
-        True
-    """
-    from salver.errors import ScenarioError
-    from salver.planning.plan import Plan
-
-    if isinstance(motion, Plan):
-        return motion.margins
-    from salver.contact_margins import margins as of
-    from salver.trajectory import MotionSamples
-
-    if isinstance(motion, str | Path):
-        raise _no_plan("margins", motion)
-    if not isinstance(motion, MotionSamples) or scenario is None:
-        raise ScenarioError(
-            f"margins wants a Plan, or MotionSamples and a scenario; it was given a {type(motion).__name__}"
-            f"{' alone' if scenario is None else ''}."
-        )
-    return of(_scenario(scenario), motion)
 
 
 def report(

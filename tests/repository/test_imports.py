@@ -204,7 +204,7 @@ said = []
 for needed in (
     lambda: sv.simulate(plan),
     lambda: sv.campaign(folder, 2),
-    lambda: sv.margins(plan).plot(),
+    lambda: plan.margins.plot(),
     lambda: plan.to_xarray(),
     lambda: plan.to_pandas(),
     lambda: write_export(folder, "ros2"),

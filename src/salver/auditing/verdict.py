@@ -471,7 +471,9 @@ def read_for(
 
 
 def audit_samples(samples: Samples, scenario: Scenario, options: AuditOptions = DEFAULT) -> Audit:
-    """`audit` of samples."""
+    """`audit` of samples. Raises ScenarioError for a task of several legs."""
+    if scenario.legs:
+        scenario.check_one_leg("this audit")
     joints = samples if isinstance(samples, JointSamples) else None
     arm = None if joints is None else _arm(scenario)
     motion = tray_motion(samples, arm, options)

@@ -111,7 +111,7 @@ function extent(spec) {
   };
   for (const s of spec.series) add(s.y);
   for (const b of spec.bands || []) [b.low, b.high].forEach(add);
-  for (const l of spec.lines || []) if (!l.optional) add([l.y]);
+  for (const l of spec.lines || []) add([l.y]);
   if (spec.zero) add([0]);
   if (!Number.isFinite(low)) return [0, 1];
   const pad = 0.06 * (high - low) || Math.abs(high) * 0.1 || 1;

@@ -16,7 +16,6 @@ from salver.wording import listed
 
 if TYPE_CHECKING:
     from salver.models.arm.arm import ArmModel
-    from salver.models.arm.arm_limits import JointLimits
     from salver.reports.run import Record, ReportedMotion, ReportedRun
 
 Spec = dict[str, Any]
@@ -223,25 +222,6 @@ def reference_charts(run: ReportedRun) -> list[Spec]:
     tilt = [series(m, m.label, m.t, np.rad2deg(lean(m.R_SB))) for m in run.motions]
     if max(max(c["y"]) for c in tilt) > 0.05:
         charts.append(time_chart("Tilt of the tray", "angle from level, °", tilt, unit="°", height=170, zero=True))
-    return charts
-
-
-def joint_charts(run: ReportedRun, limits: JointLimits) -> list[Spec]:
-    """Joint velocity and torque as a share of their limits, one curve a joint."""
-    charts = []
-    for m in run.motions:
-        names = {"position": "q", "velocity": "dq", "torque": "tau"}
-        shares = limits.shares({what: m.arrays[key] for what, key in names.items() if key in m.arrays})
-        for what in ("velocity", "torque"):
-            share = shares.get(what)
-            if share is None or not np.all(np.isfinite(getattr(limits, what))):
-                continue
-            joints = [
-                curve(f"joint {j + 1}", CYCLE[j % len(CYCLE)], m.t, column, width=1.4)
-                for j, column in enumerate(100 * share.T)
-            ]
-            lines = [{"y": s * 100, "label": "limit" if s > 0 else "", "optional": True} for s in (1, -1)]
-            charts.append(time_chart(f"{m.label}: joint {what}", "% of the limit", joints, unit="%", lines=lines))
     return charts
 
 

@@ -90,7 +90,7 @@ def build(run: ReportedRun, arm: ArmModel | None) -> Sections:
             "arm",
             "The arm",
             _limits_in_words(arm),
-            charts.joint_charts(run, arm.limits) + charts.clearance_charts(run, arm),
+            charts.clearance_charts(run, arm),
             _usage_table(run, arm),
         )
     page.add("provenance", "Task and provenance", "", extra=_provenance(run))
