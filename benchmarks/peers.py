@@ -44,8 +44,9 @@ from salver.campaigns.engine import TABLE
 from salver.campaigns.summary import read_table
 from salver.errors import SalverError
 from salver.files import read_json, write_atomic, write_json
-from salver.motion_files import JointSamples, read, write
 from salver.motion_files import MotionSeries as MotionFile
+from salver.motion_files import write
+from salver.motion_files.readers import read_table as read_columns
 from salver.planning.fastest.retiming import reachable_law
 from salver.planning.follow.limits import peaks
 from salver.planning.plan import Plan, load_plan
@@ -75,12 +76,14 @@ def folder_of(work: Path, scenario: Scenario, planner: str) -> Path:
 def frozen(name: str, task: Task) -> tuple[Motion, float]:
     """A motion from its file, and the processor time that its provenance tells."""
     folder = FROZEN / name
-    samples = read(folder / f"{task.scenario.name}.csv", lambda: task.problem.arm.joint_names)
-    assert isinstance(samples, JointSamples)
-    assert samples.dq is not None
-    assert samples.ddq is not None
+    header, values = read_columns(folder / f"{task.scenario.name}.csv")
+    table = dict(zip(header, values.T, strict=True))
+    q, dq, ddq = (
+        np.stack([table[f"{what}_{joint}"] for joint in task.problem.arm.joint_names], axis=1)
+        for what in ("q", "dq", "ddq")
+    )
     told = tomllib.loads((folder / "provenance.toml").read_text())
-    return (samples.t, samples.q, samples.dq, samples.ddq), float(told["seconds"][task.scenario.name])
+    return (table["t"] - table["t"][0], q, dq, ddq), float(told["seconds"][task.scenario.name])
 
 
 def freeze(planner: Planner, task: Task, plan: Plan, seconds: float) -> None:
