@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from ruamel.yaml import YAML
 
 from salver import scenario
 from salver.errors import FileFormatError, SalverError
@@ -83,7 +84,7 @@ def test_ros_bag_round_trip(directory: Path, tmp_path: Path) -> None:
     motion = read_motion(directory)
     with AnyReader([tmp_path / "bag"]) as reader:
         read = {c.topic: reader.deserialize(raw, c.msgtype) for c, _, raw in reader.messages()}
-    assert set(read) == {"/salver/joint_trajectory", "/salver/tray_path", "/salver/object_path"}
+    assert set(read) == {"/salver/joint_trajectory", "/salver/tray_path"}
     joints = read["/salver/joint_trajectory"]
     assert tuple(joints.joint_names) == motion.joint_names
     ns = np.array([p.time_from_start.sec * 10**9 + p.time_from_start.nanosec for p in joints.points])
@@ -91,28 +92,22 @@ def test_ros_bag_round_trip(directory: Path, tmp_path: Path) -> None:
     for field, values in (("positions", motion.q), ("velocities", motion.dq), ("accelerations", motion.ddq)):
         assert np.abs(np.array([getattr(p, field) for p in joints.points]) - values).max() <= TOLERANCE
     assert np.abs(np.array([p.effort for p in joints.points]) - motion.tau).max() <= TOLERANCE
-    for topic, p, quat in (
-        ("tray_path", motion.p_SE, motion.quat_SE_wxyz),
-        ("object_path", motion.p_SB, motion.quat_SB_wxyz),
-    ):
-        poses = read[f"/salver/{topic}"].poses
-        assert poses[0].header.frame_id == "world"
-        position = np.array([[q.pose.position.x, q.pose.position.y, q.pose.position.z] for q in poses])
-        turn = [q.pose.orientation for q in poses]
-        assert np.abs(position - p).max() <= TOLERANCE
-        assert np.abs(np.array([[q.w, q.x, q.y, q.z] for q in turn]) - quat).max() <= TOLERANCE
-        stamps = [q.header.stamp.sec * 10**9 + q.header.stamp.nanosec for q in poses]
-        assert np.array_equal(stamps, motion.ns)
+    poses = read["/salver/tray_path"].poses
+    assert poses[0].header.frame_id == "world"
+    position = np.array([[q.pose.position.x, q.pose.position.y, q.pose.position.z] for q in poses])
+    turn = [q.pose.orientation for q in poses]
+    assert np.abs(position - motion.p_SE).max() <= TOLERANCE
+    assert np.abs(np.array([[q.w, q.x, q.y, q.z] for q in turn]) - motion.quat_SE_wxyz).max() <= TOLERANCE
+    stamps = [q.header.stamp.sec * 10**9 + q.header.stamp.nanosec for q in poses]
+    assert np.array_equal(stamps, motion.ns)
 
 
 @pytest.mark.slow
 def test_yaml_messages_round_trip_in_both_versions_of_yaml(directory: Path, tmp_path: Path) -> None:
     """ROS 2 reads YAML 1.1, where 1e-05 would be a word."""
-    from ruamel.yaml import YAML
-
     files = write_export(directory, "yaml", tmp_path / "motion.yaml", rate=50.0)
     motion = read_motion(directory, rate=50.0)
-    assert [f.name for f in files] == ["motion.yaml", "motion_tray_path.yaml", "motion_object_path.yaml"]
+    assert [f.name for f in files] == ["motion.yaml"]
     for version in ((1, 1), (1, 2)):
         yaml = YAML(typ="safe", pure=True)
         yaml.version = version
@@ -123,9 +118,6 @@ def test_yaml_messages_round_trip_in_both_versions_of_yaml(directory: Path, tmp_
         assert np.abs(numbers - motion.dq).max() <= TOLERANCE
         times = [p["time_from_start"]["sec"] * 10**9 + p["time_from_start"]["nanosec"] for p in joints["points"]]
         assert np.array_equal(times, motion.ns)
-    path = YAML(typ="safe").load(files[1])
-    turn = [pose["pose"]["orientation"] for pose in path["poses"]]
-    assert np.abs(np.array([[q["w"], q["x"], q["y"], q["z"]] for q in turn]) - motion.quat_SE_wxyz).max() <= TOLERANCE
 
 
 @pytest.mark.slow
@@ -342,7 +334,7 @@ def test_a_stop_that_is_never_the_soonest_is_not_written(stoppable: Path) -> Non
 
 def test_without_stops_there_is_no_file_of_them(directory: Path, tmp_path: Path) -> None:
     files = write_export(directory, "yaml", tmp_path / "m.yaml", rate=10)
-    assert [f.name for f in files] == ["m.yaml", "m_tray_path.yaml", "m_object_path.yaml"]
+    assert [f.name for f in files] == ["m.yaml"]
     assert read_motion(directory).stops == ()
 
 
@@ -360,8 +352,11 @@ def test_without_an_arm_paths_alone_are_exported(tmp_path: Path) -> None:
     case = scenario.load("panda-cube").with_changes(arm=None)
     make_plan(case, "baseline").save(tmp_path / "run", "plan")
     files = write_export(tmp_path / "run", "yaml", tmp_path / "m.yaml", rate=10)
-    assert [f.name for f in files] == ["m.yaml", "m_object_path.yaml"]
+    assert [f.name for f in files] == ["m.yaml"]
     assert files[0].read_text().startswith("# nav_msgs/msg/Path\n")
+    motion, path = read_motion(tmp_path / "run", rate=10), YAML(typ="safe").load(files[0])
+    turn = [pose["pose"]["orientation"] for pose in path["poses"]]
+    assert np.abs(np.array([[q["w"], q["x"], q["y"], q["z"]] for q in turn]) - motion.quat_SE_wxyz).max() <= TOLERANCE
     assert "q_" not in write_export(tmp_path / "run", "csv", rate=10)[0].read_text().splitlines()[0]
 
 

@@ -319,11 +319,8 @@ def test_the_path_of_an_object_is_not_taken_for_the_trays(tmp_path):
     assert np.array_equal(read(path).p, tray.p)
     write(both, tmp_path / "bag")
     assert np.array_equal(read(tmp_path / "bag").p, tray.p)
-    with pytest.raises(FileFormatError, match="topic /salver/object_path is the path of an object"):
-        read(tmp_path / "bag", topic="/salver/object_path")
-    (_, of_object) = write(both, tmp_path / "both.yaml")
-    with pytest.raises(FileFormatError, match="is the path of an object; give that of the tray"):
-        read(of_object)
+    (of_tray,) = write(both, tmp_path / "both.yaml")
+    assert np.array_equal(read(of_tray).p, tray.p)
     alone = {name: column for name, column in zip(*table_of(path), strict=True) if "SE" not in name}
     with pytest.raises(FileFormatError, match="holds neither a tray motion nor a joint motion"):
         of_columns(alone)

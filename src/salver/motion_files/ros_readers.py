@@ -27,7 +27,6 @@ PATH = "nav_msgs/msg/Path"
 WRENCH = "geometry_msgs/msg/WrenchStamped"
 SPARSE = 0.03  # s, largest distance from a joint's sample to one of the wrist
 KINDS = (TRAJECTORY, JOINT_STATE, POSE, PATH)
-OBJECT = "object_path"  # end of the topic with the first object's path, which is not the tray's
 LARGEST_YAML, LARGEST_JSON = 5_000_000, 100_000_000  # bytes; YAML is read at about 0.2 MB/s
 LARGEST_BAG = 2_000_000_000  # bytes
 MOST_MESSAGES = 5_000_000
@@ -50,7 +49,7 @@ def samples_of(document: Any, path: Path, as_path: bool = False) -> Samples:
     if message is not None:
         return _from_trajectory(message["joint_names"], message["points"], str(path), as_path)
     if isinstance(document, Mapping) and _is_row(document.get("poses")):
-        return _from_path(document["poses"], path.stem, str(path))
+        return _from_path(document["poses"], str(path))
     raise FileFormatError(
         f"{path} holds no JointTrajectory, which needs joint_names and points, and no Path, which needs poses."
     )
@@ -178,7 +177,7 @@ def read_bag(path: Path, topic: str | None = None, as_path: bool = False) -> Sam
         return samples
     if kind == PATH:
         path_message: Any = messages[0][1]
-        return _from_path(path_message.poses, name, source)
+        return _from_path(path_message.poses, source)
     return _joint_states(messages, source) if kind == JOINT_STATE else _poses(messages, source)
 
 
@@ -272,7 +271,7 @@ def _choose(connections: Sequence[Any], topic: str | None, path: Path) -> list[A
         return chosen
     # Paths beside a joint motion are derived from it.
     usable = [c for c in usable if c.topic != STOPS]
-    usable = [c for c in usable if c.msgtype != PATH] or [c for c in usable if not c.topic.endswith(OBJECT)]
+    usable = [c for c in usable if c.msgtype != PATH] or usable
     topics = {c.topic for c in usable}
     if len(topics) != 1:
         problem = "holds no motion" if not topics else f"holds {len(topics)} motions; name one with --topic"
@@ -323,10 +322,8 @@ def _poses(messages: Sequence[tuple[int, Any]], source: str) -> TraySamples:
     return tray_samples(_times(messages), p, quat, source)
 
 
-def _from_path(poses: Any, name: str, source: str) -> TraySamples:
-    """Samples of a nav_msgs/Path, in which every pose has a stamp. name: of its topic or file."""
-    if name.endswith(OBJECT):
-        raise FileFormatError(f"{source} is the path of an object; give that of the tray.")
+def _from_path(poses: Any, source: str) -> TraySamples:
+    """Samples of a nav_msgs/Path, in which every pose has a stamp."""
     rows = []
     try:
         for pose in poses:

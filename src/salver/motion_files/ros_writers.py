@@ -1,4 +1,4 @@
-"""ROS 2: a bag (mcap) with the joint trajectory and the paths of tray and object, and these messages as YAML.
+"""ROS 2: a bag (mcap) with the joint trajectory and the tray's path, and these messages as YAML.
 
 Quaternions of ROS are x, y, z, w. Times are whole nanoseconds from the start of the motion; the stamp of a message is
 0, because a plan has no date.
@@ -22,7 +22,6 @@ from salver.motion_files.verdict import warns
 TOPICS = {
     "joint_trajectory": "trajectory_msgs/msg/JointTrajectory",
     "tray_path": "nav_msgs/msg/Path",
-    "object_path": "nav_msgs/msg/Path",
 }
 WORLD_FRAME = "world"
 _BILLION = 1_000_000_000
@@ -50,8 +49,6 @@ def messages(motion: MotionSeries) -> dict[str, dict[str, Any]]:
         }
     if motion.p_SE is not None and motion.quat_SE_wxyz is not None:
         out["tray_path"] = _path(motion, motion.p_SE, motion.quat_SE_wxyz)
-    if motion.p_SB is not None and motion.quat_SB_wxyz is not None:
-        out["object_path"] = _path(motion, motion.p_SB, motion.quat_SB_wxyz)
     return out
 
 
@@ -130,16 +127,10 @@ def typed(store: Any, kind: str, values: dict[str, Any]) -> Any:
 
 
 def write_yaml(motion: MotionSeries, path: Path) -> list[Path]:
-    """Write a file for each message, as `ros2 topic pub` reads them: PATH for the joint trajectory (or the tray's path
-    without an arm), PATH with _tray_path and _object_path before its ending for the others."""
-    made = []
-    found = messages(motion)
-    for topic, message in found.items():
-        own = path if topic == next(iter(found)) else path.with_name(f"{path.stem}_{topic}{path.suffix}")
-        made.append(
-            write_atomic(own, _headed(motion, TOPICS[topic]) + "\n".join(_block(message, "")) + "\n", keep=True)
-        )
-    return made + _write_stops(motion, path, lambda message: message)
+    """Write a message as `ros2 topic pub` reads it: the joint trajectory, or the tray's path without an arm."""
+    topic, message = next(iter(messages(motion).items()))
+    text = _headed(motion, TOPICS[topic]) + "\n".join(_block(message, "")) + "\n"
+    return [write_atomic(path, text, keep=True), *_write_stops(motion, path, lambda message: message)]
 
 
 def _write_stops(motion: MotionSeries, path: Path, wrapped: Callable[[dict[str, Any]], dict[str, Any]]) -> list[Path]:

@@ -75,17 +75,15 @@ def show(summary: dict[str, Any]) -> None:
     each = list(plans.values())
     outcomes = dict.fromkeys(name for plan in each for name in plan["outcomes"])
     rows = [[name, *(_rate(plan["outcomes"].get(name)) for plan in each)] for name in outcomes]
-    rows += [
-        [label, *(_range(plan["quantiles"].get(name), scale, unit) for plan in each)]
-        for name, (label, scale, unit) in _SHOWN.items()
-        if any(name in plan["quantiles"] for plan in each)
-    ]
     if any(plan["tube"] for plan in each):
         rows.append(["coefficient left its tube", *(_rate(plan["tube"] and plan["tube"]["left"]) for plan in each)])
     if any(plan.get("stops") for plan in each):
         for name, label in (("lost", "lost in a stop"), ("beyond_a_limit", "kept beyond a limit of the arm")):
             rows.append([label, *(_rate(plan["stops"] and plan["stops"][name]) for plan in each)])
-        rows.append(["stop takes, median (max)", *(_range(plan["stops"]["takes"], 1, "s") for plan in each)])
+        takes = [plan["stops"]["takes"] for plan in each]
+        rows.append(
+            ["stop takes, median (max)", *(f"{x['median']:.4g} s ({x['max']:.4g})" if x else "" for x in takes)]
+        )
         rows.append(["finished, because no stop is sooner", *(str(plan["stops"]["finished"]) for plan in each)])
     print_table(titles := ["", *plans], rows, left=titles)
     out = result_console()
@@ -100,27 +98,13 @@ def show(summary: dict[str, Any]) -> None:
     for stem, plan in plans.items():
         worst = plan["worst_run"]
         reason = f": {worst['sentence']}" if worst["sentence"] else ""
-        out.print(f"Worst run of {stem}: {worst['run']} ({worst['outcome']}{reason}); again with: {worst['replay']}")
-
-
-_SHOWN = {
-    "peak_slip": ("peak slip, median (max)", 1e3, "mm"),
-    "final_slip": ("final slip, median (max)", 1e3, "mm"),
-    "peak_tip_angle": ("peak tip angle, median (max)", 57.29577951308232, "deg"),
-    "e_p_peak": ("peak e_p, median (max)", 1e3, "mm"),
-    "e_o_peak": ("peak e_o, median (max)", 57.29577951308232, "deg"),
-    "cone_least": ("least Lambda, median (min)", 1.0, "N"),
-}
+        slip = f", slip {1e3 * worst['peak_slip']:.3g} mm" if worst.get("peak_slip") is not None else ""
+        out.print(
+            f"Worst run of {stem}: {worst['run']} ({worst['outcome']}{reason}{slip}); again with: {worst['replay']}"
+        )
 
 
 def _rate(rate: dict[str, Any] | None) -> str:
     if not rate:
         return ""
     return f"{rate['count']} of {rate['of']} ({100 * rate['low']:.1f} to {100 * rate['high']:.1f} %)"
-
-
-def _range(values: dict[str, float] | None, scale: float, unit: str) -> str:
-    if not values:
-        return ""
-    extreme = values["min"] if unit == "N" else values["max"]  # the worse one
-    return f"{scale * values['median']:.4g} {unit} ({scale * extreme:.4g})"
