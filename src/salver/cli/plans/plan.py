@@ -160,7 +160,6 @@ def _planned(
     time_limit: float | None,
 ) -> dict[str, Plan | MultiLegPlan]:
     """By name: the plan, and the plan that it is compared with; a task of several legs has none."""
-    from salver.planning.fastest.legs import plan_legs
     from salver.planning.make import plan_pair
     from salver.planning.plan_files import check_place
     from salver.run_directory import check_free
@@ -171,6 +170,8 @@ def _planned(
         check_place(scenario, directory, edited=True, force=force)
     with searching(time_limit) if method != "robust" or beside == "nominal" else nullcontext() as search:
         if scenario.legs:
+            from salver.planning.fastest.legs import plan_legs
+
             return {"plan": plan_legs(scenario, options=options, watch=search)}
         found, other = plan_pair(scenario, method, arm, beside, options=options, watch=search)
     return {"plan": found, beside: other}
