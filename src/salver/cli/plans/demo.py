@@ -33,9 +33,10 @@ def demo(
         return
     console = result_console()
     console.print(f"\nThe paper's cube stayed on the tray in {_held(cube['campaign'])}: at this speed both do.")
+    careful, careless = tall["plan"]["duration"], tall["nominal"]["duration"]
     console.print(
         f"The tall bottle, as fast as the arm and the load allow, stayed in {_held(tall['campaign'])}: "
-        f"that costs {_price(tall)} of time."
+        f"that costs {100 * (careful / careless - 1):.0f} % of time ({careful:.2f} s instead of {careless:.2f} s)."
     )
     console.print(f"See it fall and stay, side by side: {tall['page']} (open it in a browser)")
     console.print(f"The paper's experiment: {cube['page']}")
@@ -83,11 +84,6 @@ def _held(summary: dict[str, Any]) -> str:
     held = {stem: plan["outcomes"].get("holds", {"count": 0})["count"] for stem, plan in summary["plans"].items()}
     n = summary["definition"]["n"]
     return " and ".join(f"{count} of {n} runs {_NAMES[stem]}" for stem, count in held.items())
-
-
-def _price(tall: dict[str, Any]) -> str:
-    careful, careless = tall["plan"]["duration"], tall["nominal"]["duration"]
-    return f"{100 * (careful / careless - 1):.0f} % ({careful:.2f} s instead of {careless:.2f} s)"
 
 
 _NAMES = {

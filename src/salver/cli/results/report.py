@@ -38,10 +38,11 @@ def report(
     if scenario is not None:
         from salver import scenario as scenarios
         from salver.auditing import AuditOptions, audit
-        from salver.reports.pages.audit_page import write_audit_page
+        from salver.reports.pages.inline import page_of
 
         found = audit(directory, scenarios.load(scenario), topic, AuditOptions(highest, noise, gap), units)
-        path = write_audit_page(found, output or directory.with_suffix(".html"))
+        path = output or directory.with_suffix(".html")
+        page_of(found, path=path)
     else:
         from salver.reports.pages.page import write_report
 

@@ -12,7 +12,7 @@ from markupsafe import Markup
 
 from salver.auditing import Audit
 from salver.errors import Status
-from salver.files import output_file, to_json, versions, write_atomic
+from salver.files import to_json, versions
 from salver.geometry import Array, interpolated, spread
 from salver.motion_files.samples import reordered
 from salver.planning.plan import Plan
@@ -33,12 +33,6 @@ HEADLINES = {
     "cannot_tell": ("warning", "It cannot be told whether everything stays"),
     "does_not_hold": ("bad", "Not everything stays where it is"),
 }
-
-
-def write_audit_page(audit: Audit, path: str | Path) -> Path:
-    """Write the page of an audit. Another file that stands at `path` is kept, numbered. Raises SalverError."""
-    target = output_file(path, (".html", ".htm"))
-    return write_atomic(target, audit_page(audit), keep=True)
 
 
 def audit_page(audit: Audit) -> str:

@@ -73,7 +73,8 @@ def _write_legs(directory: Path, target: Path, say: Callable[[str], None], *, ke
 
 def page(run: ReportedRun, others: Markup = NOTHING) -> str:
     """The whole page as text. others: links to pages that belong to it."""
-    arm = _arm(run)
+    moved = run.scenario.arm is not None and all("q" in m.arrays for m in run.motions)
+    arm = run.scenario.load_arm() if moved else None
     made = sections.build(run, arm)
     return filled(
         verdict(run),
@@ -169,11 +170,6 @@ def fill(template: str, **parts: str) -> str:
 def asset(name: str, package: str = "salver.reports") -> str:
     """A file of a page's template."""
     return resources.files(package).joinpath("assets", name).read_text(encoding="utf-8")
-
-
-def _arm(run: ReportedRun) -> ArmModel | None:
-    without = run.scenario.arm is None or any("q" not in m.arrays for m in run.motions)
-    return None if without else run.scenario.load_arm()
 
 
 def replay(run: ReportedRun, arm: ArmModel | None) -> dict[str, Any]:

@@ -137,7 +137,7 @@ def _variant(motion: ReportedMotion, run: ReportedRun, arm: ArmModel | None) -> 
     body, record = run.bodies[0], motion.seen
     source = record.arrays if record else motion.arrays
     t = source["t"]
-    keep = _frames(t)
+    keep = spread(len(t), int(np.ceil((t[-1] - t[0]) * 60.0)) + 1)  # about 60 a second: the viewer interpolates
     tray, objects = poses(motion, run.bodies, keep)
     p, R = objects[:, 0, :3], matrix_from_quat_wxyz(objects[:, 0, 3:])
     if "contact_forces_B" in source:
@@ -271,11 +271,6 @@ def _outline(body: Body, shape: Shape, colour: str) -> dict[str, Any]:
     if body.solid.surface is not None:
         points, triangles = decimate(*body.solid.surface, 3000)
     return {"points": np.round(points + offset, 6).tolist(), "triangles": triangles.tolist(), "colour": rgb(colour)}
-
-
-def _frames(t: Array) -> np.ndarray:
-    """Indices of about 60 samples per second, between which the viewer interpolates, both ends included."""
-    return spread(len(t), int(np.ceil((t[-1] - t[0]) * 60.0)) + 1)
 
 
 def packed(values: npt.ArrayLike) -> str:
