@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from salver.cli.common import ExitCode, Json, print_json, result_console, say
+from salver.driver.robots.robots import ROBOTS
 from salver.errors import SalverError
 
 if TYPE_CHECKING:
@@ -85,8 +86,6 @@ def execute(
     if live is not None:
         if move_to_start or full_speed_only or stem != "plan":
             raise SalverError("--live goes with none of --move-to-start, --full-speed-only and --plan.")
-        if robot == "ur":
-            raise SalverError("--live drives a franka or the simulated arm; a ur is driven along plans.")
         result = _told(directory, live, out, robot, address, Watchdog(watchdog), realtime, yes, confirm, longest)
     else:
         legs = load(scenario_of(directory)).legs if stem == "plan" else []
