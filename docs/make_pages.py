@@ -27,6 +27,7 @@ from typing import Any
 from pydantic_core import PydanticUndefined
 from typer.testing import CliRunner
 
+from salver import scenario
 from salver.cli import app
 from salver.fields import Model
 from salver.validation import in_words
@@ -60,17 +61,11 @@ def example_of(name: str) -> str:
 def keys_of(model: str) -> str:
     """A table of the keys that a scenario's table may have."""
     rows = ["| key | what it must be | default |", "|---|---|---|"]
-    importlib.import_module("salver.scenario")
-    for name, field in _tables(Model)[model].model_fields.items():
+    for name, field in getattr(scenario, model).model_fields.items():
         of_others = field.default_factory_takes_validated_data  # the default follows from other keys
         default = "see below" if of_others else _default(field.get_default(call_default_factory=True))
         rows.append(f"| `{name}` | {_in_cell(in_words(field))} | {default} |")
     return "\n".join(rows)
-
-
-def _tables(kind: type[Model]) -> dict[str, type[Model]]:
-    """A kind of table and those that are derived from it, by name."""
-    return {kind.__name__: kind} | {name: x for each in kind.__subclasses__() for name, x in _tables(each).items()}
 
 
 def names_of(module: str) -> str:

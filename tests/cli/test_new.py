@@ -53,21 +53,21 @@ def test_answers_become_a_scenario_that_plans(tmp_path):
 
 
 @pytest.mark.parametrize(("load", "inside"), [("box 0.1 0.08 0.12", (0.094, 0.074)), ("cylinder 0.04 0.12", 0.037)])
-def test_liquid_and_tray_become_tables(tmp_path, monkeypatch, load, inside):
+def test_liquid_tray_and_obstacles_become_tables(tmp_path, monkeypatch, load, inside):
     """A container has walls and a bottom of 3 mm. The file is there also where no plan is."""
     monkeypatch.setattr("salver.planning.make.make_plan", refusing)
     file = tmp_path / "cup.toml"
-    done = RUNNER.invoke(app, ["new", str(file), *options(load=load, liquid="coffee 0.08 20%", tray="0.3 0.2")])
+    tables = {"tray": "0.3 0.2", "obstacles": "box 0.1 0.2 0.3 at 0.5 0 0.2; sphere 0.1 at 0.9 0 0.4"}
+    done = RUNNER.invoke(app, ["new", str(file), *options(load=load, liquid="coffee 0.08 20%", **tables)])
     assert done.exit_code == 3, done.output
     made = scenario.load(file)
     liquid = made.objects[0].liquid
     assert (liquid.kind, liquid.fill, liquid.brim, liquid.radius or liquid.size) == ("coffee", 0.08, 0.117, inside)
     assert made.objects[0].uncertainty.fill.relative == 0.2
     assert made.tray.size == (0.3, 0.2)
-    head, example = file.read_text().split("# [[obstacles]]")  # an example that is read when it is no comment any more
-    file.write_text(head + "[[obstacles]]" + example.replace("\n# ", "\n"))
-    assert [(o.type, o.size, o.position) for o in scenario.load(file).obstacles] == [
-        ("box", (0.1, 0.2, 0.3), (0.5, 0.0, 0.2))
+    assert [(o.type, o.size or o.radius, o.position) for o in made.obstacles] == [
+        ("box", (0.1, 0.2, 0.3), (0.5, 0.0, 0.2)),
+        ("sphere", 0.1, (0.9, 0.0, 0.4)),
     ]
 
 
@@ -124,13 +124,14 @@ def test_what_is_out_of_reach_comes_with_what_is_not(tmp_path):
 @pytest.mark.slow
 def test_what_is_not_given_is_asked_and_asked_again_until_it_can_be_read(tmp_path):
     file = tmp_path / "asked.toml"
-    answers = ["ball 3", "cylinder 0.03 0.2", "tea", "", "heavy", "0.4 20%", "", "", "nope", "panda", ""]
+    answers = ["ball 3", "cylinder 0.03 0.2", "tea", "", "heavy", "0.4 20%", "", "", "nope", "panda", "", "tree", ""]
     done = RUNNER.invoke(app, ["new", str(file), "--json"], input="\n".join(answers) + "\n")
     assert done.exit_code == 0, done.output
     for sentence in (
         '"ball 3" is not a load',
         '"tea" is not a liquid',
         '"heavy" must be a number and a percentage',
+        '"tree" is not an obstacle',
         'arm.model = "nope" is not known',
     ):
         assert sentence in done.stderr
@@ -142,7 +143,7 @@ def test_a_conical_cup_has_walls_of_one_thickness():
     load, liquid = new.READERS["load"]("cone 0.03 0.04 0.1"), new.READERS["liquid"]("coffee 0.06 10%")
     assert new._room_for(("cone", [0.03, 0.2, 0.1])) == "0.44 0.44"
     text = new.written(
-        "cup", load, liquid, (0.02, "10%"), (0.4, "10%"), [0.25, 0.25], ("panda", None), ([0.5, -0.3, 0.4],) * 2
+        "cup", load, liquid, (0.02, "10%"), (0.4, "10%"), [0.25, 0.25], ("panda", None), ([0.5, -0.3, 0.4],) * 2, []
     )
     (item,) = scenario.parse(tomllib.loads(text), "cup").objects
     assert (item.shape.type, item.shape.radius, item.shape.top_radius, item.shape.height) == ("cone", 0.03, 0.04, 0.1)
@@ -159,6 +160,7 @@ def test_a_conical_cup_has_walls_of_one_thickness():
         ({"tray": "0.3"}, "it must be 2 numbers"),
         ({"liquid": "water 0.06 0.005"}, '--liquid: "0.06 0.005" must be a number and a percentage, as in "0.06 10%"'),
         ({"liquid": "milk 0.05 20%"}, '--liquid: "milk" is not a liquid; write water, coffee, oil or none'),
+        ({"obstacles": "box 1 1 1"}, "is not an obstacle"),
         ({"arm": "arm.urdf"}, "the link that carries the tray"),
         ({"friction": "0.4 x%"}, "is not a percentage"),
     ],

@@ -69,6 +69,24 @@ def test_that_a_goal_is_being_planned_is_said_at_once():
     assert not world.frame()["planning"]
 
 
+def test_a_ball_that_meets_the_load_has_hit_it():
+    """One that nothing moves away from is thrown at the middle of what is carried: it falls on it from above."""
+    world = World(sv.load_scenario("panda-cube"), protected=False)
+    assert world.say({"throw": True}).ok
+    said, apart = [], []
+    for k in range(1400):
+        world.advance()
+        cube = world.plant.p_SB()
+        apart.append(float(np.linalg.norm(world.ball.at(world.t)[0] - cube)) - 0.05)  # from its middle to the ball
+        if k % 50 == 0:
+            said.append((k, world.frame()["said"]))
+    assert min(apart) < 0.02
+    outside = next(k for k, distance in enumerate(apart) if distance < 0.02 * np.sqrt(3))  # the half diagonal
+    assert all("has come to" in text and "-" not in text for k, text in said if k < outside)
+    inside = next(k for k, distance in enumerate(apart) if distance < 0.02) + 10
+    assert {text for k, text in said if inside <= k} == {"The ball has hit the cube, and flies through."}
+
+
 def test_without_protection_the_arm_keeps_its_own_limits():
     scenario = sv.load_scenario("panda-cube")
     arm = load_arm(scenario.arm, scenario.tray)

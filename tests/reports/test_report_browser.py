@@ -12,6 +12,7 @@ import pytest
 
 from browser import Browser, chromium, missing
 from page_contents import data_of
+from salver.files import versions
 from salver.reports.pages.page import write_report
 from salver.reports.run import read_run
 
@@ -204,6 +205,13 @@ def test_in_a_browser_it_is_legible_in_the_dark(browser: Browser, page: Path) ->
 
 def test_in_a_browser_it_prints(browser: Browser, page: Path) -> None:
     _open(browser, page)
+    shown = "const e = document.querySelector('.review'); return e.checkVisibility() ? e.innerText : ''"
+    assert browser.script(shown) == ""
+    browser.devtools("Emulation.setEmulatedMedia", media="print")
+    review = browser.script(shown)
+    browser.devtools("Emulation.setEmulatedMedia", media="")
+    for part in ("mass", f"salver {versions()['salver']} on 20", "Reviewed by", "Signature", "±"):
+        assert part in review, part
     document = browser.pdf()
     assert document.startswith(b"%PDF")
     assert 3 <= len(re.findall(rb"/Type\s*/Page\b", document)) <= 9

@@ -253,7 +253,7 @@ BAD = [
     (
         "uncertainty.correlation",
         {"mass,com_x": 0.5},
-        'uncertainty.correlation has the key "mass,com_x"; it must name two different uncertain parameters, as in '
+        'uncertainty.correlation has the key "mass,com_x"; it must name two uncertain parameters, as in '
         '"mass,com_x"; uncertain here are mass.',
     ),
     (

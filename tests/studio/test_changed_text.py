@@ -127,14 +127,20 @@ def test_the_first_object_moves_on_a_tray_that_stays(against):
     )
 
 
-def test_the_arm_follows_a_tray_that_is_mounted_elsewhere():
+def test_the_flange_is_dragged_under_a_tray_that_stays_with_its_load():
     text = changed(CUBE, [(["tray", "rpy_deg"], [10.0, -20.0, 30.0])])
-    after = change(text, SCENARIO_DIR, [(["tray", "offset"], [0.03, -0.02]), (["tray", "height"], 0.09)])
+    held_E = [0.03, -0.02, -0.09]
+    after = change(text, SCENARIO_DIR, [(["tray", "flange"], held_E)])
     scenario = checked(after, SCENARIO_DIR)
     arm, body = load_arm(scenario.arm, scenario.tray), scenario.payload.first
+    np.testing.assert_allclose(-arm.R_FE.T @ arm.p_FE, held_E, atol=2e-6)
+    (tray,) = (part for part in parts(scenario) if part["name"] == "tray")
+    np.testing.assert_allclose(tray["handle"]["at"], held_E, atol=2e-6)
     p, _ = arm.object_pose(np.array(scenario.arm.start_posture), body.p_EB, body.R_EB)
-    np.testing.assert_allclose(p, scenario.motion.start.position, atol=1e-4)
+    np.testing.assert_allclose(p, scenario.motion.start.position, atol=1e-4)  # the arm has followed
     assert tomllib.loads(after)["motion"] == tomllib.loads(text)["motion"]
+    with pytest.raises(ScenarioError, match="no such change"):
+        change(CUBE.replace("mass = 0.256", "mass = -1", 1), SCENARIO_DIR, [(["tray", "flange"], held_E)])
 
 
 def test_the_first_object_goes_and_the_tray_stays():

@@ -12,6 +12,7 @@ import salver as sv
 from salver.scenario import SCENARIO_DIR
 from salver.studio.live_mode import LiveMode
 from salver.studio.server import Studio
+from salver.studio.words import compared
 from studio_windows import CUBE, asked, say
 
 
@@ -61,11 +62,14 @@ def test_the_same_hand_keeps_the_load_of_one_arm_and_loses_that_of_the_other():
         assert beside["load"][0]["became"] == "fallen"
         assert lost[1] == f"The bottle has fallen over, lost {since:.1f} s after the hand's first move."
         assert "a what-if" in lost[2]
+        assert "lost 1 ×" in lost[2]
         assert beside["t"] + live._later == pytest.approx(live.world.t, abs=2 * live.world.period)
+        assert "lost 1 ×" in live.frame()["names"][1][2]  # once, however long it lies there
         assert live.say({"again": True}).ok
         again = live.frame()
         assert again["beside"][0]["t"] + live._later == pytest.approx(live.world.t, abs=2 * live.world.period)
         assert [line for _, line, _ in again["names"]] == ["", ""]
+        assert "lost 1 ×" in again["names"][1][2]  # the score goes on
         np.testing.assert_allclose(again["beside"][0]["tray"], again["tray"], atol=1e-3)
         assert live.say({"stop": True}).ok  # it stops both arms, until it is lifted
         assert not live.say({"twist": [0.0, 0.4, 0.0, 0.0]}).ok
@@ -78,3 +82,12 @@ def test_the_same_hand_keeps_the_load_of_one_arm_and_loses_that_of_the_other():
         assert live.frame()["beside"] == []
     finally:
         live.close()
+
+
+def test_the_score_has_the_soonest_loss_of_all_rounds():
+    frame = {"protected": False, "load": []}
+    assert compared(frame, 2.0, None, "", [0.8, 0.3, 0.5]) == [
+        "without protection",
+        "In place for 2.0 s.",
+        "a what-if: nothing keeps its load, lost 3 ×, soonest after 0.3 s",
+    ]

@@ -122,13 +122,13 @@ def test_in_a_browser_a_scenario_is_made_from_nothing_to_a_plan_by_mouse(tmp_pat
 
         browser.click("#plan")
         browser.wait_for("salver.state.plan", 120)
-        offered = "return !document.getElementById('report').hidden"
-        assert browser.script(offered) is True
+        offered = "return ['report', 'export'].map((id) => !document.getElementById(id).hidden)"
+        assert browser.script(offered) == [True, True]
         browser.script(
             "const area = document.getElementById('text'); area.value += 'x = ';area.dispatchEvent(new Event('input'))"
         )
         browser.wait_for("salver.state.mistakes.length === 1")
-        assert browser.script(offered) is False
+        assert browser.script(offered) == [False, False]
         browser.click("#undo")
         browser.wait_for("salver.state.mistakes.length === 0 && salver.state.idle()")
         browser.click("#plan")

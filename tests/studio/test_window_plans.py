@@ -1,8 +1,10 @@
 """The plan of a window is the one of the command; what the buttons do with it, and the process that does it."""
 
+import io
 import json
 import threading
 import time
+import zipfile
 from pathlib import Path
 from types import SimpleNamespace
 from urllib.parse import urlsplit
@@ -16,6 +18,7 @@ from salver.cli import app
 from salver.scenario import SCENARIO_DIR, names
 from salver.simulation.scene.loads import true_world
 from salver.studio.look import change
+from salver.studio.planner import MORE
 from salver.studio.server import Studio
 from salver.studio.text import changed
 from salver.studio.words import planned
@@ -40,9 +43,9 @@ def test_what_the_page_says_first_is_said_by_salver_and_begins_with_what_was_not
         assert detail.startswith("Not checked: anything around the arm")
         path = urlsplit(studio.url).path
         assert say(studio, "look", text=CUBE, window="one")["mistakes"] == []
-        assert asked(studio, "GET", path + "report/one")[0] == 200
+        assert asked(studio, "GET", path + "csv/one")[0] == 200
         assert say(studio, "look", text=mistake, window="one")["mistakes"]  # the plan is of a text that is no more
-        assert asked(studio, "GET", path + "report/one")[0] == 404
+        assert asked(studio, "GET", path + "csv/one")[0] == asked(studio, "GET", path + "report/one")[0] == 404
         assert "plan first" in say(studio, "run", window="one")["problem"]
 
 
@@ -65,8 +68,36 @@ def test_the_plan_of_a_window_is_the_commands_and_another_window_has_its_own(tmp
         for window, duration in (("one", here["duration"]), ("two", other["duration"])):
             status, page = asked(studio, "GET", urlsplit(studio.url).path + f"report/{window}")
             assert (status, f"{duration:.3g}" in page.decode()) == (200, True)
+        csv = asked(studio, "GET", urlsplit(studio.url).path + "csv/one")[1].decode()
+        assert float(csv.splitlines()[-1].split(",")[0]) == pytest.approx(here["duration"], abs=1e-6)
     result = CliRunner().invoke(app, ["plan", "cube.toml", "--json"])
     assert json.loads(result.stdout)["plan"]["duration"] == here["duration"]
+
+
+@pytest.mark.slow
+def test_stops_campaign_and_exports_are_those_of_the_plan_of_a_window(tmp_path):
+    text = (SCENARIO_DIR / "panda-tall-bottle.toml").read_text()
+    with Studio(text, tmp_path / "it.toml", SCENARIO_DIR) as studio:
+        assert "plan first" in say(studio, "stops", window="one")["problem"]
+        found = say(studio, "plan", text=text, window="one")
+        assert found["ok"], found
+        seen = say(studio, "stops", window="one")
+        assert "It can be stopped at any time within" in seen["sentence"]
+        assert seen["sentence"].endswith("Runs from before are of the plan without stops, and are not counted.")
+        assert [variant["key"] for variant in seen["legs"][0]["variants"]] == ["plan", "baseline"]
+        assert "the plan: holds" in say(studio, "run", window="one")["sentence"]
+        _, directory = studio._plans["one"]
+        assert MORE["campaign"](directory, n=2)["sentence"].startswith(
+            "2 runs in the engine, drawn from the ranges: the pl"
+        )
+        path = urlsplit(studio.url).path
+        page = asked(studio, "GET", f"{path}report/one")[1].decode()
+        assert "2 of 2" in page
+        assert "by one of" in page
+        assert b"arms of Universal Robots" in asked(studio, "GET", f"{path}urscript/one")[1]
+        bag = zipfile.ZipFile(io.BytesIO(asked(studio, "GET", f"{path}ros2/one")[1]))
+        assert "motion_bag/metadata.yaml" in bag.namelist()
+        assert asked(studio, "GET", f"{path}docx/one")[0] == 404
 
 
 @pytest.mark.slow
@@ -97,6 +128,8 @@ def test_a_plan_that_is_no_motion_of_the_arm_is_told_and_not_played(tmp_path):
         assert (level, head) == ("bad", "No safe motion was found.")
         assert "No reference of this degree and duration is safe" in detail
         assert detail.endswith("Shown is the straight line.")
+        page = urlsplit(studio.url).path
+        assert b"is not written as if it were safe" in asked(studio, "GET", page + "csv/one")[1]
 
 
 @pytest.mark.parametrize("name", ["panda-coffee", "panda-tall-bottle"])

@@ -18,6 +18,7 @@ from salver.errors import SalverError, Status
 from salver.geometry import Array, quat_wxyz_from_matrix
 from salver.live import Live, LiveCourse
 from salver.live.replanning.wishes import Refused, numbers
+from salver.playground.ball import Ball, Throw
 from salver.playground.plant import Plant
 from salver.playground.unprotected import Unprotected
 from salver.scenario import Scenario
@@ -44,6 +45,7 @@ class World:
         self.arm = scenario.load_arm()
         self.plant = Plant(scenario, self.arm, parameters)
         self.period = self.plant.period
+        self.ball = Ball(self.arm, scenario.payload, Throw())
         self._lock = threading.RLock()
         self._course = LiveCourse(self.live)
         self.protected = protected
@@ -112,13 +114,16 @@ class World:
         with self._lock:
             self.plant.step(self._controller, self.t)
             self.t += self.period
+            seen = self.ball.step(self.t, self.plant.q)
+            if seen is not None:
+                self.live.obstacles(seen)
 
     # --- who speaks to it
 
     def say(self, message: Any) -> Status:
         """Handle a message of the page, as JSON: {"goto": [x, y, z]} of the first object, m; {"twist": [vx, vy, vz,
-        turn]}, m/s and rad/s about the vertical; {"stop": true}, which latches until {"resume": true}; {"again":
-        true}."""
+        turn]}, m/s and rad/s about the vertical; {"stop": true}, which latches until {"resume": true}; {"again": true};
+        {"throw": true}."""
         if not isinstance(message, dict) or len(message) != 1:
             return Status("refused", "A message has one key.", False)
         ((key, value),) = message.items()
@@ -133,6 +138,9 @@ class World:
                     return self.live.stop()
                 case "resume":
                     return self.live.resume()
+                case "throw" if value is True:
+                    self.ball.throw(self.t, self.plant.scene.tray_pose(self.plant.data)[0])
+                    return Status("accepted", "", True)
                 case "again":
                     return self._again()
         return Status("refused", f'There is no message "{str(key)[:40]}".', False)
@@ -213,6 +221,7 @@ class World:
             v_E = (self.arm.body_jacobian(q) @ self.plant.dq)[:3]
             state, words = self.live.state, self._became()
             live = (state.stopped, state.passing, state.refused) if self.protected else ()
+            p_ball, r_ball = np.round(self.ball.at(self.t)[0], 4).tolist(), self.ball.radius
             return {
                 "t": round(self.t, 3),
                 "joints": np.round(joint_poses(q[None], self.arm)[0], 5).ravel().tolist(),
@@ -234,9 +243,10 @@ class World:
                 "limit": state.limit,
                 "nearest": state.nearest,
                 "margin": round(state.margin, 4),
-                "said": " ".join(filter(None, (*live, self.note))),
+                "said": " ".join(filter(None, (*live, self.ball.sentence, self.note))),
                 "lead": round(state.lead, 3),
                 "path": self._path(),
+                "balls": [{"p": p_ball, "r": r_ball}] if self.ball.flies else [],
             }
 
     def _path(self) -> list[list[float]]:

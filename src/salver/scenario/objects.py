@@ -481,16 +481,21 @@ class UncertaintySet(Model):
         for key, value in self.correlation.items():
             parts = [part.strip() for part in key.split(",")]
             pair = frozenset(parts)
-            if len(parts) != 2 or len(pair) != 2 or not pair <= {*names}:
+            if len(parts) == 2 and len(pair) == 1:
                 raise ValueError(
-                    f'uncertainty.correlation has the key "{key}"; it must name two different uncertain parameters, as '
-                    f'in "mass,com_x"; uncertain here are {", ".join(names) or "none"}'
+                    f'uncertainty.correlation has the key "{key}"; it must name two different parameters: a parameter '
+                    "is fully correlated with itself"
                 )
             if pair in given:
                 raise ValueError(
                     f'uncertainty.correlation has "{given[pair]}" and "{key}", which is the same pair; give it once'
                 )
             given[pair] = key
+            if len(parts) != 2 or any(part not in names for part in parts):
+                raise ValueError(
+                    f'uncertainty.correlation has the key "{key}"; it must name two uncertain parameters, as in '
+                    f'"mass,com_x"; uncertain here are {", ".join(names) or "none"}'
+                )
             i, j = (names.index(part) for part in parts)
             matrix[i, j] = matrix[j, i] = value
         if self.set == "box":

@@ -25,6 +25,7 @@ class LiveMode:
         self.worker = Worker(self.world.live).start()
         self.unprotected: World | None = None
         self._lock = threading.RLock()
+        self._spilt: list[float] = []  # s from the hand's first move until the unprotected load was lost, of each round
         self._moved: float | None = None  # the protected world's time when the hand moved first, s
         self._beside(True)
 
@@ -76,7 +77,9 @@ class LiveMode:
                 frame["gone"] = any(item["became"] not in ("", "slid") for item in frame["load"])
                 if frame["gone"] and self._lost[k] is None and since is not None:
                     self._lost[k] = since
-                names.append(compared(frame, since, self._lost[k], self._failed if k else ""))
+                    if k:
+                        self._spilt.append(since)
+                names.append(compared(frame, since, self._lost[k], self._failed if k else "", self._spilt))
             words = steered(frames[0], pace, self.worker.alive)
             return frames[0] | words | {"names": names, "beside": frames[1:]}
 

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.optimize import brentq
 
 from salver.contact_margins import margin_model
 from salver.contact_margins.time_scaling import TimeScaled
@@ -77,10 +76,13 @@ def _mistaken(text: str, found: Sequence[Mistake]) -> Look:
 
 def change(text: str, folder: Path, changes: Sequence[tuple[Key, Any]]) -> str:
     """The text with the changes and their consequences: assumed ranges are written into the text before one of them is
-    changed, and a start posture follows the start pose, or is left out where no posture reaches it."""
+    changed, and a start posture follows the start pose, or is left out where no posture reaches it.
+
+    The key ["tray", "flange"], the place (3,) of the flange in the tray's frame, m, changes offset and height."""
     before = checked(text, folder)
     try:
         first = [] if isinstance(before, list) else _first(before, tomllib.loads(text), changes)
+        changes = [each for one in changes for each in _placed(before, *one)]
     except (LookupError, TypeError, ValueError) as error:
         raise ScenarioError(f"There is no such change ({error}).") from None
     after = changed(text, [*first, *changes])
@@ -106,6 +108,16 @@ def _first(before: Scenario, data: dict[str, Any], changes: Sequence[tuple[Key, 
                 assumed = before.objects[k].uncertainty.model_dump(mode="json", exclude_defaults=True)
                 found += [(["objects", k, "uncertainty", name], _written(half)) for name, half in assumed.items()]
     return found
+
+
+def _placed(before: Scenario | list[Mistake], key: Key, value: Any) -> list[tuple[Key, Any]]:
+    """A change as changes of keys that the text has."""
+    if list(key) != ["tray", "flange"]:
+        return [(key, value)]
+    if isinstance(before, list):
+        raise ValueError("the text has mistakes")
+    x, y, z = np.round(-before.tray.R_FE @ np.array(value, dtype=float), 6).tolist()
+    return [(["tray", "offset"], [x, y]), (["tray", "height"], z)]
 
 
 def _tray_stays(before: Scenario, moved_E: Array) -> list[tuple[Key, Any]]:
@@ -182,8 +194,11 @@ def _shortest(scaled: TimeScaled, durations: Array, margin: Array) -> float | No
     failing = np.flatnonzero(margin < 0)
     if not len(failing):
         return float(durations[0])
-    between = durations[failing[-1]], durations[failing[-1] + 1]
-    return float(brentq(lambda duration: scaled.slack(1.0 / duration), *between, xtol=5e-4) + 5e-4)
+    low, high = durations[failing[-1]], durations[failing[-1] + 1]
+    while high - low > 1e-3:
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if scaled.slack(1.0 / middle) >= 0 else (middle, high)
+    return float(high)
 
 
 @lru_cache(maxsize=4)

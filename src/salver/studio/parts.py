@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
 from salver.models.arm.known_arms import KNOWN_ARMS
-from salver.scenario import CarriedObject, Obstacle, Pose, Scenario
+from salver.scenario import CarriedObject, Obstacle, Pose, Scenario, Tray
 from salver.scenario.objects import Relative
 
 LOADS: dict[str, dict[str, Any]] = {
@@ -63,6 +65,7 @@ def parts(scenario: Scenario, leg: int = 0) -> list[Part]:
         {
             "name": "tray",
             "key": ["tray"],
+            **({"handle": _flange(scenario.tray)} if scenario.arm else {}),
             "fields": [
                 *_each("size", ["tray", "size"], scenario.tray.size, 0.05, 0.6, "m"),
                 _field("height on the flange", ["tray", "height"], scenario.tray.height, 0.0, 0.3, "m"),
@@ -83,6 +86,12 @@ def parts(scenario: Scenario, leg: int = 0) -> list[Part]:
         lists = [_list("arm", ["arm", "model"], names, arm.model)]
         found.append({"name": "arm", "key": ["arm"], "fields": [*base, *speeds], "lists": lists})
     return found
+
+
+def _flange(tray: Tray) -> Part:
+    """The flange, as it is dragged under the tray."""
+    at_E = np.round(-tray.R_FE.T @ tray.p_FE, 6)
+    return {"key": ["tray", "flange"], "at": at_E.tolist(), "of": "tray"}
 
 
 def _pose(name: str, pose: Pose, key: list[str | int]) -> Part:

@@ -6,6 +6,7 @@ import contextlib
 import subprocess
 import sys
 import threading
+from dataclasses import replace
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from salver.models.uncertain.parameters import UncertainSet
 
 NAMES = {"plan": "the plan", "baseline": "the straight line"}
+EARLIER = "Runs from before are of the plan without stops, and are not counted."
 
 
 def motions(directory: Path) -> dict[str, str]:
@@ -44,9 +46,9 @@ class PlanningProcess:
         ended this one."""
         return self._ask("plan", scenario, directory)
 
-    def run(self, directory: Path) -> dict[str, Any] | None:
-        """Run the motions of a run directory in the physics engine, into that directory."""
-        return self._ask("run", directory)
+    def more(self, what: str, directory: Path) -> dict[str, Any] | None:
+        """Do more with the plan of a run directory, into that directory: one of `MORE`."""
+        return self._ask(what, directory)
 
     def _ask(self, *task: Any) -> dict[str, Any] | None:
         with self._lock:
@@ -96,7 +98,7 @@ def serve(descriptor: int) -> None:
         while True:
             do, *about = pipe.recv()
             try:
-                pipe.send(_planned(*about) if do == "plan" else _run(*about))
+                pipe.send(_planned(*about) if do == "plan" else MORE[do](*about))
             except SalverError as error:
                 pipe.send(_failed(str(error)))
             except Exception as error:  # one task that fails is no reason to end
@@ -138,6 +140,35 @@ def _run(directory: Path) -> dict[str, Any]:
     return {
         "sentence": f"In the engine, with the least friction, nominal inertia, all else greatest: {'; '.join(said)}."
     }
+
+
+def _stops(directory: Path) -> dict[str, Any]:
+    from salver.planning.plan import load_plan
+    from salver.planning.round import has_legs, load_round
+    from salver.planning.stops import with_stops
+
+    if has_legs(directory):
+        whole = load_round(directory)
+        legs = tuple(with_stops(leg) for leg in whole.legs)
+        replace(whole, legs=legs).save(directory)
+        said = " ".join(f"Leg {k}: {leg.stops.sentence}" for k, leg in enumerate(legs, 1) if leg.stops)
+        return {"sentence": f"{said} {EARLIER}"}
+    plan, baseline = with_stops(load_plan(directory)), load_plan(directory, "baseline")
+    plan.save(directory)
+    baseline.save(directory, "baseline")
+    return {"sentence": f"{plan.stops.sentence} {EARLIER}" if plan.stops else ""}
+
+
+def _campaign(directory: Path, n: int = 100) -> dict[str, Any]:
+    """In this process alone, so that nothing goes on when it is ended."""
+    from salver.campaigns import run_campaign
+
+    outcomes = run_campaign(directory, n, jobs=1).facts()
+    said = [f"{name}: {outcomes[stem]}" for stem, name in NAMES.items() if stem in outcomes]
+    return {"sentence": f"{n} runs in the engine, drawn from the ranges: {'; '.join(said)}."}
+
+
+MORE = {"run": _run, "stops": _stops, "campaign": _campaign}
 
 
 def _edge(uncertain: UncertainSet) -> dict[str, float]:

@@ -17,6 +17,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
 from salver.errors import SalverError, ScenarioError
+from salver.export import FORMATS, write_export
 from salver.files import versions, write_atomic
 from salver.planning.round import has_legs
 from salver.reports.pages.cells import speed_bar
@@ -94,7 +95,7 @@ class Studio:
         window, _, page = rest.partition("/")
         if kind == "frames" and window in self.lives:
             return self._frames(window)
-        if window not in self._plans or kind != "report":
+        if window not in self._plans or kind not in ("report", *FORMATS):
             return None
         _, directory = self._plans[window]
         try:
@@ -102,7 +103,9 @@ class Studio:
                 if page.startswith("report-leg"):
                     known = {f"report-{leg}.html" for leg in motions(directory)}
                     return ((directory / page).read_bytes(), HTML) if page in known else None
-                return write_report(directory).read_bytes(), HTML
+                if kind == "report":
+                    return write_report(directory).read_bytes(), HTML
+                return self._export(directory, kind)
         except SalverError as error:
             return str(error).encode(), "text/plain; charset=utf-8"
 
@@ -118,6 +121,15 @@ class Studio:
             if self.lives.get(window) is mine:
                 self._close(window)
 
+    def _export(self, directory: Path, kind: str) -> tuple[bytes, str]:
+        """The motion in a format; a folder as a ZIP file."""
+        with tempfile.TemporaryDirectory() as room:
+            target = Path(room) / f"motion{FORMATS[kind]}"
+            write_export(directory, kind, target, "plan", None)
+            if target.is_file():
+                return target.read_bytes(), "application/octet-stream"
+            return Path(shutil.make_archive(str(target), "zip", room, target.name)).read_bytes(), "application/zip"
+
     def _page(self) -> bytes:
         data = {
             "text": self.text,
@@ -127,6 +139,7 @@ class Studio:
             "command": f"salver plan {quote(str(self.place))}",
             "loads": LOADS,
             "obstacles": OBSTACLES,
+            "formats": FORMATS,
             "planning": PLANNING,
         }
         own = "salver.studio"
@@ -138,9 +151,9 @@ class Studio:
     # --- what is said
 
     def _say(self, message: Any) -> dict[str, Any]:
-        """{"do": "look" | "plan" | "run" | "save" | "live" | "hand" | "end" | "close", "text": ..., "window": ...}; to
-        look, "changes", "near", "arm", "leg" and "coarse"; to save, "over"; of a hand, "say". Each answer has a
-        "problem" when it could not be done."""
+        """{"do": "look" | "plan" | "run" | "stops" | "campaign" | "save" | "live" | "hand" | "end" | "close",
+        "text": ..., "window": ...}; to look, "changes", "near", "arm", "leg" and "coarse"; to save, "over"; of a hand,
+        "say". Each answer has a "problem" when it could not be done."""
         try:
             if not isinstance(message, dict):
                 raise ScenarioError("A message must be a JSON object.")
@@ -152,8 +165,8 @@ class Studio:
                     return self._look(message, text, window)
                 case "plan":
                     return self._plan(text, window)
-                case "run":
-                    return self._run(window)
+                case "run" | "stops" | "campaign":
+                    return self._more(do, window)
                 case "save":
                     return self._save(text, message.get("over"))
                 case "live":
@@ -215,11 +228,11 @@ class Studio:
             raise ScenarioError(f"Line {scenario[0].line}: {scenario[0].sentence}")
         return scenario
 
-    def _run(self, window: str) -> dict[str, Any]:
+    def _more(self, what: str, window: str) -> dict[str, Any]:
         if window not in self._plans:
             raise ScenarioError("Nothing is planned yet; plan first.")
         _, directory = self._plans[window]
-        found = self._planners.setdefault(window, PlanningProcess()).run(directory)
+        found = self._planners.setdefault(window, PlanningProcess()).more(what, directory)
         return {"ended": True} if found is None else {**found, "legs": self._replayed(directory)}
 
     def _replayed(self, directory: Path) -> list[dict[str, Any]]:

@@ -81,18 +81,21 @@ def steered(frame: dict[str, Any], pace: float, planner: bool) -> dict[str, Any]
     }
 
 
-def compared(frame: dict[str, Any], since: float | None, lost: float | None, failed: str) -> list[str]:
-    """The words over one of the two arms of the live mode: what it is, what became of its load and when.
+def compared(
+    frame: dict[str, Any], since: float | None, lost: float | None, failed: str, spilt: Sequence[float]
+) -> list[str]:
+    """The words over one of the two arms of the live mode: what it is, what became of its load and when, the score.
 
     since: s since the hand moved first, None before. lost: s after which the load was not in place any more, or None.
-    failed: why the arm stands still, or "".
+    failed: why the arm stands still, or "". spilt: s after which the unprotected arm has lost its load, in each round.
     """
     line = _gone(frame) or ("" if since is None else f"In place for {since:.1f} s.")
     if lost is not None:
         line = f"{line[:-1]}, lost {lost:.1f} s after the hand's first move."
     if frame["protected"]:
         return ["salver", line, "planned for the ranges"]
-    return ["without protection", failed or line, "a what-if: nothing keeps its load"]
+    score = f", lost {len(spilt)} ×, soonest after {min(spilt):.1f} s" if spilt else ""
+    return ["without protection", failed or line, f"a what-if: nothing keeps its load{score}"]
 
 
 def _gone(frame: dict[str, Any]) -> str:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import signal
-from typing import get_args
 
 import numpy as np
 import pytest
@@ -109,7 +108,7 @@ def test_the_safest_motion_needs_a_duration_that_is_long_enough():
 
 
 def test_efforts_have_one_set_of_names():
-    assert list(get_args(Effort)) == list(EFFORTS)
+    assert [effort.value for effort in Effort] == list(EFFORTS)
     assert EFFORTS["normal"] == FastestOptions()
     assert all(options.time_limit is None for options in EFFORTS.values())
 

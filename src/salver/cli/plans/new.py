@@ -32,8 +32,12 @@ QUESTIONS = {
         "panda",
     ),
     "path": ("From where to where: x y z to x y z of the load's centre, in metres from the arm's base", ""),
+    "obstacles": (
+        "Obstacles: box LENGTH WIDTH HEIGHT at x y z, sphere RADIUS at x y z, with ; between several; or none",
+        "none",
+    ),
 }
-MAY_BE_LEFT_OUT = ("liquid", "tray")
+MAY_BE_LEFT_OUT = ("liquid", "tray", "obstacles")
 
 
 def new(
@@ -45,6 +49,7 @@ def new(
     tray: Annotated[str | None, typer.Option(help=QUESTIONS["tray"][0])] = None,
     arm: Annotated[str | None, typer.Option(help=QUESTIONS["arm"][0])] = None,
     path: Annotated[str | None, typer.Option(help=QUESTIONS["path"][0])] = None,
+    obstacles: Annotated[str | None, typer.Option(help=QUESTIONS["obstacles"][0])] = None,
     json: Json = False,
 ) -> None:
     """Write a new scenario, with comments, and plan its fastest safe motion once.
@@ -62,7 +67,8 @@ def new(
     from salver.run_directory import check_writable
 
     check_writable(file.parent, "name a file elsewhere")  # before anything is asked
-    given = {"load": load, "liquid": liquid, "mass": mass, "friction": friction, "tray": tray, "arm": arm, "path": path}
+    given = {"load": load, "liquid": liquid, "mass": mass, "friction": friction, "tray": tray, "arm": arm}
+    given |= {"path": path, "obstacles": obstacles}
     asking = any(given[key] is None for key in QUESTIONS if key not in MAY_BE_LEFT_OUT)
     answers: dict[str, Any] = {}
     for key, (question, default) in QUESTIONS.items():
@@ -174,6 +180,25 @@ def _liquid(text: str) -> tuple[str, float, str] | None:
     return kind, *_value_and_range(rest, "0.06 10%")
 
 
+def _obstacles(text: str) -> list[str]:
+    """For each obstacle, the body of its table in the scenario."""
+    if text.strip() in ("none", ""):
+        return []
+    found = []
+    for one in text.split(";"):
+        what, at, place = one.partition(" at ")
+        kind, *words = what.split() or [""]
+        if not at or kind not in ("box", "sphere"):
+            raise ScenarioError(f'"{one.strip()}" is not an obstacle; write box LENGTH WIDTH HEIGHT at x y z, or none.')
+        size = (
+            f"size = {_numbers(words, 'the size of a box', 3)}"
+            if kind == "box"
+            else (f"radius = {_numbers(words, 'the radius of a sphere', 1)[0]}")
+        )
+        found.append(f'type = "{kind}"\n{size}\nposition = {_numbers(place.split(), "a position", 3)}')
+    return found
+
+
 def _value_and_range(text: str, example: str = "0.4 20%") -> tuple[float, str]:
     words = text.replace("+-", " ").replace("±", " ").split()
     if len(words) != 2 or not words[1].endswith("%"):
@@ -223,6 +248,7 @@ READERS: dict[str, Callable[[str], Any]] = {
     "tray": lambda text: _numbers(text.split(), "length and width of a tray", 2),
     "arm": _arm,
     "path": _path,
+    "obstacles": _obstacles,
 }
 
 
@@ -235,6 +261,7 @@ def written(
     tray: list[float],
     arm: tuple[str, str | None],
     path: tuple[list[float], list[float]],
+    obstacles: list[str],
     wall: float = 0.003,
 ) -> str:
     """The text of a scenario file, with comments on the keys that users often change.
@@ -242,7 +269,7 @@ def written(
     wall: m, thickness of a container's wall and bottom that is assumed; the file says so.
     """
     model, flange = (_quoted(word) if word is not None else None for word in arm)
-    carrier = f"flange = {flange}          # the link that carries the tray\n" if flange else ""
+    carrier = f"flange = {flange}          # the link that carries the tray" if flange else ""
     kind, size = load
     box, radii, height = kind == "box", size[:-1], size[-1]
     shape = f"size = {size}" if box else f"{', '.join(_radii(radii, 'top_radius'))}, height = {height}"
@@ -260,7 +287,8 @@ fill = {liquid[1]}              # heights over the bottom inside
 brim = {round(height - wall, 6)}
 """
         fill = f"\nfill = {_quoted(liquid[2])}"
-    return f"""\
+    return (
+        f"""\
 # A scenario for salver. Lengths in metres, masses in kilograms, times in seconds. Every key: docs/scenario-file.md
 name = {_quoted("".join(c if c.isalnum() or c in "._-" else "-" for c in name))}
 summary = "Written by salver new"
@@ -295,11 +323,10 @@ mass = 0.2                      # weigh yours
 [arm]
 model = {model}
 {carrier}
-# [[obstacles]]                 # regions to keep out of
-# type = "box"
-# size = [0.1, 0.2, 0.3]
-# position = [0.5, 0.0, 0.2]
-"""
+""".rstrip()
+        + "\n"
+        + "".join(f"\n[[obstacles]]                   # regions to keep out of\n{one}\n" for one in obstacles)
+    )
 
 
 def _radii(radii: list[float], upper: str) -> list[str]:

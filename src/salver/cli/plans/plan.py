@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from contextlib import nullcontext
+from enum import StrEnum
 from pathlib import Path
 from shlex import quote
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -33,7 +34,12 @@ if TYPE_CHECKING:
     from salver.scenario import Scenario
 
 
-Effort = Literal["quick", "normal", "thorough"]  # of `salver.planning.fastest.EFFORTS`, whose import loads solvers
+class Effort(StrEnum):
+    """The names in `salver.planning.fastest.EFFORTS`, repeated here because importing that loads solvers."""
+
+    QUICK = "quick"
+    NORMAL = "normal"
+    THOROUGH = "thorough"
 
 
 def plan(

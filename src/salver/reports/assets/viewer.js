@@ -346,7 +346,7 @@ function createViewer(canvas, scene) {
     gl.drawElements(shape.kind ?? gl.TRIANGLES, shape.count, gl.UNSIGNED_INT, 0);
   }
 
-  const marks = [];  // of the page that shows it: {shape, model, colour}
+  const marks = [];  // of the page that shows it: {shape, model, colour, flat}
   let seen = null, cells = [1, 1], cell = [0, 0];  // the camera of the last picture, how many it has, which is pointed at
   const identity = Mat.pose([0, 0, 0, 1, 0, 0, 0]);
   const light = Vec.unit([0.35, -0.45, 0.85]);
@@ -504,7 +504,7 @@ function createViewer(canvas, scene) {
       gl.disable(gl.CULL_FACE);
       gl.depthMask(true);
     }
-    for (const mark of marks) draw(mark.shape, mark.model, mark.colour, 1);
+    for (const mark of marks) draw(mark.shape, mark.model, mark.colour, mark.flat ? 1 : 0);
     gl.enable(gl.CULL_FACE);  // last, and seen through: nothing hides behind an obstacle
     for (const o of obstacles) draw(o.shape, identity, [...marked(variants.find((v) => v.red?.includes(o.name)) ?? {}, o), 0.55]);
     gl.disable(gl.CULL_FACE);

@@ -59,6 +59,7 @@ def audit_page(audit: Audit) -> str:
         notes=audit.motion.notes,
         tiles=[*margin_tiles(run), ("It would just hold in", held, "of its time, in the worst case")],
         source=audit.source,
+        scenarios=[audit.scenario],
     )
 
 

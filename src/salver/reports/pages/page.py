@@ -19,14 +19,17 @@ from salver.files import output_file, versions, write_atomic
 from salver.planning.plan_files import read_files
 from salver.planning.round import has_legs
 from salver.reports.pages import sections
-from salver.reports.pages.cells import NOTHING, joined
+from salver.reports.pages.cells import NOTHING, joined, table
 from salver.reports.pages.charts import thin
 from salver.reports.pages.replay import replay_scene
 from salver.reports.pages.round import overview
 from salver.reports.pages.sections import Sections
 from salver.reports.pages.words import Headline, asked, outcome_in_words, true_parameters, verdict
+from salver.reports.parameters import ranges
 from salver.reports.run import ReportedMotion, ReportedRun, read_campaign, read_leg, read_run
 from salver.reports.style import ROLE_COLOURS
+from salver.scenario import Scenario
+from salver.wording import listed
 
 if TYPE_CHECKING:
     from salver.models.arm.arm import ArmModel
@@ -66,8 +69,9 @@ def _write_legs(directory: Path, target: Path, say: Callable[[str], None], *, ke
     answer, made, task, shown = overview(files, runs, places, campaign)
     name, source = files.scenario.name, directory.name or str(directory)
     whole = filled(
-        answer, made, None, name=name, asked=task, notes=[*warned(files.record), *notes], tiles=shown, source=source
-    )
+        answer, made, None, name=name, asked=task, notes=[*warned(files.record), *notes], tiles=shown, source=source,
+        scenarios=[run.scenario for run in runs],
+    )  # fmt: skip
     return write_atomic(target, whole, keep=keep)
 
 
@@ -85,6 +89,7 @@ def page(run: ReportedRun, others: Markup = NOTHING) -> str:
         notes=[*warned(run.plan.summary), *run.notes],
         tiles=sections.tiles(run),
         source=run.directory.name or str(run.directory),
+        scenarios=[run.scenario],
         others=others,
     )
 
@@ -104,6 +109,7 @@ def filled(
     notes: Sequence[str],
     tiles: Iterable[sections.Tile],
     source: str,
+    scenarios: Sequence[Scenario],
     others: Markup = NOTHING,
 ) -> str:
     """A page of salver: the template with all its parts. shown: its replay; None for a page of
@@ -121,8 +127,9 @@ def filled(
         navigation=others + joined(Markup('<a href="#{}">{}</a>').format(key, title) for key, title in titles),
         replay=NOTHING if shown is None else Markup(asset("replay.html")),
         sections=made.html,
+        review=review(scenarios),
         version=versions()["salver"],
-        date=f"{datetime.now(UTC):%Y-%m-%d}",
+        date=_today(),
         directory=source,
     )
     title = f"{name}: {answer.headline}"
@@ -144,6 +151,24 @@ def framed(body: str, title: str, data: Any, script: str, css: str, asks: str = 
         data=Markup(json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")),
         script=Markup(script),
     )
+
+
+def review(scenarios: Sequence[Scenario]) -> Markup:
+    """The part of a printed page for a safety review: ranges of the verdict, versions, a line to sign."""
+    rows = dict.fromkeys(
+        (name, f"{nominal} ± {half}") for s in scenarios for name, nominal, half in ranges(s.payload.uncertain)
+    )
+    known = (
+        table(("The verdict is for", ""), rows) if rows else Markup("<p>The verdict is for the exact values alone.</p>")
+    )
+    lines = joined(Markup("<span>{}</span>").format(text) for text in ("Reviewed by", "Date", "Signature"))
+    digests = listed(list(dict.fromkeys(s.digest for s in scenarios)))
+    made = f"Scenario {digests}; page made by salver {versions()['salver']} on {_today()}."
+    return Markup('{}<p>{}</p><div class="sign">{}</div>').format(known, made, lines)
+
+
+def _today() -> str:
+    return f"{datetime.now(UTC):%Y-%m-%d}"
 
 
 def policy(script: str, asks: str) -> Markup:

@@ -159,7 +159,7 @@ function wanted(axis) {
 let moving = false;
 function steer() {
   if (!state.live) return;
-  const does = [() => stop(state.live.stopped ? { resume: true } : { stop: true }), () => hand({ again: true })];
+  const does = [() => stop(state.live.stopped ? { resume: true } : { stop: true }), () => hand({ again: true }), () => hand({ throw: true })];
   const buttons = navigator.getGamepads().find(Boolean)?.buttons.map((button) => button.pressed) ?? [];
   does.forEach((it, k) => buttons[k] && !pressed[k] && it());
   pressed = buttons;
@@ -206,6 +206,7 @@ document.addEventListener("keyup", (event) => state.keys.delete(event.key.toLowe
 window.addEventListener("blur", () => state.keys.clear());
 byId("stop").addEventListener("click", () => stop(state.live.stopped ? { resume: true } : { stop: true }));
 byId("again").addEventListener("click", () => hand({ again: true }));
+byId("throw").addEventListener("click", () => hand({ throw: true }));
 byId("beside-live").addEventListener("change", (event) => hand({ beside: event.target.checked }));
 byId("speed").addEventListener("input", () => (byId("speed-shown").textContent = `${Number(byId("speed").value).toFixed(2)} m/s`));
 byId("speed").dispatchEvent(new Event("input"));

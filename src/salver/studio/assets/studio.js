@@ -6,7 +6,7 @@ const given = JSON.parse(document.getElementById("data").textContent);
 const byId = (id) => document.getElementById(id);
 const here = location.pathname.replace(/\/?$/, "/");
 const own = crypto.randomUUID();  // this window
-const COLOURS = { start: [0.0, 0.45, 0.7, 1], goal: [0.84, 0.37, 0.0, 1], objects: [0.9, 0.62, 0.0, 1], obstacles: [0.35, 0.38, 0.42, 1] };
+const COLOURS = { start: [0.0, 0.45, 0.7, 1], goal: [0.84, 0.37, 0.0, 1], tray: [0.0, 0.62, 0.45, 1], objects: [0.9, 0.62, 0.0, 1], obstacles: [0.35, 0.38, 0.42, 1] };
 const coarse = inSoftware();
 const RING = 0.04;  // m, within which a ring is taken hold of
 const state = { text: given.text, saved: null, mistakes: [], answer: null, verdict: null, plan: null, planning: null, said: "", done: [], undone: [], chosen: "goal", leg: 0, time: 0, speed: 1, playing: false, gesture: null, base: "", viewer: null, looks: 0, live: null, frames: 0, held: null, keys: new Set() };
@@ -110,13 +110,13 @@ function show3d(found) {
   play(true);
 }
 
-// The plan and the straight line in the physics engine.
-async function run() {
+// More of the plan: run with the straight line in the physics engine, once or a hundred times; its stops.
+async function more(event) {
   const text = state.text;
   halt();
-  state.said = "The physics engine runs in another process.";
+  state.said = `${event.target.textContent}: it is computed in another process.`;
   tell();
-  const found = await post("run");
+  const found = await post(event.target.id);
   if (text !== state.text || !state.plan || found.ended) return;
   state.said = found.problem ?? found.sentence;
   if (found.legs) show3d({ ...state.plan, legs: found.legs });
@@ -135,11 +135,12 @@ function tell() {
   byId("place").textContent = given.place + (state.text === state.saved ? "" : " (not saved)");
   byId("undo").disabled = !state.done.length;
   byId("redo").disabled = !state.undone.length;
-  for (const control of [byId("play"), byId("scrub"), byId("run")]) control.disabled = !found?.variants;
+  for (const control of [byId("play"), byId("scrub"), ...document.querySelectorAll(".more")]) control.disabled = !found?.variants;
   byId("plan").disabled = wrong;
   for (const id of ["add", "chosen"]) byId(id).disabled = !state.answer;
   byId("report").hidden = !found?.variants;
   byId("report").href = `${here}report/${own}/report.html`;
+  byId("export").hidden = !found?.variants || !found.ok;
 }
 setInterval(() => state.planning !== null && (byId("clock").textContent = `${((performance.now() - state.planning) / 1000).toFixed(0)} s`), 1000);
 
@@ -173,6 +174,7 @@ function begin(scene) {
   const ring = Array.from({ length: 41 }, (_, i) => [RING * Math.cos((Math.PI * i) / 20), RING * Math.sin((Math.PI * i) / 20), 0]);
   rings.ring = viewer.upload(tube(ring, 0.0035));
   rings.drop = viewer.upload(revolve([[0.0015, -1], [0.0015, 0]], 8));
+  rings.ball = viewer.upload(revolve(Array.from({ length: 13 }, (_, i) => [Math.sin((Math.PI * i) / 12), -Math.cos((Math.PI * i) / 12)]), 20));
   canvas.addEventListener("pointerdown", (event) => {
     const part = handleAt(event);
     if (!part) return;
@@ -185,7 +187,7 @@ function begin(scene) {
   canvas.addEventListener("pointermove", (event) => {
     if (dragged) return drag(event);
     const part = event.buttons ? null : handleAt(event);
-    byId("hint").textContent = part ? `${part.name}: drag${part.handle.of === "world" ? "" : " on the tray"}${lifted(part) ? ", with shift up and down" : ""}` : "drag a ring: that thing · elsewhere: turn · wheel: zoom";
+    byId("hint").textContent = part ? `${part.name}: drag${part.name === "tray" ? " the flange that holds it" : part.handle.of === "world" ? "" : " on the tray"}${lifted(part) ? ", with shift up and down" : ""}` : "drag a ring: that thing · elsewhere: turn · wheel: zoom";
   });
   canvas.addEventListener("pointerup", () => {
     if (dragged && state.held) hand({ goto: state.held });
@@ -227,9 +229,10 @@ function paint() {
   viewer.marks.length = 0;
   for (const part of handles()) {
     const p = dragged?.part.name === part.name ? dragged.p : placeOf(part), colour = COLOURS[part.name] ?? COLOURS[part.key[0]];
-    viewer.marks.push({ shape: rings.ring, model: at(p), colour });
-    if (state.live || part.name === state.chosen) viewer.marks.push({ shape: rings.drop, model: Mat.pose([...p, 1, 0, 0, 0], 0, [1, 1, Math.max(p[2] - state.answer.scene.floor || 0.3, 1e-3)]), colour: [...colour.slice(0, 3), 0.5] });
+    viewer.marks.push({ shape: rings.ring, model: at(p), colour, flat: true });
+    if (state.live || part.name === state.chosen) viewer.marks.push({ shape: rings.drop, model: Mat.pose([...p, 1, 0, 0, 0], 0, [1, 1, Math.max(p[2] - state.answer.scene.floor || 0.3, 1e-3)]), colour: [...colour.slice(0, 3), 0.5], flat: true });
   }
+  for (const ball of state.live?.balls ?? []) viewer.marks.push({ shape: rings.ball, model: Mat.pose([...ball.p, 1, 0, 0, 0], 0, Array(3).fill(ball.r)), colour: [0.8, 0.15, 0.25, 1] });
   state.stacked = viewer.render(state.time).stacked;
 }
 
@@ -393,7 +396,16 @@ byId("text").addEventListener("scroll", scrolled);
 byId("plan").addEventListener("click", plan);
 byId("follow").addEventListener("change", (event) => event.target.checked && !state.plan && plan());
 byId("beside").addEventListener("change", paint);
-byId("run").addEventListener("click", run);
+for (const button of document.querySelectorAll(".more")) button.addEventListener("click", more);
+byId("export").append(...Object.keys(given.formats).map((name) => new Option(name, name)));
+byId("export").addEventListener("change", async (event) => {
+  const kind = event.target.value, file = await (await fetch(`${here}${kind}/${own}`)).blob();
+  event.target.value = "";
+  state.said = file.type.startsWith("text/plain") ? await file.text() : "";
+  tell();
+  const ending = given.formats[kind] + (file.type === "application/zip" ? ".zip" : "");
+  if (!state.said) Object.assign(document.createElement("a"), { href: URL.createObjectURL(file), download: `motion${ending}` }).click();
+});
 byId("play").addEventListener("click", () => play(!state.playing));
 byId("scrub").addEventListener("input", (event) => {
   halt();
