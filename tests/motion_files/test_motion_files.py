@@ -321,8 +321,11 @@ def test_the_path_of_an_object_is_not_taken_for_the_trays(tmp_path):
     assert np.array_equal(read(tmp_path / "bag").p, tray.p)
     (of_tray,) = write(both, tmp_path / "both.yaml")
     assert np.array_equal(read(of_tray).p, tray.p)
+    (other,) = write(series_of(tray), tmp_path / "both_object_path.yaml")  # as salver once wrote it
+    with pytest.raises(FileFormatError, match="is the path of an object; give that of the tray"):
+        read(other)
     alone = {name: column for name, column in zip(*table_of(path), strict=True) if "SE" not in name}
-    with pytest.raises(FileFormatError, match="holds neither a tray motion nor a joint motion"):
+    with pytest.raises(FileFormatError, match=r"is the motion of an object \(p_SB, quat_SB\); give that of the tray"):
         of_columns(alone)
 
 

@@ -41,6 +41,7 @@ _TIME: dict[str, float | None] = dict.fromkeys(("t", "time", "timestamp", "time_
 _TIME |= {"time_s": 1.0, **{f"{name}_{unit}": size for name in ("t", "time", "stamp") for unit, size in PARTS.items()}}
 _POSITION = re.compile(r"(?:pose[._])?(?:p|pos|position)?(?:[._]?se)?[._]?([xyz])")
 _QUATERNION = re.compile(r"(?:pose[._])?(?:q|quat|quaternion|orientation)(?:[._]?se)?[._]?([wxyz])")
+_OF_OBJECT = re.compile(r"(?:p|quat)_SB_[wxyz]", re.I)  # in tables of `salver export`
 _POSE = ("px", "py", "pz", "qw", "qx", "qy", "qz")
 JointNames = Callable[[], tuple[str, ...]]
 
@@ -188,6 +189,8 @@ def of_table(
         q = values[:, list(joints.values())] * units.of_joints(len(joints))
         arm = joint_samples(t, tuple(joints), q, None, None, source, fewest=2 if as_path else FEWEST)
         return replace(arm, notes=units.notes + arm.notes)
+    if not place and any(map(_OF_OBJECT.fullmatch, header)):
+        raise FileFormatError(f"{source} is the motion of an object (p_SB, quat_SB); give that of the tray.")
     missing = [name.removeprefix("p") for name in _POSE if name not in place]
     expected = f"joints {', '.join(names)} or q1 ... q{len(names)}" if names else "joints q1 ... qn"
     found = f" (no column for {missing[0]})" if place else ""

@@ -27,6 +27,7 @@ PATH = "nav_msgs/msg/Path"
 WRENCH = "geometry_msgs/msg/WrenchStamped"
 SPARSE = 0.03  # s, largest distance from a joint's sample to one of the wrist
 KINDS = (TRAJECTORY, JOINT_STATE, POSE, PATH)
+OBJECT = "object_path"  # end of the topic or file with an object's path, as salver once exported it
 LARGEST_YAML, LARGEST_JSON = 5_000_000, 100_000_000  # bytes; YAML is read at about 0.2 MB/s
 LARGEST_BAG = 2_000_000_000  # bytes
 MOST_MESSAGES = 5_000_000
@@ -324,6 +325,8 @@ def _poses(messages: Sequence[tuple[int, Any]], source: str) -> TraySamples:
 
 def _from_path(poses: Any, source: str) -> TraySamples:
     """Samples of a nav_msgs/Path, in which every pose has a stamp."""
+    if Path(source).stem.endswith(OBJECT):
+        raise FileFormatError(f"{source} is the path of an object; give that of the tray.")
     rows = []
     try:
         for pose in poses:
