@@ -1,7 +1,9 @@
 """Live motions: at every moment one is committed that ends at rest with the load in place, whatever happens."""
 
 import gc
+import importlib.util
 import os
+import sys
 import time
 import tracemalloc
 from dataclasses import replace
@@ -275,3 +277,19 @@ def test_while_a_worker_runs_no_collection_goes_through_what_existed_before(cube
     finally:
         if frozen:
             gc.freeze()
+
+
+def test_what_python_froze_at_its_start_is_nobodys_freeze(cube, monkeypatch):
+    """Python 3.12 begins with frozen objects; a worker's module comes later, and what it froze is let go."""
+    live, frozen = Live(cube), gc.get_freeze_count()
+    gc.freeze()
+    try:
+        spec = importlib.util.spec_from_file_location("late_worker", sys.modules[Worker.__module__].__file__)
+        late = importlib.util.module_from_spec(spec)
+        monkeypatch.setitem(sys.modules, "late_worker", late)
+        spec.loader.exec_module(late)
+        with late.Worker(live, process=False):
+            assert gc.get_freeze_count() > 10_000
+        assert not gc.get_freeze_count()
+    finally:
+        gc.freeze() if frozen else gc.unfreeze()

@@ -71,11 +71,12 @@ class Worker:
 
     def start(self) -> Self:
         sys.setswitchinterval(min(sys.getswitchinterval(), self._options.switch))
-        # A whole collection takes up to 40 ms, in whichever thread it begins: the loop's, or that of a camera.
-        self._froze = not gc.get_freeze_count()
-        gc.freeze()
         if self._process is not None:
             self._process.ready()  # or else the first lead would be that of a start
+        # A whole collection takes up to 40 ms, in whichever thread it begins: the loop's, or that of a camera.
+        # Python 3.12 begins with objects that are frozen, so their count does not tell whether somebody froze the rest.
+        self._froze = any(each is Worker for each in gc.get_objects())
+        gc.freeze()
         self._thread.start()
         return self
 
