@@ -131,10 +131,15 @@ def test_wrong_use_gets_a_sentence(run_directory, arguments, words):
     assert "Traceback" not in result.output
 
 
-def test_a_directory_without_a_plan(tmp_path):
-    result = salver("simulate", tmp_path)
+@pytest.mark.parametrize("which", ["plan", "both"])
+def test_a_directory_without_a_plan(tmp_path, which):
+    result = salver("simulate", tmp_path, "--plan", which)
     assert result.exit_code == 2
     assert "salver plan" in result.stderr
+
+
+def test_a_command_without_plan_names_the_option_that_was_given():
+    assert "No such option: --stem" in salver("plan", "panda-cube", "--stem", "plan").stderr
 
 
 def test_a_file_where_a_run_directory_is_wanted_and_the_other_way_round(tmp_path):

@@ -61,7 +61,9 @@ class _Command(TyperCommand):
     """A command whose --plan may be called --stem, its former name."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        return super().parse_args(ctx, [re.sub("^--stem(?==|$)", "--plan", word) for word in args])
+        if any("--plan" in each.opts for each in self.params):
+            args = [re.sub("^--stem(?==|$)", "--plan", word) for word in args]
+        return super().parse_args(ctx, args)
 
 
 def _gathered(names: Iterable[str]) -> typer.Typer:

@@ -160,7 +160,7 @@ def _plans(asked: _Asked) -> dict[str, SimulationRecord]:
     directory = asked.directory
     if asked.run is not None and has_legs(directory):
         raise ScenarioError("--run repeats a run of all legs; leave out --plan.")
-    both = [name for name in STEMS if (directory / f"{name}.npz").is_file()]
+    both = [name for name in STEMS if (directory / f"{name}.npz").is_file()] or STEMS[:1]
     results: dict[str, SimulationRecord] = {}
     for name in both if asked.stem == "both" else (asked.stem,):
         plan = load_plan(directory, name)
