@@ -1,4 +1,4 @@
-"""Reading and writing of motion files: CSV, JSON, ROS messages as YAML and JSON (also of MoveIt), ROS bags.
+"""Reading and writing of motion files: CSV, ROS messages as YAML and JSON (also of MoveIt), ROS bags.
 
 `read` returns samples of the tray or of the joints; `write` writes a `MotionSeries`.
 """

@@ -42,9 +42,7 @@ Gap = Annotated[
 def audit(
     trajectory: Annotated[
         Path,
-        typer.Argument(
-            help="CSV of a tray or joint motion, salver's JSON, JointTrajectory (MoveIt's too) as YAML or JSON, bag."
-        ),
+        typer.Argument(help="CSV of a tray or joint motion, JointTrajectory (MoveIt's too) as YAML or JSON, bag."),
     ],
     scenario: Annotated[str, typer.Option("--scenario", "-s", help="What is on the tray: a name or a .toml file.")],
     topic: Topic = None,
