@@ -276,6 +276,11 @@ BAD = [
     ),
     (
         "obstacles",
+        [{"type": "capsule", "radius": 0.1, "length": 0.2, "height": 0.3, "position": [0, 0, 0]}],
+        "obstacles[0]: a capsule has radius and length; leave out height.",
+    ),
+    (
+        "obstacles",
         [{"type": "sphere", "position": [0, 0, 0], "radius": "big"}],
         f'obstacles[0].radius = "big": {NUMBER} at least 0.0001 and at most 5.',
     ),

@@ -130,6 +130,8 @@ class Obstacle(Model):
                 raise ValueError(f"a {self.type} needs {' and '.join(needed)}")
         if self.type == "cylinder" and None not in (self.length, self.height):
             raise ValueError("a cylinder has radius and height; leave out length")
+        if self.type != "cylinder" and self.height is not None:
+            raise ValueError(f"a {self.type} has {' and '.join(needed)}; leave out height")
         return self
 
 

@@ -12,7 +12,7 @@ from salver.geometry import exp
 from salver.models.contact.contact import cone_edges
 from salver.models.shapes import hulls, shapes
 from salver.models.shapes.hulls import _interior_direction, cone_facets, polytope
-from salver.models.shapes.polygons import convex_hull, half_planes
+from salver.models.shapes.polygons import convex_hull, half_planes, intersection
 
 
 def merged(equations: np.ndarray) -> np.ndarray:
@@ -235,6 +235,14 @@ def test_corners_that_stand_twice_up_to_rounding_stay() -> None:
             found = convex_hull(np.vstack([corners, corners + near * rng.standard_normal((4, 2))]))
             area = 0.5 * np.sum(found[:, 0] * np.roll(found[:, 1], -1) - found[:, 1] * np.roll(found[:, 0], -1))
             assert abs(area - 0.01) < 1e-11
+            assert len(found) == 4  # an edge from one to the other would have any direction
+
+
+def test_polygons_that_only_touch_have_nothing_in_common() -> None:
+    square = 0.05 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    for deep in (0.0, 1e-12, 1e-10):
+        assert intersection(square, square + np.array([0.1 - deep, 0.03])).shape == (0, 2)
+    assert len(intersection(square, square + np.array([0.1 - 1e-6, 0.03]))) == 4
 
 
 def test_cylinder_of_a_load_is_a_prism() -> None:

@@ -15,12 +15,19 @@ def half_planes(polygon: Array) -> tuple[Array, Array]:
 
 
 def convex_hull(points: Array) -> Array:
-    """Vertices (n, 2) of the convex hull of points (m, 2), least x first; empty if the points lie on a line."""
+    """Vertices (n, 2) of the convex hull of points (m, 2), least x first; empty if the points lie on a line.
+
+    Vertices nearer to one another than rounding, whose edge would have any direction, are one.
+    """
     from scipy.spatial import ConvexHull, QhullError
 
     try:
         corners = points[ConvexHull(points).vertices]
     except (QhullError, ValueError):
+        return np.empty((0, 2))
+    edge = np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1)
+    corners = corners[edge > 1e-8 * edge.max()]
+    if len(corners) < 3:
         return np.empty((0, 2))
     return np.roll(corners, -np.lexsort(corners.T[::-1])[0], axis=0)
 
