@@ -70,6 +70,12 @@ def test_times_that_are_uneven_and_right_are_kept():
     assert codes(found(truth(uneven), uneven)) == []
 
 
+def test_samples_that_come_in_pairs_keep_their_times():
+    """The median of the steps is then none of them."""
+    pairs = np.sort(np.concatenate([T[::10], T[1::10]]))
+    assert codes(found(truth(pairs), pairs)) == []
+
+
 @pytest.mark.parametrize("each", [2, 5])
 def test_held_samples_are_taken_once(each):
     p = np.repeat(seen(truth(T[::each])).p, each, axis=0)[: len(T)]
