@@ -307,6 +307,7 @@ def test_a_ur_is_driven_live_until_it_is_slowed(plan: Plan, controller: Make, tm
                       options=LiveRunOptions(patience=60.0))  # fmt: skip
     sent, arm, body = np.array(robot.commands), plan.scenario.load_arm(), plan.scenario.payload.bodies[0]
     assert result.summary["requests"] == {"accepted": 1, "refused": 0, "dropped": 0}
+    assert "realtime" not in result.summary  # by which the command takes it for a simulated arm
     if slowed:
         assert "The robot's speed is at 50 %, and this motion keeps its load at full" in result.summary["stopped"]
         assert result.summary["load_kept_in_stop"] is True

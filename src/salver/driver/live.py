@@ -316,7 +316,6 @@ def _kept(
         unjudged = f"What was commanded is no motion from rest to rest ({named(error)}); the plan is where it began."
     summary = {
         **summary_of(plan, robot, log_, checks, drive.watchdog),
-        "realtime": not known.waits,
         "wishes": drive.prompter.notes,
         "requests": {name: getattr(drive.prompter, name) for name in ("accepted", "refused", "dropped")},
         "outcomes": [str(request) for request in drive.live.state.requests],
@@ -325,7 +324,7 @@ def _kept(
     }
     arrays = arrays_of(drive.arm, log_, robot)
     if isinstance(robot, SimulatedRobot):
-        arrays, summary = seen_in_the_engine(robot, began, arrays, summary, plan)
+        arrays, summary = seen_in_the_engine(robot, began, arrays, {**summary, "realtime": not known.waits}, plan)
     plan_files.make_way(plan.scenario, directory, force=True)
     plan.save(directory)
     return Execution(arrays, summary, checks, keep(directory, "plan", arrays, summary))
