@@ -53,6 +53,8 @@ def rollout(
 ) -> Rollout:
     """Simulate the closed loop (18), (19) from t = 0 for n true bodies.
 
+    The motion of a body that diverges is NaN from then on.
+
     Args:
         body: the nominal body, which the controller uses.
         grasp_map: (6, n_lambda) G F_hat.
@@ -83,6 +85,12 @@ def rollout(
         return loop.rate(reference.sample(now), state)
 
     states = integrate(rate, start, 0.0, t, max_step, corners=(reference.duration,))
+    if len(phi) > 1 and np.isnan(states).any():  # one that diverges ends all that are integrated with it
+        begins = np.broadcast_to(0.0 if initial_deviation is None else initial_deviation, (len(phi), 12))
+        halves = (slice(None, len(phi) // 2), slice(len(phi) // 2, None))
+        parts = [rollout(reference, body, grasp_map, gains, phi[k], t, begins[k], max_step) for k in halves]
+        both = (np.concatenate(x) for x in zip(*((p.deviation, p.cone_coefficients) for p in parts), strict=True))
+        return Rollout(t, *both)
     deviation = np.empty((len(phi), len(t), 12))
     coefficients = np.empty((len(phi), len(t), grasp_map.shape[1]))
     for row, state in enumerate(states):
