@@ -175,11 +175,8 @@ def _with_even_clock(channels: Channels, options: AuditOptions) -> Channels:
     if max(np.abs(step - usual)) < 1e-3 * usual:
         return channels
     grids = [np.asarray(np.polyval(np.polyfit(index, t, 1), index))]
-    single = step[np.round(step / usual) == 1]  # between samples of which none is missing
-    for period in (
-        np.mean(single) if len(single) else usual,
-        (t[-1] - t[0]) / (len(t) - 1),
-    ):  # with samples missing; the median may be rounded
+    single = np.round(step / usual) == 1  # no sample is missing; the median may be rounded, or no step
+    for period in (step[single].mean() if single.any() else usual, (t[-1] - t[0]) / (len(t) - 1)):
         line = np.array([period, t[0]])
         for _ in range(3):
             missing = np.round((t - line[1]) / line[0]) - index

@@ -23,8 +23,8 @@ Topic = Annotated[str | None, typer.Option(help="Topic of the motion, when a bag
 Units = Annotated[
     str | None,
     typer.Option(
-        help="Units of a table other than rad, m and s: some of deg, mm, ms, as in --units deg,ms. Velocities are per "
-        "second; files are written in rad, m, s."
+        help="Units of a table other than rad, m and s: some of deg, mm, ms, as in --units deg,ms. Files are "
+        "written in rad, m, s."
     ),
 ]
 Highest = Annotated[
