@@ -108,6 +108,24 @@ def until(condition: Callable[[], Any]) -> None:
         time.sleep(1e-3)
 
 
+def test_where_it_stands_is_known_however_long_nobody_read(plan: Plan, controller: Make) -> None:
+    """While an operator is asked, or plans are made, reports fill what buffers there are, and newer ones are lost."""
+    robot, full = controller(lockstep=False), []
+
+    def flood(robot: Controller) -> None:
+        if not full:
+            report = robot._report()
+            for _ in range(20_000):
+                robot._send(1, report)
+            robot.q = robot.q + 0.1
+            full.append(1)
+
+    arm = driven(plan)
+    robot.each = flood
+    until(lambda: full)
+    assert np.abs(arm.look().q - plan.joint.q[0] - 0.1).max() < ROUNDED  # type: ignore[union-attr]
+
+
 def test_an_xarm_is_sent_the_plan_and_told_its_payload(
     directory: Path, plan: Plan, controller: Make, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -151,6 +151,11 @@ class XArmRobot(PositionRobot):
         return ""
 
     def look(self) -> ArmState:
+        if not self._servo:  # reports that nobody read have filled the buffers, and newer ones were lost
+            try:
+                self._reports = Packages(self._address, REPORTS, self._options.timeout, ">I")
+            except OSError as error:
+                raise self.said(error) from None
         report = self._report()
         if self._servo and (report.state not in MOVES or report.mode != SERVO):
             self._refuse_errors()
