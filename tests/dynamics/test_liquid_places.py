@@ -102,6 +102,30 @@ def test_contact_at_no_place_is_worse_than_its_worst_case(coffee, shape):
     assert nearest < 0.1 * np.abs(bound).max()
 
 
+def test_contact_of_a_cup_on_a_box_beside_its_place_is_not_worse_than_its_worst_case(coffee):
+    """The box's edges move, and with them the moment of the waves about these, by .4 % of the weight."""
+    cup = coffee.objects[0].model_dump(mode="json", exclude_none=True) | {"uncertainty": {"mass": "10%"}, "on": "box"}
+    shape = {"type": "box", "size": [0.12, 0.12, 0.05]}
+    box = {"name": "box", "shape": shape, "mass": 0.1, "friction": 0.5, "uncertainty": {"position": [0.015, 0.015]}}
+    payload, w = coffee.with_changes(objects=[box, cup]).payload, shaken(T)
+    (network,), uncertain, half = payload.networks, payload.uncertain, payload.uncertain.ranges
+    rows = network_rows(network, uncertain, payload.tray_half)
+    added = LoadRows.of(rows, PayloadResponse.along(payload, T, w).worst).values
+    model = _RowModel(network, [cone_rows(c) for c in sure_contacts(network, payload.tray_half, uncertain)])
+    mass = Parameter("cup", "mass")
+    weights = [model.weights({mass: sign * half[mass]}) for sign in (-1, 1)]
+    bound = ((rows.worst(w) + added).reshape(len(T), 2, -1) * weights).max(axis=1)  # N
+    body = next(body for body in network.bodies if body.inner is not None)
+    for signs in np.random.default_rng(3).choice([-1.0, 1.0], (16, len(half))):
+        deviation = {p: h * sign for (p, h), sign in zip(half.items(), signs, strict=True)}
+        damping = body.inner.nominal_damping + deviation[Parameter("cup", "damping")]
+        waves = SurfaceMotion.along((LoadCase(body, body.inner.value, damping),), T, w).wrench[0]
+        k = network.bodies.index(body)
+        held = [facets @ network.share[e, k] for e, facets in enumerate(model.facets_at_tray(deviation))]
+        exact = w @ model.rows(deviation).T + waves @ np.concatenate(held).T
+        assert (exact <= bound + 1e-9 * np.abs(bound).max()).all()
+
+
 def test_a_case_knows_what_its_place_does_to_the_arm(coffee):
     """Of a place and a fill everything is sure, products too, and with them what a mass still may do."""
     problem, rng = transport_problem(placed(coffee, {}, arm__start_posture=None)), np.random.default_rng(4)

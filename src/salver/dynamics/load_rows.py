@@ -38,7 +38,7 @@ class LoadRows:
 
     def history(self, node: Indices, row: Indices, unknowns: Unknowns) -> Array:
         """Derivatives (m, c) of the contributions to rows at nodes (m,), by unknowns of the motion; changes of the
-        arm's response are neglected."""
+        arm's response and of the effect of uncertain positions are neglected."""
         found = np.zeros((len(node), unknowns.felt.shape[2]))
         for j, parts, added in self.loads:
             worst = np.concatenate([part[:, node, row] for part in added]).argmax(axis=0)
@@ -85,8 +85,10 @@ def _each_added(
     index = {body.name: j for j, body in enumerate(rows.network.bodies)}
     for name, parts in responses.items():
         j = index.get(name)
-        held = None if j is None else rows.wrench[j].T
-        yield j, parts, [_added(part, rows.nominal.T, held, at) for part in parts]
+        added = [_added(part, rows.nominal.T, None if j is None else rows.wrench[j].T, at) for part in parts]
+        for moved in () if j is None else rows.wrench_by_place[:, j]:
+            added = [x + np.abs(part.wrench[:, at] @ moved.T) for x, part in zip(added, parts, strict=True)]
+        yield j, parts, added
 
 
 def _added(part: LoadResponse, nominal: Array, held: Array | None, at: slice) -> Array:

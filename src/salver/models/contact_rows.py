@@ -44,7 +44,9 @@ class ContactRows(UncertainRows):
     interface. label: (n,) kind of each row; for the facets of a cone, whether friction limits them. internal: (n, n_w)
     effect of the network's internal wrenches on the rows; `worst` takes these wrenches as zero. Without columns if
     positions are uncertain, because the points where internal wrenches act are then unknown. wrench: (m, n, 6) effect
-    on the rows of an additional wrench at E, in E, that each of the m bodies needs.
+    on the rows of an additional wrench at E, in E, that each of the m bodies needs. wrench_by_place: (n_p, m, n, 6) how
+    much the uncertain positions of bodies that touch others change that; a body that stands alone has none, since the
+    wrench on it moves with it.
     """
 
     network: ContactNetwork
@@ -52,6 +54,7 @@ class ContactRows(UncertainRows):
     label: npt.NDArray[Any]
     internal: Array
     wrench: Array
+    wrench_by_place: Array
 
 
 @lru_cache(maxsize=8)
@@ -137,6 +140,7 @@ def network_rows(
         np.tile(model.label, copies),
         internal,
         np.concatenate([block[4] for block in blocks], axis=1),
+        np.concatenate([block[5] for block in blocks], axis=2),
         fillings=tuple(fillings),
         shake=uncertain.shake,
     )
@@ -262,8 +266,9 @@ class _RowModel:
 
 def _expand(
     model: _RowModel, acting: tuple[Parameter, ...], half: Deviation, signs: Mapping[Parameter, int]
-) -> tuple[Array, Array, Array, Array, Array]:
-    """c_0, c_k, d_l, and the effects of internal wrenches and of wrenches on the bodies, at one set of extreme masses.
+) -> tuple[Array, Array, Array, Array, Array, Array]:
+    """c_0, c_k, d_l, the effects of internal wrenches and of wrenches on the bodies, and how much positions change the
+    latter, at one set of extreme masses.
 
     c is quadratic in all parameters except the tilt, so that differences over the half-ranges give its terms exactly;
     the tilt is expanded to second order (relative error below tilt^3 / 6).
@@ -287,13 +292,21 @@ def _expand(
     shape = (-1, len(weight), N_MOTION)
     facets = list(enumerate(model.facets_at_tray(base)))
     internal = np.concatenate([rows @ model.network.internal[e] for e, rows in facets])
-    wrench = np.concatenate([np.einsum("ni,jik->jnk", rows, model.network.share[e]) for e, rows in facets], axis=1)
+
+    def wrench(*moves: tuple[Parameter, int]) -> Array:
+        rows = model.facets_at_tray(base | {p: sign * half[p] for p, sign in moves})
+        each = zip(rows, model.network.share, strict=True)
+        return np.concatenate([np.einsum("ni,jik->jnk", facet, share) for facet, share in each], axis=1)
+
+    places = [p for p in acting if p.kind == "position" and len(model.network.bodies) > 1]
+    by_place = [0.5 * (wrench((p, 1)) - wrench((p, -1))) for p in places]
     return (
         (centre + sum(half_square)) / weight[:, None],
         np.array(linear).reshape(shape) / weight[:, None],
         np.array(half_square + mixed).reshape(shape) / weight[:, None],
         internal / weight[:, None],
-        wrench / weight[:, None],
+        wrench() / weight[:, None],
+        np.reshape(by_place, (len(places), len(model.network.bodies), len(weight), 6)) / weight[:, None],
     )
 
 
