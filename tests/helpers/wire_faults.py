@@ -100,7 +100,7 @@ class Fault:
 
     def report(self, controller: Any, data: bytes) -> bytes:
         """What becomes of a report of the controller, a package whole with its head."""
-        if not self.now(controller):
+        if not data or not self.now(controller):
             return data
         if self.kind == "frozen":
             self.kept = self.kept or data

@@ -45,6 +45,15 @@ def test_a_jolt_is_refused(moving):
         assert found.sentence == "it does not begin where the arm is then"
 
 
+def test_a_motion_before_the_one_that_it_continues_is_refused(moving):
+    """It begins in the state in which that one begins, but the arm is elsewhere, on the way there."""
+    base = moving.committed
+    assert verified(moving.problem, base.motion, base.begins, base).committed is not None
+    found = verified(moving.problem, base.motion, base.begins - 0.05, base)
+    assert found.committed is None
+    assert found.sentence == "it begins 0.05 s before the motion that it continues"
+
+
 def test_what_does_not_end_at_rest_is_refused(moving):
     base, now = moving.committed, moving.committed.begins + 0.1
     cut = between(base.motion, 0.1, 0.6 * base.motion.duration)

@@ -46,7 +46,7 @@ def printed(path):
 
 def test_every_example_is_run_here():
     scripts = {path.stem for path in EXAMPLES.glob("*.py") if "__main__" in path.read_text() or path.stem in SMALL}
-    elsewhere = {"unicycle", "quadrotor"}  # test_sensitivity_examples.py
+    elsewhere = {"unicycle", "quadrotor", "lerobot_step"}  # the first two: test_sensitivity_examples.py
     assert scripts == set(SMALL) | elsewhere
 
 
@@ -73,6 +73,13 @@ def test_campaign_where_only_the_robust_plan_keeps_the_cube(tmp_path):
     assert lines[0] == "1.5 s, robust: planned safe; in the engine: holds 2"
     assert "1.3 s, robust: planned safe; in the engine: holds 2" in lines
     assert "1.3 s, baseline: planned not safe; in the engine: holds 1, slides 1" in lines
+
+
+def test_a_step_of_lerobot_keeps_what_a_policy_would_lose():
+    pytest.importorskip("lerobot.processor", reason="LeRobot is not installed")
+    asked, kept = printed(EXAMPLES / "lerobot_step.py").splitlines()
+    assert not asked.endswith(": holds")
+    assert kept == "after KeepLoad: holds"
 
 
 def extended(name):

@@ -43,6 +43,8 @@ def verified(
     on it."""
     if before is None:
         found = verify(problem, motion, None, options, thoroughly=thoroughly)
+    elif begins < before.begins:  # before its beginning the state of the one before is not known
+        return Finding(None, np.inf, f"it begins {before.begins - begins:.3g} s before the motion that it continues")
     else:
         left = before.left(begins, problem)
         found = verify(left, motion, before.state(begins), options, thoroughly=thoroughly)
