@@ -55,7 +55,7 @@ class KeepLoad(PolicyActionProcessorStep):
         self.live.command(0.0)
 
     def action(self, action: torch.Tensor) -> torch.Tensor:
-        wanted = np.array(action.detach().cpu(), dtype=float)
+        wanted = action.detach().cpu().numpy().astype(float)
         n, unit = self.live.problem.n, np.pi / 180 if self.degrees else 1.0
         rows = wanted.reshape(-1, wanted.shape[-1])
         limits = self.live.problem.limits
