@@ -357,10 +357,29 @@ def test_a_shake_in_one_direction_is_too_much(noise):
     assert judged(SHAKEN, noise=noise).outcome == "does_not_hold"
 
 
-def test_one_column_in_cm_is_told():
+def test_one_column_in_another_unit_is_noisier():
+    """Across the motion, in cm: 100 times the noise, and 2 m to the side that nobody notices."""
     p = seen(truth(T)).p
     p[:, 2] *= 100
+    (defect,) = [each for each in found(p, noise=0.0).defects if each.code == "unit" and "noisy" in each.clause]
+    assert defect.systematic
     assert judged(p, noise=0.0).outcome == "cannot_tell"
+
+
+def test_one_column_in_m_where_the_others_are_in_mm_hides_no_motion():
+    """Half a metre in 0.5 s, which needs 11.5 m/s^2; read in mm it is half a millimetre, and would hold."""
+    p = truth((T - 0.7) * 3.2 + 0.2)
+    assert judged(p).outcome == "does_not_hold"
+    p = seen(p).p
+    p[:, 1] *= 1e-3
+    assert judged(p, noise=0.0).outcome == "cannot_tell"
+
+
+def test_a_hum_in_one_column_is_no_other_unit():
+    """3 mm at 3/8 of the rate of the samples: from one sample to the next as alike as white noise, to the third not."""
+    p = truth(T)
+    p[:, 2] += 3e-3 * np.sin(2 * np.pi * 3 / 8 * RATE * T)
+    assert "unit" not in codes(found(p))
 
 
 def test_a_tray_at_rest_where_only_the_worst_friction_would_not_hold_the_load_is_doubted_in_the_worst_case():

@@ -1,7 +1,8 @@
 """Defects of a recording by logger, sensor or software, found in the samples and repaired if that is sound.
 
 In this order: a wrong unit, the end of a sensor's range, repeated samples, jitter of the clock, two sources that take
-turns, spikes and jumps. They are searched for in the channels as they are in the file: a pose, or joint positions.
+turns, spikes and jumps, one column in another unit. They are searched for in the channels as they are in the file: a
+pose, or joint positions.
 """
 
 from __future__ import annotations
@@ -79,6 +80,7 @@ def repaired(channels: Channels, options: AuditOptions, fewest: int = 16) -> Cha
         _with_even_clock,
         _of_one_sensor,
         _without_breaks,
+        _in_one_unit,
     )
     for step in known:
         if len(channels.t) >= fewest:
@@ -216,6 +218,20 @@ def _of_one_sensor(channels: Channels, options: AuditOptions) -> Channels:
         return channels
     clause = f"every other sample lies {1e3 * size:.2g} mm beside those between: two sources take turns in the file"
     return channels.having(Defect("alternating", clause, systematic=True))
+
+
+def _in_one_unit(channels: Channels, options: AuditOptions) -> Channels:
+    """Add a defect if white noise shows that one column has another unit."""
+    y = channels.y[:, :3] if channels.pose else channels.y
+    away = off_cubic(channels.t, y)
+    square = np.sum(away**2, axis=0) + 1e-300
+    beside = [np.sum(away[k:] * away[:-k], axis=0) / square for k in (1, 2)]
+    white = (np.abs(beside[0] + 0.8) < 0.15) & (np.abs(beside[1] - 0.4) < 0.15)  # as the differences of white noise
+    noise = np.sqrt(square[white] / len(away))
+    if white.any() and noise.max() > options.uneven * noise.min():
+        clause = f"one column is {noise.max() / noise.min():.0f} times as noisy as another: its unit is another"
+        return channels.having(Defect("unit", clause, systematic=True))
+    return channels
 
 
 # Spikes and jumps ---------------------------------------------------------------------------------------------

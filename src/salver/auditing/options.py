@@ -30,6 +30,8 @@ class AuditOptions:
     nearest, furthest: m, distances from the origin outside which positions are in another unit.
     stopping: share of a column's largest step between samples with which it may come to an extreme at which it stays.
         Fewer ends of a sensor's range are noticed.
+    uneven: ratio of the noise of two columns above which their units differ; axes of one sensor differ by less than
+        ten. A column in cm may not be noticed.
     drop: factor by which the power of the noise falls at the cut-off of a filter. Weaker filters are not detected.
     break_off: size of a spike or jump over the usual deviation from neighbours. Smaller ones become jolts.
     alternating: correlation over four samples above which two sources take turns; 0 for noise, 1 for such sources. At
@@ -62,6 +64,7 @@ class AuditOptions:
     nearest: float = 2e-3
     furthest: float = 20.0
     stopping: float = 0.2
+    uneven: float = 30.0
     drop: float = 30.0
     break_off: float = 5.0
     alternating: float = 0.6
