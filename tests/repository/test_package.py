@@ -92,6 +92,6 @@ def test_a_release_is_a_clean_checkout_at_the_tag_of_its_version(tmp_path):
 
 def test_a_release_runs_the_lines_of_the_readme():
     code, says = dist.first_example((ROOT / "README.md").read_text(encoding="utf-8"))
-    assert code.startswith("import salver as sv\n")
+    assert code.startswith("import salver as sv  # ")
     assert len(code.splitlines()) == 6
     assert says.count(" s: ") == 2

@@ -229,7 +229,6 @@ def test_no_output_goes_over_the_files_of_a_run(run, name):
     before = contents(run)
     for write in (
         lambda: write_report(run, run / name),
-        lambda: write_export(run, "json", run / name),
         lambda: write_export(run, "csv", run / name),
         lambda: write_export(run, "yaml", run / name),
     ):
