@@ -9,6 +9,7 @@ import pytest
 
 import salver as sv
 from live_runs import JUST, Linear
+from salver.control.arm import with_load
 from salver.live.committed.commit import committed_of, verified
 from salver.live.committed.motion import resting
 from salver.models.arm.arm_limits import LIMITS
@@ -302,6 +303,31 @@ def test_a_torque_rate_that_rises_and_falls_between_two_near_knots_is_seen():
     assert with_top(1.5).jerk(np.array([0.2012]))[0, 0] == pytest.approx(1.5 * limit / mass)
     assert verify(problem, with_top(0.8)).ok
     assert verify(problem, with_top(1.5)).what == "torque rate of panda_joint1"
+
+
+def test_a_torque_rate_is_largest_over_the_period_that_has_its_peak_in_the_middle():
+    """About the vertical, with a jerk that rises to J at a knot and falls, as lines of 2 ms each: its mean over 1 ms
+    about it is 7/8 J, and 3/4 J over 1 ms that begins or ends there."""
+    problem = replace(transport_problem(sv.load_scenario("panda-cube")), keep_out=None)
+    q, h = problem.start.q, 2e-3
+    mass = with_load(problem.arm, problem.items).mass_matrix(q)[0, 0]
+    limit = problem.limits.torque_rate[0]
+
+    def with_peak(share):
+        jerk = share * limit / mass
+        knots = [(0.0, 0.0, 0.0, 0.0), (0.2, 0.02, 0.2, 0.0)]
+        knots.append((0.2 + h, 0.02 + 0.2 * h + jerk * h**3 / 24, 0.2 + jerk * h**2 / 6, jerk * h / 2))
+        knots.append((0.2 + 2 * h, 0.02 + 0.4 * h + jerk * h**3 * 7 / 12, 0.2 + jerk * h**2, jerk * h))
+        t, *states = np.array([*knots, (0.6, 0.1, 0.0, 0.0)]).T
+        turned = [np.outer(x, -np.eye(7)[0]) for x in states]
+        return JointMotion(t, q + turned[0], *turned[1:])
+
+    judged = Judged.of(problem, with_peak(1.0))
+    (block,) = torque_rate(judged)
+    about = np.abs(judged.t[block.points] - 0.2 - h) < 0.9 * h
+    assert block.values[about].max() + 1.0 - STANDARD.torque_rate == pytest.approx(7 / 8, rel=1e-3)
+    assert verify(problem, with_peak(1.1)).ok
+    assert verify(problem, with_peak(1.15)).what == "torque rate of panda_joint1"
 
 
 @pytest.mark.parametrize(("name", "share"), [("panda-cube", -1.0), ("panda-tall-bottle", 0.1)])

@@ -82,19 +82,23 @@ def tilt(judged: Judged) -> Iterator[Block]:
 
 def torque_rate(judged: Judged) -> Iterator[Block]:
     """|tau(t + p) - tau(t)| / p <= limit over every control period p, of the reference. dtau/dt = dtau/dq dq +
-    dtau/ddq ddq + M dddq is computed on both sides of each instant, because the jerk jumps, and is linear between."""
+    dtau/ddq ddq + M dddq is computed on both sides of each instant, because the jerk jumps, and is linear between: its
+    mean over a period is largest where that begins or ends at an instant, or has one in its middle."""
     z, slope, n = judged.along.at_nodes, judged.along.terms.torque_z, judged.problem.n
     after = slope @ z[1:].swapaxes(0, 1).reshape(len(slope), 3 * n, 1)
     before = after - slope[:, :, 2 * n :] @ (z[3] - judged.along.jerk_before)[:, :, None]
-    half = np.minimum(judged.options.period / np.diff(judged.t), 1.0)[:, None] / 2  # share of a step, from either end
+    shares = np.outer([1.0, 0.5], judged.options.period / np.diff(judged.t))  # of a step, in a whole and half a period
+    half, quarter = np.minimum(shares, 1.0)[:, :, None] / 2  # where the mean over these is, from either end of a step
     for constraint in judged.of_kind(TorqueRateLimit):
         limit = constraint.limits.torque_rate
         some = np.flatnonzero(np.isfinite(limit))
         if len(some):
             first, last = after[:-1, some, 0] / limit[some], before[1:, some, 0] / limit[some]
-            either = [both_sides(first + half * (last - first)), both_sides(last + half * (first - last))]
+            begins, ends, middle = first + half * (last - first), last + half * (first - last), 0.0 * first
+            middle[1:] = 0.5 * (last + quarter * (first - last))[:-1] + 0.5 * (first + quarter * (last - first))[1:]
+            values = np.max([both_sides(x) for x in (begins, ends, middle)], axis=0)
             points = judged.along.nodes[:-1]
-            row = Block("torque rate", np.maximum(*either), no_gradient, points, slows=0.5, inherits=False)
+            row = Block("torque rate", values, no_gradient, points, slows=0.5, inherits=False)
             yield from judged.rows(constraint, [row])
 
 
