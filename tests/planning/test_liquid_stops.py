@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -12,16 +13,19 @@ from live_runs import ROUNDS
 from salver.driver.preflight import check_plan
 from salver.models.arm.arm import load_arm
 from salver.planning.fastest import plan_fastest
-from salver.planning.stops import along, past_of, plan_stops, stop_problem, stopped
+from salver.planning.stop_library import StopLibrary
+from salver.planning.stops import STORED, along, past_of, plan_stops, stop_from, stop_problem, stopped, stopping
 from salver.planning.trajopt.ends import Anywhere, AtPosture
 from salver.planning.trajopt.evaluation import MotionEvaluation
 from salver.planning.trajopt.problem import TransportProblem, transport_problem
+from salver.planning.verdict.verify import verify
 from salver.sensitivity.arm.compliance import LoadResponses
 from salver.simulation.physics import simulate
 from salver.trajectory import JointMotion
 from shaken_loads import BOX
 from transport_problems import ROUGH, cup_and_jar
 
+BESIDE = {"objects__0__uncertainty__position": [0.008, 0.005]}
 NOW, END = 0.3, 0.8  # s: when a motion is left, and its end
 
 
@@ -50,7 +54,7 @@ def left(problem: TransportProblem, motion: JointMotion, now: float = NOW) -> Tr
     return replace(problem, start=state, goal=Anywhere(), tracking=tracking, past=past)
 
 
-@pytest.mark.parametrize("shape", [{}, BOX], ids=["cylinder", "box"])
+@pytest.mark.parametrize("shape", [{}, BOX, BESIDE], ids=["cylinder", "box", "place"])
 def test_waves_of_a_motion_that_goes_on_are_those_of_both_together(shape):
     """A motion that is left and gone on with is one motion: at each of its later instants the waves are as high, push
     as hard, and leave as much, as planned and with what the arm makes of them and of an unknown load: but for what two
@@ -91,6 +95,30 @@ def test_a_slow_plan_with_coffee_is_stopped_long_before_its_end_and_nothing_spil
     ] == []
     full = {"fill": 0.065, "damping": 0.002, "mass": 0.275, "friction": 0.36}
     assert simulate(plan, parameters=full, stop_at=now).outcome == "holds"
+
+
+@pytest.mark.slow
+def test_a_stop_keeps_the_coffee_of_a_cup_beside_its_place():
+    """In the engine with the cup at every corner of its range, on a tray that is turning by 90 degrees; a stop for the
+    exact place is refused."""
+    now = 0.6
+    turned = {"motion__goal_yaw": "fixed", "motion__goal__rpy_deg": [0.0, 0.0, 90.0], "motion__speeds": "full"}
+    exact = sv.load_scenario("panda-coffee").with_changes(**turned)
+    plan = plan_fastest(exact.with_changes(objects__0__uncertainty__position=[0.01, 0.01]), options=ROUGH)
+    begun, other = (
+        left(stop_problem(replace(plan, scenario=case)), plan.joint, now) for case in (plan.scenario, exact)
+    )
+    found, wrong = (stop_from(problem, problem.start) for problem in (begun, other))
+    states = (begun.start.q, *begun.start.rates)
+    assert verify(begun, found.motion, states, stopping(found.motion.duration)).ok
+    assert not verify(begun, wrong.motion, states, stopping(wrong.motion.duration)).ok
+    motion, stray = found.motion, np.stack([found.stray] * 2)
+    each = (x[None] for x in (motion.q, motion.dq, motion.ddq))
+    one = StopLibrary(np.array([now]), np.array([motion.duration]), STORED, *each, stray, plan.duration)
+    full = {"fill": 0.065, "damping": 0.002, "mass": 0.275, "friction": 0.36}
+    for x, y in product((-0.01, 0.01), repeat=2):
+        run = simulate(replace(plan, stops=one), parameters=full | {"position_x": x, "position_y": y}, stop_at=now)
+        assert run.outcome == "holds"
 
 
 @pytest.mark.slow
