@@ -1,4 +1,4 @@
-"""What docs/liquids.md says in numbers, written into that page: one command, two tables and a sentence.
+"""What docs/liquids.md says in numbers, written into that page: one command, or its parts one by one (--only).
 
     python benchmarks/liquids.py [--only flow|cones|runs|places|survey|leaning] [-n 1000] [--beside 20] [--minutes 60]
         [--loads 60]
@@ -28,7 +28,7 @@ import json
 import sys
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -370,20 +370,25 @@ def main() -> None:
     parser.add_argument("--minutes", type=float, default=1e6, help="write what there is after so many")
     parser.add_argument("--loads", type=int, default=60, help="of the survey")
     options = parser.parse_args()
-    if options.only in (None, "flow"):
-        written(PAGE, "flow", "\n".join(flow_rows()))
-    if options.only in (None, "cones"):
-        written(PAGE, "cones", "\n".join(cone_rows()))
-    if options.only in (None, "survey"):
-        written(PAGE, "survey", survey_said(options.loads))
-    if options.only in (None, "runs"):
+
+    def runs() -> Iterator[str]:
         every = [motion for name in SCENARIOS for motion in motions(name, options.n, options.beside)]
-        written(PAGE, "runs", "\n".join(run_rows(every, options.minutes)))
-    if options.only == "places":
+        return run_rows(every, options.minutes)
+
+    def places() -> Iterator[str]:
         every = [motion for named in PLACED for motion in placed_motions(named, options.n)]
-        written(PAGE, "places", "\n".join(run_rows(every, options.minutes, "planned for | run within")))
-    if options.only == "leaning":
-        written(PAGE, "leaning", leaning_said(options.loads))
+        return run_rows(every, options.minutes, "planned for | run within")
+
+    parts: dict[str, Callable[[], Iterable[str]]] = {
+        "flow": flow_rows,
+        "cones": cone_rows,
+        "survey": lambda: [survey_said(options.loads)],
+        "runs": runs,
+        "places": places,
+        "leaning": lambda: [leaning_said(options.loads)],
+    }
+    for part in (options.only,) if options.only else parts:
+        written(PAGE, part, "\n".join(parts[part]()))
 
 
 if __name__ == "__main__":
