@@ -6,8 +6,7 @@ import os
 import signal
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
-from dataclasses import replace
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -15,74 +14,21 @@ from typing import Any
 import numpy as np
 import pytest
 
-from salver import scenario
 from salver.control.arm import ArmState
 from salver.driver import execute
 from salver.driver.live import LiveRunOptions, run_live
-from salver.driver.preflight import Check, check_plan
 from salver.driver.robots import ur
 from salver.driver.sensing import Sensed
 from salver.driver.signals import Signals
 from salver.errors import SalverError
 from salver.models.arm.arm import load_arm
 from salver.models.arm.known_arms import UR_JOINTS
-from salver.planning.make import make_plan
-from salver.planning.plan import Plan, load_plan
-from salver.planning.stops import plan_stops, stop_problem
+from salver.planning.plan import Plan
 from ur_server import Controller, package
+from wire import CASES, asked_at, until
 
-CASE = scenario.load("ur5-bottle").with_changes(
-    arm__model="ur5e", physics__settle_before=0.05, physics__settle_after=0.1
-)
-
-
-@pytest.fixture(scope="module")
-def directory(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("ur")
-    plan = make_plan(CASE, "baseline")
-    assert plan.joint is not None
-    replace(plan, stops=plan_stops(stop_problem(plan), plan.joint, 0.3, plan.space)).save(folder)
-    return folder
-
-
-@pytest.fixture(scope="module")
-def plan(directory: Path) -> Plan:
-    return load_plan(directory)
-
-
-@pytest.fixture(scope="module")
-def checks(plan: Plan) -> list[Check]:
-    arm = load_arm(plan.scenario.arm, plan.scenario.tray)  # type: ignore[arg-type]
-    return check_plan(plan, arm, plan.scenario.payload.bodies)
-
-
+ROBOT = "ur"
 Make = Callable[..., Controller]
-
-
-@pytest.fixture
-def controller(plan: Plan, checks: list[Check], monkeypatch: pytest.MonkeyPatch) -> Iterator[Make]:
-    """Of a robot whose plan was checked already."""
-    monkeypatch.setattr(execute, "check_plan", lambda *args: list(checks))
-    made: list[Controller] = []
-
-    def make(**options: Any) -> Controller:
-        made.append(Controller(options.pop("q", plan.joint.q[0]), **options))  # type: ignore[union-attr]
-        monkeypatch.setattr(ur, "RTDE_PORT", made[-1].ports[0])
-        monkeypatch.setattr(ur, "SCRIPT_PORT", made[-1].ports[1])
-        return made[-1]
-
-    yield make
-    for each in made:
-        each.close()
-        assert each.error is None
-
-
-def until(condition: Callable[[], Any]) -> None:
-    """Wait for what the controller does in its own time, however long that takes on a busy machine."""
-    end = time.monotonic() + 60.0
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(1e-3)
 
 
 def run(directory: Path, **options: Any) -> execute.Execution:
@@ -113,18 +59,6 @@ def test_a_ur_is_sent_the_plan_and_told_its_payload(directory: Path, plan: Plan,
     assert com == pytest.approx(
         arm.p_FE + (plan.scenario.tray.mass * arm.tray_com_E + body.inertial.mass * body.p_EB) / mass
     )
-
-
-def asked_at(step: int, what: Callable[[Controller], Any]) -> Callable[[Controller], None]:
-    """Once, in a period after the program's first command that moves the arm."""
-    seen: list[int] = []
-
-    def each(robot: Controller) -> None:
-        if len(robot.commands) > step and not seen:
-            seen.append(1)
-            what(robot)
-
-    return each
 
 
 def test_a_stop_keeps_the_load_on_a_ur(directory: Path, plan: Plan, controller: Make) -> None:
@@ -229,6 +163,25 @@ def test_old_registers_move_nothing(plan: Plan, controller: Make, monkeypatch: p
     assert np.abs(np.array(robot.commands) - plan.joint.q[0]).max() < 1e-12  # type: ignore[union-attr]
 
 
+def test_where_it_stands_is_known_however_long_nobody_read(plan: Plan, controller: Make) -> None:
+    """While an operator is asked, or plans are made, no states fill the buffers."""
+    sent: list[str] = []
+    robot = controller(odd=lambda kind, body: sent.append(kind) or package(kind, body))  # type: ignore[func-returns-value]
+    driven = ur.URRobot("127.0.0.1", 1.0, np.zeros(3))
+    count, steps = len(sent), robot.steps
+    until(lambda: robot.steps > steps + 50)
+    assert len(sent) == count
+    robot.q = robot.q + 0.1
+    assert np.abs(driven.look().q - plan.joint.q[0] - 0.1).max() < 1e-12  # type: ignore[union-attr]
+    driven.start()
+    driven.read()
+    driven.stop()
+    driven.look()
+    count, steps = len(sent), robot.steps
+    until(lambda: robot.steps > steps + 50)
+    assert len(sent) == count
+
+
 def test_an_arm_that_was_moved_since_it_was_seen_is_held_where_it_is(plan: Plan, controller: Make) -> None:
     """While a person is asked, states wait in the connection: the first that are read then are old."""
     old: list[bytes] = []
@@ -303,7 +256,7 @@ def test_a_ur_is_driven_live_until_it_is_slowed(plan: Plan, controller: Make, tm
             robot.slider = 0.5
 
     robot.each = slow
-    result = run_live(CASE, ['{"t": 0.0, "goto": [0.6, 0.05, 0.45]}'], tmp_path / "live", "ur", "127.0.0.1",
+    result = run_live(CASES[ROBOT], ['{"t": 0.0, "goto": [0.6, 0.05, 0.45]}'], tmp_path / "live", "ur", "127.0.0.1",
                       options=LiveRunOptions(patience=60.0))  # fmt: skip
     sent, arm, body = np.array(robot.commands), plan.scenario.load_arm(), plan.scenario.payload.bodies[0]
     assert result.summary["requests"] == {"accepted": 1, "refused": 0, "dropped": 0}

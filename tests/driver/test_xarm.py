@@ -5,9 +5,7 @@ from __future__ import annotations
 import os
 import re
 import signal
-import time
-from collections.abc import Callable, Iterator
-from dataclasses import replace
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -15,97 +13,37 @@ from typing import Any
 import numpy as np
 import pytest
 
-from salver import scenario
 from salver.control.arm import ArmState
 from salver.driver import execute
 from salver.driver.live import run_live
-from salver.driver.preflight import Check, check_plan
 from salver.driver.robots import xarm
 from salver.driver.sensing import Sensed
 from salver.driver.signals import Signals
 from salver.errors import MissingDependencyError, SalverError
-from salver.planning.make import make_plan
+from salver.models.arm.arm import ArmModel
 from salver.planning.plan import Plan, load_plan
-from salver.planning.stops import plan_stops, stop_problem
+from wire import CASES, asked_at, until
 from xarm_server import Controller, flange
 
-x_config = pytest.importorskip("xarm.core.config.x_config", reason="xarm-python-sdk is not installed")
+pytest.importorskip("xarm", reason="xarm-python-sdk is not installed")
 
-CASE = scenario.load("panda-cube").with_changes(
-    arm__model="xarm7", arm__start_posture=None, motion__duration=1.25, motion__nodes=21,
-    physics__settle_before=0.05, physics__settle_after=0.1,
-)  # fmt: skip
-ROUNDED = 1e-6  # rad; joints travel as numbers of 32 bits
-
-
-@pytest.fixture(scope="module")
-def directory(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("xarm")
-    plan = make_plan(CASE, "baseline")
-    assert plan.joint is not None
-    replace(plan, stops=plan_stops(stop_problem(plan), plan.joint, 0.2, plan.space)).save(folder)
-    return folder
-
-
-@pytest.fixture(scope="module")
-def plan(directory: Path) -> Plan:
-    return load_plan(directory)
-
-
-@pytest.fixture(scope="module")
-def checks(plan: Plan) -> list[Check]:
-    return check_plan(plan, plan.scenario.load_arm(), plan.scenario.payload.bodies)
-
-
+ROBOT = "xarm"
 Make = Callable[..., Controller]
-
-
-@pytest.fixture
-def controller(plan: Plan, checks: list[Check], monkeypatch: pytest.MonkeyPatch) -> Iterator[Make]:
-    """Of a robot whose plan was checked already."""
-    monkeypatch.setattr(execute, "check_plan", lambda *args: list(checks))
-    made: list[Controller] = []
-
-    def make(**options: Any) -> Controller:
-        options = {"model": "xarm7", "q": plan.joint.q[0]} | options  # type: ignore[union-attr]
-        made.append(Controller(**options))
-        control, reports, settings = made[-1].ports
-        monkeypatch.setattr(x_config.XCONF.SocketConf, "TCP_CONTROL_PORT", control)
-        monkeypatch.setattr(xarm, "REPORTS", reports)
-        monkeypatch.setattr(xarm, "SETTINGS", settings)
-        return made[-1]
-
-    yield make
-    for each in made:
-        each.close()
-        assert each.failed is None
+ROUNDED = 1e-6  # rad; joints travel as numbers of 32 bits
 
 
 def run(directory: Path, **options: Any) -> execute.Execution:
     return execute.run_plan(directory, "xarm", "127.0.0.1", **options)
 
 
-def driven(plan: Plan, mass: float = 1.0, **options: Any) -> xarm.XArmRobot:
-    return xarm.XArmRobot("127.0.0.1", plan.scenario.load_arm(), mass, np.zeros(3), xarm.XArmOptions(**options))
+def connected(arm: ArmModel, **options: Any) -> xarm.XArmRobot:
+    robot = xarm.XArmRobot("127.0.0.1", 1.0, np.zeros(3), xarm.XArmOptions(**options))
+    robot.recognise(arm)
+    return robot
 
 
-def asked_at(step: int, what: Callable[[Controller], Any]) -> Callable[[Controller], None]:
-    """Once, in a period after so many commands."""
-    seen: list[int] = []
-
-    def each(robot: Controller) -> None:
-        if len(robot.commands) > step and not seen:
-            seen.append(1)
-            what(robot)
-
-    return each
-
-
-def until(condition: Callable[[], Any]) -> None:
-    end = time.monotonic() + 60.0
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(1e-3)
+def driven(plan: Plan, **options: Any) -> xarm.XArmRobot:
+    return connected(plan.scenario.load_arm(), **options)
 
 
 def test_where_it_stands_is_known_however_long_nobody_read(plan: Plan, controller: Make) -> None:
@@ -268,15 +206,15 @@ def test_each_model_is_recognised_where_it_stands_and_no_other(
     changes = {
         "arm__base_position": (0.5, -2.0, 0.8), "arm__base_rpy_deg": (35.0, -70.0, 40.0), "surroundings__floor": "none",
     }  # fmt: skip
-    case = CASE.with_changes(arm__model=model, **changes)
+    case = CASES[ROBOT].with_changes(arm__model=model, **changes)
     arm = case.load_arm()
     q = rng.uniform(-1.2, 1.2, arm.n)
     robot = controller(model=model, q=q)
-    xarm.XArmRobot("127.0.0.1", arm, 1.0, np.zeros(3))
+    connected(arm)
     if arm.n == 6:
         robot.model = "lite6" if model == "xarm6" else "xarm6"
         with pytest.raises(SalverError, match=rf"the flange is .* mm and .* from where {model} has link6; 10"):
-            xarm.XArmRobot("127.0.0.1", arm, 1.0, np.zeros(3))
+            connected(arm)
 
 
 @pytest.mark.parametrize(("model", "factor", "limit"), [("xarm7", 1.2, 1.2), ("xarm7", 0.3, 0.3)])
@@ -299,10 +237,10 @@ def test_a_tool_too_fast_for_servo_mode_is_refused_before_it_moves(
 
 
 def test_a_lite_6_allows_its_tool_half_a_metre_a_second(controller: Make) -> None:
-    case = CASE.with_changes(arm__model="lite6")
+    case = CASES[ROBOT].with_changes(arm__model="lite6")
     arm = case.load_arm()
     controller(model="lite6", q=np.zeros(6))
-    robot = xarm.XArmRobot("127.0.0.1", arm, 1.0, np.zeros(3))
+    robot = connected(arm)
     assert robot._fastest == pytest.approx(0.5)
 
 
@@ -362,7 +300,7 @@ def test_goals_and_a_stop_are_carried_out_while_it_moves(plan: Plan, controller:
     robot = controller(paced=True)
     here = plan.scenario.motion.start.position  # type: ignore[union-attr]
     lines = [f'{{"t": 0.0, "goto": [{here[0] - 0.05}, {here[1] + 0.15}, {here[2]}]}}', '{"t": 3.0, "stop": true}']
-    result = run_live(CASE, lines, tmp_path / "live", "xarm", "127.0.0.1")
+    result = run_live(CASES[ROBOT], lines, tmp_path / "live", "xarm", "127.0.0.1")
     assert result.achieved, result.summary["stopped"]
     assert result.summary["requests"] == {"accepted": 2, "refused": 0, "dropped": 0}
     sent = np.array(robot.commands)
@@ -379,7 +317,7 @@ def test_a_live_motion_that_is_too_fast_for_the_tool_is_not_committed(
     robot = controller(paced=True, factor=0.02)
     here = plan.scenario.motion.start.position  # type: ignore[union-attr]
     lines = [f'{{"t": 0.0, "goto": [{here[0] - 0.05}, {here[1] + 0.15}, {here[2]}]}}', '{"t": 2.0, "stop": true}']
-    result = run_live(CASE, lines, tmp_path / "live", "xarm", "127.0.0.1")
+    result = run_live(CASES[ROBOT], lines, tmp_path / "live", "xarm", "127.0.0.1")
     assert any("allows 0.02 m/s in servo mode" in outcome for outcome in result.summary["outcomes"])
     assert robot.error == 0
     assert np.abs(np.diff(robot.commands, axis=0)).max() < 1e-3

@@ -125,7 +125,7 @@ class Controller:
         self.commands: list[Array] = []
         self.steps, self.program, self.over, self.inputs = 0, "", False, 0
         self.gone = False  # its client; the program goes on
-        self.error: BaseException | None = None
+        self.failed: BaseException | None = None
         self.client: socket.socket | None = None
         self.recipes: dict[str, list[str]] = {}
         self._came = b""
@@ -159,7 +159,7 @@ class Controller:
             except (Ended, OSError):
                 pass
             except BaseException as error:
-                self.error = error
+                self.failed = error
                 raise
 
     def run(self, program: str) -> None:
@@ -268,6 +268,9 @@ class Controller:
         elif kind == "S":
             self.recipes["S"] = []
             self._send("S", b"\x01")
+        elif kind == "P":
+            self.recipes.pop("S", None)
+            self._send("P", b"\x01")
         elif kind == "U":
             names = self.recipes["I"]
             values = struct.unpack(">B" + "".join(INPUTS[name][1] for name in names), body)[1:]

@@ -12,7 +12,6 @@ import struct
 import time
 from collections import deque
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -20,23 +19,14 @@ from unittest.mock import patch
 import numpy as np
 
 import ur_server
-import xarm_server
-from salver import scenario
+import wire
 from salver.driver import execute
 from salver.driver.robots import ur, xarm
+from salver.driver.signals import noted_signals
 from salver.errors import SalverError
 from salver.files import load_npz, read_json
-from salver.planning.make import make_plan
 from salver.planning.plan import load_plan
-from salver.planning.stops import plan_stops, stop_problem
 
-CALM = {"physics__settle_before": 0.05, "physics__settle_after": 0.1}
-CASES = {
-    "ur": scenario.load("ur5-bottle").with_changes(arm__model="ur5e", **CALM),
-    "xarm": scenario.load("panda-cube").with_changes(
-        arm__model="xarm7", arm__start_posture=None, motion__duration=1.25, motion__nodes=21, **CALM
-    ),
-}
 NUMBERS = (np.nan, np.inf, -np.inf, 1e30, -1e9, -3.0, 3.0, 0.3, 0.01, 0.0)
 KINDS = (
     "reading", "reading", "reading", "clock", "frozen", "garbage", "silence", "hang up", "stop", "signal", "signal",
@@ -126,10 +116,7 @@ class WireRig:
 
     def __init__(self, folder: Path, robot: str) -> None:
         self.folder, self.robot = folder, robot
-        plan = make_plan(CASES[robot], "baseline")
-        assert plan.joint is not None
-        replace(plan, stops=plan_stops(stop_problem(plan), plan.joint, 0.2, plan.space)).save(folder)
-        self.plan = load_plan(folder)
+        self.plan = load_plan(wire.planned(robot, folder))
         self.arm = self.plan.scenario.load_arm()
         self.checks = execute.check_plan(self.plan, self.arm, self.plan.scenario.payload.bodies)
         execute.demand(self.checks)
@@ -140,7 +127,9 @@ class WireRig:
         rng = np.random.default_rng([seed, len(self.robot)])
         periods = round(self.plan.duration / self.period) + 60
         faults = [Fault(rng, self.robot, periods) for _ in range(int(rng.choice([1, 1, 2])))]
-        with self.controller(faults) as controller, patch.object(execute, "check_plan", lambda *_: list(self.checks)):
+        # A signal may come when the run has ended, until the controller is closed.
+        checked = patch.object(execute, "check_plan", lambda *_: list(self.checks))
+        with noted_signals(), self.controller(faults) as controller, checked:
             try:
                 options = {"ur": ur.UROptions(timeout=1.0), "xarm": xarm.XArmOptions(timeout=1.0)}[self.robot]
                 result: Any = execute.run_plan(self.folder, self.robot, "127.0.0.1", options=options)
@@ -189,8 +178,10 @@ class _Running:
     def __enter__(self) -> Any:
         rig, faults, running = self._rig, self._faults, []
 
-        def reported(data: bytes) -> bytes:
-            for fault in faults if running and len(data) > 200 else ():
+        def odd(source: Any, data: bytes) -> bytes:
+            if rig.robot == "ur":
+                data = ur_server.package(source, data)
+            for fault in faults if running and source in ("U", 30000) and len(data) > 200 else ():
                 data = fault.report(running[0], data)
             return data
 
@@ -199,27 +190,10 @@ class _Running:
                 fault.each(controller)
 
         q = rig.plan.joint.q[0]  # type: ignore[union-attr]
-        if rig.robot == "ur":
-
-            def package(kind: str, body: bytes) -> bytes:
-                whole = ur_server.package(kind, body)
-                return reported(whole) if kind == "U" else whole
-
-            made: Any = ur_server.Controller(q, odd=package)
-            ports = ((ur, "RTDE_PORT", made.ports[0]), (ur, "SCRIPT_PORT", made.ports[1]))
-        else:
-            from xarm.core.config.x_config import XCONF
-
-            made = xarm_server.Controller(
-                q, model="xarm7", odd=lambda port, data: reported(data) if port == 30000 else data
-            )
-            ports = (
-                (XCONF.SocketConf, "TCP_CONTROL_PORT", made.ports[0]), (xarm, "REPORTS", made.ports[1]),
-                (xarm, "SETTINGS", made.ports[2]),
-            )  # fmt: skip
+        made = wire.controller(rig.robot, q=q, odd=odd)
         made.each = each
         running.append(made)
-        self._made, self._patches = made, [patch.object(*port) for port in ports]
+        self._made, self._patches = made, [patch.object(*port) for port in wire.ports(rig.robot, made)]
         for change in self._patches:
             change.start()
         return made

@@ -6,7 +6,8 @@ from __future__ import annotations
 import socket
 import struct
 from abc import abstractmethod
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
@@ -25,17 +26,47 @@ if TYPE_CHECKING:
     from salver.trajectory import JointMotion
 
 
+@dataclass(frozen=True)
+class PositionOptions:
+    """Options of driving an arm that follows joint positions.
+
+    timeout: s within which the controller must answer. settling: s at rest after the way to the start.
+    near, turned: largest difference, m and rad, of the flange's pose by the controller's kinematics and by the plan's
+    model of the arm.
+    """
+
+    timeout: float = 1.0
+    settling: float = 0.5
+    near: float = 0.01
+    turned: float = 0.05
+
+
 class PositionRobot(Robot):
     """A robot that takes joint positions; subclasses connect, read the state and send positions.
 
-    kind: its name in `ROBOTS`. settling: s at rest after the way to the start.
+    kind: its name in `ROBOTS`. standard: its default options.
     """
 
     kind: str
-    takes, speed, limits, settling = "position", 1.0, None, 0.5
+    standard: Any
+    takes, speed, limits = "position", 1.0, None
 
-    def __init__(self, address: str) -> None:
-        self._address = address
+    def __init__(self, address: str, mass: float, com_F: Array, options: Any = None) -> None:
+        """mass, com_F (3,): kg, m in the flange's frame, of all that the arm carries. options: a `PositionOptions`."""
+        self._address, self._mass, self._com, self._options = address, mass, com_F, options or self.standard
+        self._at, self._first = 0.0, True  # its clock, s
+
+    @classmethod
+    def connect(
+        cls, address: str, scenario: Scenario, arm: ArmModel, realtime: bool, options: PositionOptions | None = None
+    ) -> Self:
+        robot = cls(address, *payload(scenario, arm), options)
+        robot.recognise(arm)
+        return robot
+
+    @abstractmethod
+    def recognise(self, arm: ArmModel) -> None:
+        """Compare the connected arm with that of the plan (`unlike`). Raises SalverError when it is another one."""
 
     @property
     def source(self) -> str:
@@ -57,7 +88,7 @@ class PositionRobot(Robot):
             self.start()
             try:
                 t = 0.0
-                while t < motion.duration + self.settling:
+                while t < motion.duration + self._options.settling:
                     self.read()
                     if signals.seen:
                         raise SalverError(f"{signals.wish(t)} The arm was stopped on its way to the start.")
@@ -120,13 +151,14 @@ def payload(scenario: Scenario, arm: ArmModel) -> tuple[float, Array]:
 
 
 def unlike(
-    arm: ArmModel, q: Array, p: Array, R: Array, near: float, turned: float, turns: tuple[Array, ...] = (np.eye(3),)
+    arm: ArmModel, q: Array, p: Array, R: Array, options: PositionOptions, turns: tuple[Array, ...] = (np.eye(3),)
 ) -> str:
     """Why a controller's arm is not that of the plan, by the pose of its flange; "" if it may be.
 
-    q (n,): its joints, rad. p (3,), R (3, 3): the flange in the controller's base frame, m. near, turned: m and rad
-    that are accepted. turns: rotations of the model's base frame, any of which may be the controller's.
+    q (n,): its joints, rad. p (3,), R (3, 3): the flange in the controller's base frame, m.
+    turns: rotations of the model's base frame, any of which may be the controller's.
     """
+    near, turned = options.near, options.turned
     model = arm.pin_model
     base = model.frames[model.frames[model.getFrameId(arm.joint_names[0])].parentFrame].name
     p_BF, R_BF = compose(*invert(*arm.link_pose(q, base)), *arm.link_pose(q, arm.flange))

@@ -20,7 +20,7 @@ import numpy as np
 
 from salver.control.arm import ArmState
 from salver.driver.preflight import Check
-from salver.driver.robots.positions import Packages, PositionRobot, payload, unlike
+from salver.driver.robots.positions import Packages, PositionOptions, PositionRobot, unlike
 from salver.errors import SalverError
 from salver.geometry import Array, compose, exp, invert
 from salver.models.arm.known_arms import UR_JOINTS
@@ -49,24 +49,18 @@ TYPES = {"d": "DOUBLE", "6d": "VECTOR6D", "i": "INT32"}
 
 
 @dataclass(frozen=True)
-class UROptions:
-    """Options of driving an arm of Universal Robots.
+class UROptions(PositionOptions):
+    """Options of driving an arm of Universal Robots, beside those of `PositionOptions`.
 
     lookahead, gain: parameters of `servoj`, 0.03 to 0.2 s and 100 to 2000; with more lookahead the arm is smoother and
     later.
     patience: periods without a new command after which the program stops the arm by itself.
-    timeout: s within which the controller must answer. settling: s at rest after the way to the start.
-    near, turned: largest difference, m and rad, of the flange's pose by the controller's calibrated kinematics and by
-    the plan's model of the arm.
     """
 
     lookahead: float = 0.03
     gain: float = 300.0
     patience: int = 100
     timeout: float = 2.0
-    settling: float = 0.5
-    near: float = 0.01
-    turned: float = 0.05
 
 
 PROGRAM = """\
@@ -115,11 +109,25 @@ class Exchange:
         self._types(self._ask("O", struct.pack(">d", 1 / PERIOD) + ",".join(OUTPUTS).encode()), OUTPUTS)
         self._recipe = self._types(self._ask("I", ",".join(INPUTS).encode()), INPUTS)
         self._layout = struct.Struct(">B" + "".join(OUTPUTS.values()))
-        self._ask("S", b"")
+        self._streams = False
 
     def send(self, number: int, q: Array) -> None:
         """Fill the input registers."""
         self._write("U", struct.pack(">Bi6d", self._recipe, number, *q))
+
+    def stream(self, on: bool) -> None:
+        """Have a state sent each period, or none."""
+        if on is not self._streams:
+            self._ask("S" if on else "P", b"")
+            self._streams = on
+
+    def once(self) -> dict[str, Any]:
+        """The state now. None is sent before and after: states that nobody reads fill the buffers, and newer ones are
+        lost."""
+        self.stream(True)
+        state = self.newest()
+        self.stream(False)
+        return state
 
     def newest(self) -> dict[str, Any]:
         """The latest state; waits until there is one."""
@@ -140,7 +148,7 @@ class Exchange:
             came, answer = self._package()
             if came == kind:
                 break
-        if kind in "VS" and answer != b"\x01":
+        if kind in "VSP" and answer != b"\x01":
             raise SalverError(f'it refuses the request "{kind}" of the data exchange')
         return answer
 
@@ -167,15 +175,7 @@ class Exchange:
 class URRobot(PositionRobot):
     """An arm of Universal Robots, e-Series, in remote control. `servoj` follows `lag` late, or more."""
 
-    kind, period = "ur", PERIOD
-
-    @classmethod
-    def connect(
-        cls, address: str, scenario: Scenario, arm: ArmModel, realtime: bool, options: UROptions | None = None
-    ) -> URRobot:
-        robot = cls(address, *payload(scenario, arm), options or UROptions())
-        robot.recognise(arm)
-        return robot
+    kind, period, standard = "ur", PERIOD, UROptions()
 
     @staticmethod
     def check(scenario: Scenario, arm: ArmModel, motion: JointMotion | None = None) -> list[Check]:
@@ -184,14 +184,12 @@ class URRobot(PositionRobot):
         sentence = f"The plan is for the joints {', '.join(names)}; --robot ur drives {', '.join(UR_JOINTS)}."
         return [Check("arm", fits, sentence)]
 
-    def __init__(self, address: str, mass: float, com_F: Array, options: UROptions = UROptions()) -> None:
-        """Connect. mass, com_F (3,): kg, m in the flange's frame, of all that it carries. Raises SalverError."""
-        super().__init__(address)
-        self._mass, self._com, self._options = mass, com_F, options
-        self.lag, self.settling = options.lookahead, options.settling
-        self._number, self._begun, self._at, self._first = 0, 0, 0.0, True
+    def __init__(self, address: str, mass: float, com_F: Array, options: UROptions | None = None) -> None:
+        """Connect. Raises SalverError."""
+        super().__init__(address, mass, com_F, options)
+        self.lag, self._number, self._begun, self._controlled = self._options.lookahead, 0, 0, False
         try:
-            self._exchange = Exchange(address, options.timeout)
+            self._exchange = Exchange(address, self._options.timeout)
         except (OSError, SalverError, struct.error) as error:
             raise self.said(error) from None
         self.look()
@@ -202,20 +200,18 @@ class URRobot(PositionRobot):
         return ArmState(state["actual_q"], state["actual_qd"])
 
     def recognise(self, arm: ArmModel) -> None:
-        """Compare the flange's pose in the base frame with the model's. Raises SalverError when they differ: the arm,
-        or the frame of the payload's centre of mass, is another one."""
-        state, options = self._state(), self._options
+        state = self._state()
         tcp, offset = state["actual_TCP_pose"], state["tcp_offset"]
         p, R = compose(tcp[:3], exp(tcp[3:]), *invert(offset[:3], exp(offset[3:])))
         half_turn = np.diag([-1.0, -1.0, 1.0])  # of ROS's base_link to the controller's base
-        if why := unlike(arm, state["actual_q"], p, R, options.near, options.turned, (np.eye(3), half_turn)):
+        if why := unlike(arm, state["actual_q"], p, R, self._options, (np.eye(3), half_turn)):
             raise self.said(why)
 
     def start(self) -> None:
         """Send the program, and wait until it reads the registers. It has a number of its own, so that it ignores
         values that another program left there, and holds the arm in place until the first command."""
         self._begun = self._number = secrets.randbelow(2**30) + 1
-        self._first, options = True, self._options
+        self._first, self._controlled, options = True, True, self._options
         self._send(np.zeros(6))
         registers = ", ".join(f"read_input_float_register({FIRST + k})" for k in range(6))
         program = PROGRAM.format(
@@ -223,9 +219,10 @@ class URRobot(PositionRobot):
             patience=options.patience, lookahead=options.lookahead, gain=options.gain, registers=f"[{registers}]",
         )  # fmt: skip
         try:
+            self._exchange.stream(True)
             with socket.create_connection((self._address, SCRIPT_PORT), self._options.timeout) as wire:
                 wire.sendall(program.encode())
-        except OSError as error:
+        except (OSError, SalverError) as error:
             raise self.said(error) from None
         for _ in range(round(self._options.timeout / PERIOD)):
             if self._state()[STATUS] == self._begun:
@@ -244,7 +241,7 @@ class URRobot(PositionRobot):
 
     def stop(self) -> None:
         """End the program, which stops an arm that still moves; it ends by itself when no more commands come."""
-        self._number = -1
+        self._number, self._controlled = -1, False
         self._send(np.zeros(6))
 
     def send(self, q: Array) -> None:
@@ -260,7 +257,7 @@ class URRobot(PositionRobot):
     def _state(self) -> dict[str, Any]:
         """The newest; raises SalverError when there is none, or the arm was stopped by its own safety."""
         try:
-            state = self._exchange.newest()
+            state = self._exchange.newest() if self._controlled else self._exchange.once()
         except (OSError, SalverError, struct.error) as error:
             raise self.said(error) from None
         if (mode := state["safety_mode"]) not in MOVES:

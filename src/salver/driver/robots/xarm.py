@@ -22,8 +22,8 @@ import numpy as np
 
 from salver.control.arm import ArmState
 from salver.driver.preflight import Check
-from salver.driver.robots.positions import Packages, PositionRobot, payload, unlike
-from salver.errors import SalverError, needs
+from salver.driver.robots.positions import Packages, PositionOptions, PositionRobot, unlike
+from salver.errors import needs
 from salver.geometry import Array, compose, invert, matrix_from_rpy
 
 if TYPE_CHECKING:
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from salver.scenario import Scenario
     from salver.trajectory import JointMotion
 
+# Names and numbers of the protocol and limits of the maker, from the sources above.
 JOINTS = tuple(f"joint{k}" for k in range(1, 8))
 PERIOD = 4e-3  # s
 LEAST_VERSION = (2, 2, 0)  # of the firmware: reports each period
@@ -43,37 +44,24 @@ CODES = {-1: "the connection is lost", 3: "it does not answer", 8: "the connecti
 STOP = 4  # state to set
 WARNED, NOT_READY = 2, 9  # codes
 LITE_6 = 9  # device type
-USUAL = 1.2  # factor of the tool's speed limit
+USUAL = 1.2  # m/s at most of the tool in servo mode, and 0.5 m/s of a Lite 6, unless the arm is set to another factor
 
 
 @dataclass(frozen=True)
-class XArmOptions:
-    """Options of driving an arm of UFACTORY.
+class XArmOptions(PositionOptions):
+    """Options of driving an arm of UFACTORY, beside those of `PositionOptions`.
 
     lag: s by which the joints follow their commands. The maker does not publish it: measure it (`salver track`). With
     too short a lag the arm seems to stand still at first, and is stopped.
-    timeout: s within which the controller must answer. settling: s at rest after the way to the start.
-    near, turned: largest difference, m and rad, of the flange's pose by the controller's kinematics and by the plan's
-    model of the arm.
     """
 
     lag: float = 0.03
-    timeout: float = 1.0
-    settling: float = 0.5
-    near: float = 0.01
-    turned: float = 0.05
 
 
 class XArmRobot(PositionRobot):
     """An arm of UFACTORY with firmware 2.2 or later, without errors. Run with xarm-python-sdk 1.18.4."""
 
-    kind, period = "xarm", PERIOD
-
-    @classmethod
-    def connect(
-        cls, address: str, scenario: Scenario, arm: ArmModel, realtime: bool, options: XArmOptions | None = None
-    ) -> XArmRobot:
-        return cls(address, arm, *payload(scenario, arm), options or XArmOptions())
+    kind, period, standard = "xarm", PERIOD, XArmOptions()
 
     @staticmethod
     def check(scenario: Scenario, arm: ArmModel, motion: JointMotion | None = None) -> list[Check]:
@@ -81,15 +69,10 @@ class XArmRobot(PositionRobot):
         found = ", ".join(arm.joint_names)
         return [Check("arm", fits, f"The plan is for the joints {found}; --robot xarm drives joint1 to joint6 or 7.")]
 
-    def __init__(
-        self, address: str, arm: ArmModel, mass: float, com_F: Array, options: XArmOptions = XArmOptions()
-    ) -> None:
-        """Connect, and compare the arm with that of the plan. mass, com_F (3,): kg, m in the flange's frame, of all
-        that it carries. Raises MissingDependencyError without the SDK, SalverError."""
-        super().__init__(address)
-        self._arm, self._mass, self._com, self._options = arm, mass, com_F, options
-        self.lag, self.settling = options.lag, options.settling
-        self._at, self._first, self._servo = 0.0, True, False
+    def __init__(self, address: str, mass: float, com_F: Array, options: XArmOptions | None = None) -> None:
+        """Connect. Raises MissingDependencyError without the SDK, SalverError."""
+        super().__init__(address, mass, com_F, options)
+        self.lag, self._servo, timeout = self._options.lag, False, self._options.timeout
         with needs("xarm", "Driving an xArm"), redirect_stdout(io.StringIO()):  # the SDK prints
             from xarm.core.config.x_code import ControllerError
             from xarm.core.utils.log import logger, origin_logger
@@ -101,24 +84,25 @@ class XArmRobot(PositionRobot):
         standard = socket.getdefaulttimeout()
         try:
             address = socket.gethostbyname(address)  # the SDK takes a name for a serial port
-            self._reports = Packages(address, REPORTS, options.timeout, ">I")
+            self._reports = Packages(address, REPORTS, timeout, ">I")
             self._reports.next()  # the SDK would ask a controller that does not answer for minutes
             with redirect_stdout(io.StringIO()):
                 self._api = XArmAPI(address, is_radian=True, enable_report=False, forbid_uds=True)
             weakref.finalize(self, self._api.disconnect)
-            self._api.set_timeout(options.timeout)
-            self._recognise(Packages(address, SETTINGS, options.timeout, ">I").next())
-        except SalverError:
-            raise
+            self._api.set_timeout(timeout)
         except Exception as error:  # the SDK raises nothing more exact
             raise self.said(error) from None
         finally:
             socket.setdefaulttimeout(standard)  # the SDK changes it
 
-    def _recognise(self, package: bytes) -> None:
-        """Compare the arm's joints and the pose of its flange with the model's; keep what limits the tool's speed."""
-        api, options, arm, found = self._api, self._options, self._arm, self._layout(30002)
-        found.update(package)
+    def recognise(self, arm: ArmModel) -> None:
+        """Keeps what limits the tool's speed, too."""
+        api, found = self._api, self._layout(30002)
+        try:
+            found.update(Packages(self._address, SETTINGS, self._options.timeout, ">I").next())
+        except Exception as error:  # a short package
+            raise self.said(error) from None
+        self._arm = arm
         self._refuse_errors()
         if (version := api.version_number) < LEAST_VERSION:
             least, old = (".".join(map(str, numbers)) for numbers in (LEAST_VERSION, version))
@@ -131,7 +115,7 @@ class XArmRobot(PositionRobot):
         self._tool = (1e-3 * offset[:3], matrix_from_rpy(offset[3:]))
         p, R = compose(1e-3 * pose[:3], matrix_from_rpy(pose[3:]), *invert(*self._tool))
         q = np.array(found.actual_joint_angle, dtype=float)[: arm.n]
-        if why := unlike(arm, q, p, R, options.near, options.turned):
+        if why := unlike(arm, q, p, R, self._options):
             raise self.said(why)
         code, factor = api.get_linear_spd_limit_factor()
         self._fastest = (factor if code == 0 else USUAL) * (0.5 / USUAL if api.device_type == LITE_6 else 1.0)
@@ -162,12 +146,8 @@ class XArmRobot(PositionRobot):
             why = STATES.get(report.state, f"its state is {report.state}")
             raise self.said(why if report.mode == SERVO else f"its mode was changed to {report.mode}")
         self._at = 1e-6 * report.timestamp
-        return ArmState(
-            *(
-                np.array(x[: self._arm.n], dtype=float)
-                for x in (report.actual_joint_angle, report.actual_joint_velocity)
-            )
-        )
+        both = np.array([report.actual_joint_angle, report.actual_joint_velocity], dtype=float)
+        return ArmState(*both[:, : self._api.axis])
 
     def start(self) -> None:
         """Set the payload, then servo mode, in which the arm holds its place until the first command."""
