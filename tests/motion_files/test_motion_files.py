@@ -329,6 +329,15 @@ def test_the_path_of_an_object_is_not_taken_for_the_trays(tmp_path):
         of_columns(alone)
 
 
+def test_columns_that_name_the_trays_frame_come_before_others():
+    tray = swing()
+    named = dict(zip("xyz", tray.p.T, strict=True)), dict(zip("wxyz", tray.quat_wxyz.T, strict=True))
+    of_tray = {f"p_SE_{x}": y for x, y in named[0].items()} | {f"quat_SE_{x}": y for x, y in named[1].items()}
+    other = dict(zip("xyz", 2 * tray.p.T, strict=True))
+    for table in ({"t": tray.t, **other, **of_tray}, {"t": tray.t, **of_tray, **other}):
+        assert np.array_equal(of_columns(table).p, tray.p)
+
+
 def table_of(path):
     header, values = read_table(path)
     return header, values.T

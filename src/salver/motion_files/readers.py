@@ -39,8 +39,8 @@ from salver.motion_files.verdict import verdict_in
 
 _TIME: dict[str, float | None] = dict.fromkeys(("t", "time", "timestamp", "time_from_start"))  # None: `--units`
 _TIME |= {"time_s": 1.0, **{f"{name}_{unit}": size for name in ("t", "time", "stamp") for unit, size in PARTS.items()}}
-_POSITION = re.compile(r"(?:pose[._])?(?:p|pos|position)?(?:[._]?se)?[._]?([xyz])")
-_QUATERNION = re.compile(r"(?:pose[._])?(?:q|quat|quaternion|orientation)(?:[._]?se)?[._]?([wxyz])")
+_POSITION = re.compile(r"(?:pose[._])?(?:p|pos|position)?(?:[._]?(se))?[._]?([xyz])")
+_QUATERNION = re.compile(r"(?:pose[._])?(?:q|quat|quaternion|orientation)(?:[._]?(se))?[._]?([wxyz])")
 _OF_OBJECT = re.compile(r"(?:p|quat)_SB_[wxyz]", re.I)  # in tables of `salver export`
 _POSE = ("px", "py", "pz", "qw", "qx", "qy", "qz")
 JointNames = Callable[[], tuple[str, ...]]
@@ -201,13 +201,15 @@ def of_table(
 
 
 def _pose_columns(header: list[str]) -> dict[str, int]:
-    """Columns of the tray's pose: {"px": column, ..., "qz": column}."""
+    """Columns of the tray's pose: {"px": column, ..., "qz": column}. Columns that name its frame E come before others,
+    which may be of another point."""
     found: dict[str, int] = {}
     for j, name in enumerate(header):
         for letter, pattern in (("q", _QUATERNION), ("p", _POSITION)):
             match = pattern.fullmatch(name)
             if match:
-                found.setdefault(letter + match[1], j)
+                if match[1] or letter + match[2] not in found:
+                    found[letter + match[2]] = j
                 break
     return found
 
