@@ -22,6 +22,7 @@ from salver.driver.signals import Signals
 from salver.errors import MissingDependencyError, SalverError
 from salver.models.arm.arm import ArmModel
 from salver.planning.plan import Plan, load_plan
+from salver.trajectory import JointMotion
 from wire import CASES, asked_at, until
 from xarm_server import Controller, flange
 
@@ -234,6 +235,18 @@ def test_a_tool_too_fast_for_servo_mode_is_refused_before_it_moves(
     assert robot.commands == []
     robot.enabled, robot.mode, robot.state = True, 1, 2  # and so it would
     until(lambda: setattr(robot, "target", robot.q + 4e-3) or robot.error == 60)  # type: ignore[func-returns-value]
+
+
+def test_the_speed_of_the_tool_is_that_of_its_tip(plan: Plan, controller: Make) -> None:
+    """As the wrist turns at 2 rad/s, a tool 0.3 m long is faster than the flange."""
+    controller(factor=0.5, tcp=(0.0, 0.0, 300.0, 0.0, 0.0, 0.0))
+    q = np.tile(plan.joint.q[0], (2, 1))  # type: ignore[union-attr]
+    q[1, 5] += 0.2
+    dq = np.diff(q, axis=0).repeat(2, axis=0) / 0.1
+    ends = np.array([(flange("xarm7", x) @ [0.0, 0.0, 0.3, 1.0])[:3] for x in (q[0], q[0] + 4e-3 * dq[0])])
+    fastest = np.linalg.norm(np.diff(ends, axis=0)) / 4e-3
+    said = driven(plan).permit(JointMotion(np.array([0.0, 0.1]), q, dq, 0 * dq))
+    assert said.startswith(f"The tool moves at {fastest:.2f} m/s")
 
 
 def test_a_lite_6_allows_its_tool_half_a_metre_a_second(controller: Make) -> None:

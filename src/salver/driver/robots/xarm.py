@@ -167,9 +167,9 @@ class XArmRobot(PositionRobot):
         return state, 0.0 if first else self._at - before
 
     def send(self, q: Array) -> None:
-        core = self._api.core  # `set_servo_angle_j` asks for reports of the SDK's own, and warns without
-        code = core.move_servoj([*q.tolist(), *[0.0] * (7 - len(q))], 0.0, 0.0, 0.0)[0]
-        self._demand(NOT_READY if code in (0, WARNED) and not core.state_is_ready else 0 if code == WARNED else code)
+        # `set_servo_angle_j` asks for reports of the SDK's own. Whether the arm is ready, its own report says.
+        code = self._api.core.move_servoj([*q.tolist(), *[0.0] * (7 - len(q))], 0.0, 0.0, 0.0)[0]
+        self._demand(0 if code == WARNED else code)
 
     def stop(self) -> None:
         """No more commands are taken; an arm that still moves is stopped by the controller."""
