@@ -198,6 +198,19 @@ def test_an_error_that_comes_after_it_was_seen_is_not_cleared(plan: Plan, contro
     assert robot.error == 1
 
 
+def test_an_arm_that_is_not_ready_at_once_is_waited_for(plan: Plan, controller: Make) -> None:
+    robot, held = controller(), list[int]()
+
+    def slow(robot: Controller) -> None:
+        if robot.mode == 1 and len(held) < 20:
+            held.append(1)
+            robot.state = 5 if len(held) < 20 else 2
+
+    robot.each = slow
+    driven(plan).start()
+    assert len(held) == 20
+
+
 @pytest.mark.parametrize("model", ["xarm6", "xarm7", "lite6"])
 def test_each_model_is_recognised_where_it_stands_and_no_other(
     controller: Make, model: str, monkeypatch: pytest.MonkeyPatch

@@ -93,7 +93,7 @@ class PositionRobot(Robot):
                     if signals.seen:
                         raise SalverError(f"{signals.wish(t)} The arm was stopped on its way to the start.")
                     t += self.period  # whatever its clock says: no command is further on
-                    self.send(motion.sample(min(t, motion.duration))[0][0])
+                    self.send(motion.sample(t)[0][0])
             finally:
                 self.stop()
 
