@@ -198,6 +198,13 @@ def test_an_error_that_comes_after_it_was_seen_is_not_cleared(plan: Plan, contro
     assert robot.error == 1
 
 
+def test_an_arm_that_does_not_take_its_payload_is_not_moved(plan: Plan, controller: Make) -> None:
+    robot = controller(odd=lambda port, data: b"" if port == 0 and data[6] == 36 else data)
+    with pytest.raises(SalverError, match="says: it does not answer"):
+        driven(plan, timeout=0.3).start()
+    assert robot.mode == 0
+
+
 def test_an_arm_that_is_not_ready_at_once_is_waited_for(plan: Plan, controller: Make) -> None:
     robot, held = controller(), list[int]()
 
