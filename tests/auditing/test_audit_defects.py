@@ -115,6 +115,19 @@ def test_frames_after_a_late_one_keep_their_times(late, at, phase):
     assert judged(p, noise=0.0).outcome != "does_not_hold"
 
 
+def test_samples_that_are_missing_leave_a_gap_where_stamps_are_whole_milliseconds():
+    """90 a second of which 15 % are lost: the median step is 11 ms, and a grid of it ends two frames too soon."""
+    rng, taken = np.random.default_rng(0), np.arange(181) / 90
+    kept = rng.random(181) > 0.15
+    p = truth(taken)[kept] + 2e-5 * rng.standard_normal((kept.sum(), 3))
+    even = found(p, np.round(taken[kept], 3), noise=0.0)
+    assert codes(even) == ["clock"]
+    fine = np.linspace(0, 2, 20001)
+    moving = (even.y[:, 1] > 0.02) & (even.y[:, 1] < 0.48)
+    away = even.t[moving] - np.interp(even.y[moving, 1], truth(fine)[:, 1], fine)
+    assert np.ptp(away) < 1e-3
+
+
 def test_stale_samples_are_left_out():
     p, stale = seen(truth(T)).p, np.array([250, 300, 301, 555, 720])
     for k in stale:

@@ -9,7 +9,7 @@ from recorded_motions import HEADER, JOINTS, joint_motion, line, series_of, writ
 from salver import scenario as scenarios
 from salver.auditing import audit
 from salver.auditing.motion import tray_motion
-from salver.errors import FileFormatError, SalverError
+from salver.errors import FileFormatError, SalverError, ScenarioError
 from salver.geometry import exp, quat_wxyz_from_matrix
 from salver.models.arm.arm import load_arm
 from salver.motion_files import write
@@ -27,6 +27,15 @@ def arm():
 
 
 # Reading ------------------------------------------------------------------------------------------------------
+
+
+def test_a_task_of_several_legs_is_not_judged_as_one_motion():
+    s = line(1.5)
+    columns = dict(
+        zip(HEADER.split(","), np.column_stack([s.t, s.p_SB, np.tile([1.0, 0, 0, 0], (len(s.t), 1))]).T, strict=True)
+    )
+    with pytest.raises(ScenarioError, match=r"is a task of \d legs, and this audit takes one motion"):
+        audit(columns, scenarios.load("waiters-round"))
 
 
 def test_joint_positions_in_degrees_are_refused_and_a_joint_beyond_its_range_is_not(arm):
