@@ -15,13 +15,15 @@ from page_contents import data_of
 from rewritten_runs import rewrite
 from salver import scenario
 from salver.errors import FileFormatError
+from salver.models.arm.arm_limits import LIMITS
 from salver.models.uncertain.parameters import Parameter
 from salver.planning.make import make_plan
 from salver.reports.pages.page import write_report
-from salver.reports.pages.sections import build
+from salver.reports.pages.sections import build, tiles
 from salver.reports.pages.words import asked, verdict
 from salver.reports.parameters import half_range
 from salver.reports.run import ReportedRun, read_run
+from salver.reports.tables import arm_usage
 
 pytestmark = pytest.mark.slow
 
@@ -241,3 +243,26 @@ def test_distributions_of_perturbed_runs_end_at_the_largest_value(cube_run: Path
             factor = 1e6 if "µm" in chart["x"] else 1e3
             assert curve["x"][-1] == pytest.approx(factor * largest, rel=1e-4)
             assert curve["y"] == pytest.approx([100 * k / 6 for k in range(1, 7)], rel=1e-4)
+
+
+def test_peaks_of_a_run_are_those_until_an_object_is_lost(cube_run: Path) -> None:
+    run = read_run(cube_run)
+    record = run.plan.simulation
+    record.arrays["slip"] = np.where(record.t[:, None] > 1.0, 0.4, record.arrays["slip"])
+    record.summary["objects"][0]["peak_slip"] = 0.0123
+    assert ("Slip in simulation", "12.3 mm") in {tile[:2] for tile in tiles(run)}
+    assert ">12.30<" in build(run, None).html
+    record.summary["objects"] = []  # no object was seen
+    assert ("Slip in simulation", "400 mm") in {tile[:2] for tile in tiles(run)}
+
+
+def test_the_table_of_limits_has_what_the_verdict_on_the_arm_has(cube_run: Path) -> None:
+    run = read_run(cube_run)
+    arm = run.scenario.load_arm()
+    usage = arm_usage(run.plan, arm)
+    peaks = {key: found for key, found in run.plan.summary["arm"]["details"].items() if key in usage}
+    assert set(peaks) == set(usage) == {kind.key for kind in LIMITS}
+    for key, peak in peaks.items():
+        part = getattr(arm.planning_limits, key, 1.0) / getattr(arm.limits, key, 1.0)
+        share = (part * np.ones(arm.n))[arm.joint_names.index(peak["joint"])] * peak["share"]
+        assert usage[key].max() == pytest.approx(share, rel=0.05), key

@@ -27,11 +27,12 @@ def found_rows(run: ReportedRun) -> list[tuple[str, str]]:
 def arm_usage(m: ReportedMotion, arm: ArmModel) -> dict[str, np.ndarray]:
     """Largest share (n,) of each of the arm's limits over the motion, NaN for a joint that has none.
 
-    Jerk by differences of the acceleration. Kinds that no joint has are left out.
+    Jerk and torque rate by differences. Kinds that no joint has are left out.
     """
     t, q, dq, ddq = (m.arrays[key] for key in ("t", "q", "dq", "ddq"))
     curves = {"position": q, "velocity": dq, "acceleration": ddq, "jerk": np.gradient(ddq, t, axis=0)}
-    curves |= {"torque": m.arrays["tau"]} if "tau" in m.arrays else {}
+    if "tau" in m.arrays:
+        curves |= {"torque": m.arrays["tau"], "torque_rate": np.gradient(m.arrays["tau"], t, axis=0)}
     shares = arm.limits.shares(curves)
     known = {kind.key: np.isfinite(arm.limits.range(kind)[1]) for kind in LIMITS}
     return {

@@ -111,9 +111,9 @@ def tiles(run: ReportedRun) -> list[Tile]:
     """Key numbers below the verdict."""
     plan, base = run.plan, run.compared
     shown = margin_tiles(run)
-    slips = [charts.record_curve(m.simulation, "slip") for m in run.motions]
+    slips = [_peak(m.simulation, "slip") for m in run.motions]
     if slips[0] is not None:
-        moved = [length(float(np.max(s))) if s is not None else "not run" for s in slips]
+        moved = [length(slip) if slip is not None else "not run" for slip in slips]
         shown.append(("Slip in simulation", moved[0], f"{base.stem} {moved[1]}" if base is not None else ""))
     held = campaign_outcomes(run.campaign, plan.stem).get("holds")
     if held is not None:
@@ -149,7 +149,7 @@ def margin_tiles(run: ReportedRun) -> list[Tile]:
 RUNS = {
     "simulation": (
         "In simulation",
-        "The whole arm with its controller, tray and object in the physics engine; peak values.",
+        "The whole arm with its controller, tray and object in the engine; peak values until an object is lost.",
     ),
     "what_if": (
         "What if",
@@ -175,7 +175,7 @@ def _run_section(page: Sections, run: ReportedRun, kind: str) -> None:
             [
                 motion_cell(m.stem, m.label),
                 outcome_cell(record.summary.get("outcome", "unknown")),
-                *(_peak(record, key, factor) for key, factor in _PEAKS),
+                *("" if (peak := _peak(record, key)) is None else number(factor * peak, 2) for key, factor in _PEAKS),
                 record.summary.get("source", "") if kind == "execution" else known,
             ]
         )
@@ -199,7 +199,7 @@ def _usage_table(run: ReportedRun, arm: ArmModel) -> Markup:
     for j in range(arm.n):
         bars = [joined(_bar(usage[m.stem][kind][j], m.stem) for m in run.motions) for kind in kinds]
         rows.append([arm.joint_names[j], *bars])
-    head = ["joint", *(f"{kind}, % of limit" for kind in kinds)]
+    head = ["joint", *(f"{kind.replace('_', ' ')}, % of limit" for kind in kinds)]
     return Markup('<div style="margin-top:16px">{}</div>').format(table(head, rows))
 
 
@@ -220,6 +220,7 @@ def _limits_in_words(arm: ArmModel) -> str:
             given.setdefault(source or "", []).append(kind.name)
     nobody = given.pop("", [])
     text = f"Peak use of the limits: {'; '.join(f'{listed(kinds)} from {source}' for source, kinds in given.items())}."
+    text += " Percentages in sentences are of the part that a plan may use."
     return text + (f" Nobody gave limits for {listed(nobody)}: not checked." if nobody else "")
 
 
@@ -231,6 +232,11 @@ def _provenance(run: ReportedRun) -> Markup:
     return details
 
 
-def _peak(record: Record, key: str, factor: float) -> str:
+def _peak(record: Record | None, key: str) -> float | None:
+    """The largest value until an object is lost, if the record says it, else of the whole curve; None without one."""
+    if record is None:
+        return None
+    items = [item.get(f"peak_{key}") for item in record.summary.get("objects", ())]
+    known = [value for value in (*items, record.summary.get(f"{key}_peak")) if value is not None]
     values = charts.record_curve(record, key)
-    return "" if values is None else number(factor * float(np.nanmax(values)), 2)
+    return max(known) if known else None if values is None else float(np.nanmax(values))
