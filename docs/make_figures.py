@@ -22,6 +22,7 @@ from salver.models.contact.wrench_cone import cone_facets, margin, zero_moment_p
 from salver.models.uncertain.parameters import INERTIAL, inertial_vector, phi_of
 from salver.reports import style
 from salver.trajectory import MotionSamples
+from salver.wording import number
 
 IMAGES = Path(__file__).parent / "images"
 DATA = Path(__file__).parent / "data"
@@ -266,7 +267,7 @@ def ranges() -> Any:
         samples = plan.evaluation.samples
         speeding.plot(samples.t, samples.a_S @ way / np.linalg.norm(way), **look)
         worst = 100 * plan.evaluation.contacts.min(axis=1)
-        left.plot(samples.t, worst, **{**look, "label": f"least {worst.min():.1f} %"})
+        left.plot(samples.t, worst, **{**look, "label": f"least {number(worst.min(), 1, ' %')}"})
     for axes in (speeding, left):
         axes.axhline(0, color=style.BLACK, linewidth=0.6)
     speeding.set(ylabel="acceleration along\nthe path, m/s²")
@@ -388,7 +389,7 @@ def sloshing() -> Any:
         (spill,) = made.margins.load_verdicts(worst=True)
         room = 1e3 * spill.left
         look = {"color": style.ROLE_COLOURS[role], "linestyle": ROLE_DASHES[role]}
-        curve.plot(spill.t, room, label=f"{label}: least {room.min():.0f} mm", **look)
+        curve.plot(spill.t, room, label=f"{label}: least {number(room.min(), 0, ' mm')}", **look)
     curve.axhline(0, color=style.BLACK, linewidth=0.8)
     curve.set(xlabel="time, s", ylabel="highest crest to brim, mm", xlim=(0, plan.duration), ylim=(-28, 34))
     curve.annotate("may spill below 0", (0.295, -14), fontsize=7)

@@ -134,7 +134,8 @@ def _photograph(browser: Browser, name: str, time: float | None, section: str | 
     if section:
         browser.script("document.getElementById(arguments[0]).scrollIntoView({behavior: 'instant'})", section)
     picture = Image.open(io.BytesIO(browser.screenshot())).convert("RGB").reduce(SMOOTH)
-    picture.quantize(256, Image.Quantize.MEDIANCUT, kmeans=2, dither=Image.Dither.NONE).save(
+    # Median cut gives a thin ring the colour of something larger.
+    picture.quantize(256, Image.Quantize.MAXCOVERAGE, kmeans=2, dither=Image.Dither.NONE).save(
         HERE / "images" / name, optimize=True
     )
 
