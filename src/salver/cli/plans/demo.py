@@ -61,7 +61,7 @@ def experiment(name: str, method: str | None, beside: str, out: Path, n: int, se
 
     chosen = scenarios.load(name)
     step(0, 1)  # reset the progress of the part before
-    say(f"\n{name}: {chosen.summary}")
+    say(f"\n{name}: a plan, and the motion that it is compared with")
     plan, other = plan_pair(chosen, method, beside=beside)
     plan.save(out)
     other.save(out, beside)
