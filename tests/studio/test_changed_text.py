@@ -170,6 +170,14 @@ def test_via_poses_are_dragged_and_all_poses_follow_the_first_object_on_a_tray_t
             np.testing.assert_allclose(np.subtract(other.position, one.position), R_SE @ [0.012, -0.007, 0], atol=2e-6)
 
 
+def test_a_free_heading_and_a_cylinders_height_are_shown():
+    post = {"name": "post", "type": "cylinder", "radius": 0.05, "height": 0.3, "position": [0.9, 0.0, 0.15]}
+    case = sv.load_scenario("panda-cube", motion__start_yaw="free", obstacles=[post])
+    shown = {part["name"]: part for part in parts(case)}
+    assert {x["label"]: x["value"] for x in shown["motion"]["lists"]}["heading at the start"] == "free"
+    assert {x["label"]: x["value"] for x in shown["post"]["fields"]}["height"] == 0.3
+
+
 @pytest.mark.slow
 def test_every_slider_of_every_scenario_puts_its_own_value_back():
     """A key that is not where the value came from would change something else, or nothing."""

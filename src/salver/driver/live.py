@@ -49,8 +49,8 @@ from salver.trajectory import JointMotion
 class LiveRunOptions:
     """Options of a run that follows a live motion.
 
-    longest: largest duration of a run, s. patience: s after the last request, at rest, in which the planner may still
-    find a motion for it.
+    longest: largest duration of a run, s. ending: s before that at which it is stopped, to be at rest then.
+    patience: s after the last request, at rest, in which the planner may still find a motion for it.
     resting: duration, s, of the motion at rest that is committed before the first request.
     lead, every, planning: without real time, when the arm waits for the planner: s to a hand-over; periods between two
     calls of the planner; time limit of planning, s, so large that a busy machine does not change the result.
@@ -58,6 +58,7 @@ class LiveRunOptions:
     """
 
     longest: float = 120.0
+    ending: float = 5.0
     patience: float = 10.0
     resting: float = 0.5
     lead: float = 0.1
@@ -142,7 +143,7 @@ class LiveDrive(Drive):
         last = super().one_period(gate)
         if self.t >= 0:
             self.noted()
-        if self.stop is None and self.t > self.options.longest - self.rest_after - 5.0:
+        if self.stop is None and self.t > self.options.longest - self.rest_after - self.options.ending:
             self.signals.note(f"It was told what to do for {self.t:.0f} s, which is the most that one run may take")
         return last
 
@@ -204,6 +205,10 @@ def run_live(
     of them passed, before anything moves. Raises SalverError when the script or a check fails, ScenarioError when there
     is no arm or the load is not safe, MissingDependencyError without the robot's library.
     """
+    if options.longest <= (least := options.ending + scenario.physics.settle_after):
+        raise SalverError(
+            f"A run of at most {options.longest:g} s is too short: the last {least:g} s are for its stop."
+        )
     if robot == "simulated":
         known = _simulated(scenario, realtime, options)
     else:
