@@ -17,6 +17,7 @@ from salver.control.arm import ArmState
 from salver.driver import execute
 from salver.driver.live import run_live
 from salver.driver.robots import xarm
+from salver.driver.robots.positions import payload
 from salver.driver.sensing import Sensed
 from salver.driver.signals import Signals
 from salver.errors import MissingDependencyError, SalverError
@@ -203,6 +204,26 @@ def test_an_arm_that_does_not_take_its_payload_is_not_moved(plan: Plan, controll
     with pytest.raises(SalverError, match="says: it does not answer"):
         driven(plan, timeout=0.3).start()
     assert robot.mode == 0
+
+
+def test_a_payload_off_the_middle_of_a_turned_tray_is_told_in_the_flanges_frame() -> None:
+    case = CASES[ROBOT].with_changes(tray__rpy_deg=(0.0, 0.0, 50.0), objects__0__at=(0.05, -0.02))
+    arm, body, tray = case.load_arm(), case.payload.first, case.tray
+    q = np.random.default_rng(1).uniform(-1, 1, arm.n)
+    (p_SE, R_SE), flange_S = arm.tray_pose(q), arm.link_pose(q, arm.flange)
+    coms_S = [p_SE + R_SE @ x for x in (arm.tray_com_E, body.p_EB + body.R_EB @ body.inertial.com_B)]
+    mass, com_F = payload(case, arm)
+    assert mass == pytest.approx(tray.mass + body.inertial.mass)
+    com_S = (tray.mass * coms_S[0] + body.inertial.mass * coms_S[1]) / mass
+    np.testing.assert_allclose(flange_S[0] + flange_S[1] @ com_F, com_S, atol=1e-12)
+
+
+def test_an_arm_rests_at_the_start_as_long_as_is_asked(plan: Plan, controller: Make) -> None:
+    start = plan.joint.q[0]  # type: ignore[union-attr]
+    robot = controller(q=start + 0.001)
+    driven(plan, settling=0.4).move(lambda q: execute.approach(q, start, plan.scenario.load_arm()))
+    there = np.abs(np.array(robot.commands) - start).max(axis=1) < ROUNDED
+    assert 100 <= there.sum() < 110
 
 
 def test_an_arm_that_is_not_ready_at_once_is_waited_for(plan: Plan, controller: Make) -> None:
