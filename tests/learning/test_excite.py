@@ -14,6 +14,8 @@ from salver.cli import app
 from salver.errors import ScenarioError
 from salver.learning import identify
 from salver.learning.load.excite import Information, plan_excite
+from salver.learning.load.noise import SensorNoise
+from salver.learning.load.sensors import simulated_log
 from salver.planning.fastest import AtPosture, Point, transport_problem
 from salver.planning.plan import Plan
 from salver.planning.trajopt.curves import FreeCurve, Grid
@@ -57,6 +59,21 @@ def test_ranges_half_as_wide_are_four_times_the_information() -> None:
         problem = transport_problem(load("panda-tall-bottle").with_changes(objects__0__uncertainty=ranges))
         known.append(Information.of(problem).known[0, 0])
     assert known[1] == pytest.approx(4 * known[0])
+
+
+def test_a_simulated_log_has_the_load_and_the_noise_that_are_assumed() -> None:
+    plan = sv.plan("panda-cube", method="baseline")
+    body, sensors = plan.scenario.payload.first.inertial, SensorNoise()
+    for load_ in (body, replace(body, mass=1.3 * body.mass)):
+        there, empty = (simulated_log(plan, x, 5).wrench_F[0] for x in (load_, None))
+        assert (there - empty)[2] == pytest.approx(9.81 * load_.mass, rel=1e-4)  # at rest, upright
+    runs = np.array([simulated_log(plan, None, seed).wrench_F for seed in range(40)])
+    noise, later = runs - runs.mean(axis=0), 20
+    for k, channel in ((0, sensors.force), (3, sensors.moment)):
+        each = noise[:, :, k : k + 3] * np.sqrt(40 / 39)
+        assert each.var() == pytest.approx(channel.white**2 + channel.coloured**2, rel=0.1)
+        together = (each[:, later:] * each[:, :-later]).mean()
+        assert together == pytest.approx(channel.coloured**2 * np.exp(-1e-3 * later / sensors.colour), rel=0.1)
 
 
 @pytest.mark.slow

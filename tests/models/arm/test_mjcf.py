@@ -176,12 +176,19 @@ def test_bodies_and_joints_without_a_name_get_one_that_nothing_has(tmp_path: Pat
 
 
 def test_a_number_that_is_none_writes_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """MuJoCo's warning of it went to MUJOCO_LOG.TXT where the user was."""
+    """MuJoCo's warning of it went to MUJOCO_LOG.TXT where the user was. Who hears its warnings hears them again."""
+    heard: list[str] = []
+    mujoco.set_mju_user_warning(heard.append)
+    before = mujoco.get_mju_user_warning()
     path = written(tmp_path, ARM.replace('pos="0 0.1 0.3"', 'pos="0 nan 0.3"'))
     monkeypatch.chdir(tmp_path)
     with pytest.raises(ScenarioError, match=r'xyz of <origin> in .* is "0.03 nan 0.3"; it must be 3 finite numbers'):
         loaded(path)
+    after = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(None)
     assert not list(tmp_path.glob("*.TXT"))
+    assert not heard
+    assert after == before
 
 
 @pytest.mark.parametrize("given", ["", 'refpos="0.1 0.02 0.03"', 'refpos="0.1 0.02 0.03" refquat="0.9 0.1 0.2 0.3"'])
