@@ -302,6 +302,7 @@ class TorqueRateLimit(Constraint):
             both_sides(rate),
             lambda i, f: side(i, f, 0),
             motion.nodes,
+            margins=(1.2e-3, 3e-4),  # a mean between nodes: over a control period it was up to 2e-4 larger
             following=lambda i, f: side(i, f, 1),
             by_duration=-np.hstack([rate, -rate]),  # the step between the nodes grows with T
             slows=0.5,  # it scales with T^-3, except for gravity's part
