@@ -12,13 +12,34 @@ from driver_rig import Rig
 from salver.control.arm import ArmState, controller_for
 from salver.driver import execution
 from salver.driver.execution import Drive, ExecutionLog, Watchdog
-from salver.driver.robots.robots import robot_class
+from salver.driver.robots.robots import robot_class, robot_options
 from salver.driver.signals import Signals
 from salver.driver.stops import PathStop, StopOptions, stops_of
 from salver.errors import SalverError
 from salver.geometry import Array
 
 NAN = float("nan")
+
+
+@pytest.mark.parametrize(
+    ("robot", "values", "words"),
+    [
+        (
+            "xarm",
+            {"latency": 0.05},
+            'The robot "xarm" has no option latency; it has timeout, settling, near, turned, lag.',
+        ),
+        ("simulated", {"lag": 0.05}, 'The robot "simulated" has no option lag; it has none.'),
+        ("franka", {"contact": 30.0}, 'The robot "franka" has no option contact; it has rate_share, longest_step.'),
+        ("ur", {"patience": 90.5}, "patience is 90.5; it must be a whole number above 0."),
+        ("ur", {"gain": NAN}, "gain is nan; it must be a number above 0."),
+        ("reachy", {}, 'There is no robot "reachy"; known are simulated, franka, ur, xarm.'),
+    ],
+)
+def test_options_that_a_robot_does_not_have_are_refused(robot: str, values: dict[str, float], words: str) -> None:
+    with pytest.raises(SalverError) as refused:
+        robot_options(robot, values)
+    assert str(refused.value) == words
 
 
 class Follower:

@@ -13,7 +13,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
+from salver.cli import app
 from salver.control.arm import ArmState
 from salver.driver import execute
 from salver.driver.live import LiveRunOptions, run_live
@@ -59,6 +61,19 @@ def test_a_ur_is_sent_the_plan_and_told_its_payload(directory: Path, plan: Plan,
     assert com == pytest.approx(
         arm.p_FE + (plan.scenario.tray.mass * arm.tray_com_E + body.inertial.mass * body.p_EB) / mass
     )
+
+
+@pytest.mark.parametrize("live", [False, True])
+def test_the_command_sets_the_robots_options(directory: Path, controller: Make, tmp_path: Path, live: bool) -> None:
+    robot = controller(paced=live)
+    words = ["execute", str(directory), "--robot", "ur", "--address", "127.0.0.1", "--yes", "--set", "gain=450"]
+    if live:
+        (tmp_path / "s.jsonl").write_text('{"t": 0.0, "stop": true}\n')
+        words += ["--live", str(tmp_path / "s.jsonl"), "--longest", "10", "-o", str(tmp_path / "live")]
+    done = CliRunner().invoke(app, [*words, "--set", "patience=90"])
+    assert "Ran to its end" in done.output
+    assert "gain=450.0" in robot.program
+    assert "missed < 90" in robot.program
 
 
 def test_a_stop_keeps_the_load_on_a_ur(directory: Path, plan: Plan, controller: Make) -> None:

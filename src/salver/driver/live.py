@@ -194,6 +194,7 @@ def run_live(
     signals: Signals | None = None,
     confirm: Callable[[list[Check]], bool] = lambda checks: True,
     options: LiveRunOptions = STANDARD,
+    robot_options: Any = None,
 ) -> Execution:
     """Run a live motion by the lines of a script (`salver.live.script`) and write a run directory: the commanded motion
     is its plan, and the log is in `execution`.
@@ -202,8 +203,9 @@ def run_live(
     load in place, and keeps limits of its own. realtime: keep real time, with a planner in a process of its own;
     otherwise the simulated arm waits for the planner, and a script gives the same run again. listen: the lines come
     while the arm moves. signals: through which the caller may ask for a stop. confirm: called with the checks after all
-    of them passed, before anything moves. Raises SalverError when the script or a check fails, ScenarioError when there
-    is no arm or the load is not safe, MissingDependencyError without the robot's library.
+    of them passed, before anything moves. robot_options: as `options` of `run_plan`. Raises SalverError when the script
+    or a check fails, ScenarioError when there is no arm or the load is not safe, MissingDependencyError without the
+    robot's library.
     """
     if options.longest <= (least := options.ending + scenario.physics.settle_after):
         raise SalverError(
@@ -212,7 +214,7 @@ def run_live(
     if robot == "simulated":
         known = _simulated(scenario, realtime, options)
     else:
-        known = _real(robot_class(robot), scenario, address, realtime, options)
+        known = _real(robot_class(robot), scenario, address, realtime, options, robot_options)
     directory, live, plan, driven = Path(directory), known.live, known.plan, known.robot
     scenario, arm, carried = plan.scenario, live.problem.arm, plan.scenario.payload.bodies
     prompter = Prompter(live, options.script)
@@ -284,10 +286,12 @@ def _simulated(scenario: Scenario, realtime: bool, options: LiveRunOptions) -> _
     return _Standing(live, plan, robot, robot.start_time, not realtime, [])
 
 
-def _real(kind: Any, scenario: Scenario, address: str, realtime: bool, options: LiveRunOptions) -> _Standing:
+def _real(
+    kind: Any, scenario: Scenario, address: str, realtime: bool, options: LiveRunOptions, robot_options: Any
+) -> _Standing:
     arm = scenario.load_arm()
     demand(kind.check(scenario, arm))
-    robot: Robot = kind.connect(address, scenario, arm, realtime)
+    robot: Robot = kind.connect(address, scenario, arm, realtime, *([] if robot_options is None else [robot_options]))
     if robot.limits is not None:
         scenario = scenario.with_changes(arm__limits=slower(arm.limits, robot.limits))
     live = Live(scenario, robot.look().q, permit=robot.permit, options=options.kept)

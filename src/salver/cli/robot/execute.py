@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from salver.cli.common import ExitCode, Json, print_json, result_console, say
+from salver.cli.common import ExitCode, Json, named_numbers, print_json, result_console, say
 from salver.driver.robots.robots import ROBOTS
 from salver.errors import SalverError
 
@@ -49,6 +49,10 @@ def execute(
         Path, typer.Option("--out", "-o", help="With --live: run directory for what was commanded, and the log.")
     ] = Path("runs/live"),
     longest: Annotated[float, typer.Option(help="With --live: the run ends at rest within this time, s.")] = 120.0,
+    set_: Annotated[
+        list[str] | None,
+        typer.Option("--set", help="An option of the robot, as lag=0.05 of an xarm; repeat for several."),
+    ] = None,
     yes: Annotated[bool, typer.Option("--yes", help="Do not ask before the arm moves.")] = False,
     json: Json = False,
 ) -> None:
@@ -70,11 +74,11 @@ def execute(
     """
     from salver.driver.execute import run_plan
     from salver.driver.execution import Watchdog
-    from salver.driver.robots.robots import robot_class
+    from salver.driver.robots.robots import robot_options
     from salver.run_directory import scenario_of
     from salver.scenario import load
 
-    robot_class(robot)
+    changed = robot_options(robot, named_numbers(set_ or [], "--set", "lag=0.05"))
     robot = "simulated" if dry_run else robot
     simulated = robot == "simulated"
     confirm = _warned if simulated else _assent(yes, json)
@@ -86,7 +90,9 @@ def execute(
     if live is not None:
         if move_to_start or full_speed_only or stem != "plan":
             raise SalverError("--live goes with none of --move-to-start, --full-speed-only and --plan.")
-        result = _told(directory, live, out, robot, address, Watchdog(watchdog), realtime, yes, confirm, longest)
+        result = _told(
+            directory, live, out, robot, address, Watchdog(watchdog), realtime, yes, confirm, longest, changed
+        )
     else:
         legs = load(scenario_of(directory)).legs if stem == "plan" else []
         if legs and yes and not simulated:
@@ -108,6 +114,7 @@ def execute(
                 realtime=realtime,
                 full_speed_only=full_speed_only,
                 confirm=confirm,
+                options=changed,
             )
             done.append({"log": result.path, **result.summary})
             if not result.achieved:
@@ -131,6 +138,7 @@ def _told(
     yes: bool,
     confirm: Callable[[list[Check]], bool],
     longest: float,
+    robot_options: Any,
 ) -> Execution:
     """Run a live motion by the lines of a script."""
     import sys
@@ -152,6 +160,7 @@ def _told(
     return run_live(
         case, wishes, out, robot, there, watchdog,
         realtime=realtime, source=source, listen=listen, confirm=confirm, options=LiveRunOptions(longest=longest),
+        robot_options=robot_options,
     )  # fmt: skip
 
 

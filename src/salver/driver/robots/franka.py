@@ -63,14 +63,14 @@ class FrankaRobot:
 
     takes: Takes = "torque"
     limits: JointLimits | None = FR3
-    period, lag, speed = PERIOD, 0.0, 1.0
+    period, lag, speed, standard = PERIOD, 0.0, 1.0, FrankaOptions()
 
     @classmethod
     def connect(
         cls, address: str, scenario: Scenario, arm: ArmModel, realtime: bool, options: FrankaOptions | None = None
     ) -> FrankaRobot:
         tray = scenario.tray
-        return cls(address, arm, tray.mass, np.array(tray.inertia), realtime, options or FrankaOptions())
+        return cls(address, arm, tray.mass, np.array(tray.inertia), realtime, options or cls.standard)
 
     @staticmethod
     def check(scenario: Scenario, arm: ArmModel, motion: JointMotion | None = None) -> list[Check]:
@@ -86,7 +86,7 @@ class FrankaRobot:
         tray_mass: float,
         tray_inertia: Array,
         realtime: bool = True,
-        options: FrankaOptions = FrankaOptions(),
+        options: FrankaOptions = standard,
     ) -> None:
         """Connect and tell the arm of the tray. Raises MissingDependencyError without pylibfranka, SalverError when the
         arm does not answer.

@@ -7,13 +7,14 @@ watchdog, gate, stops and log are the same for all. Another robot is a class wit
 
 from __future__ import annotations
 
+from dataclasses import replace
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 from salver.errors import SalverError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
 
     from salver.control.arm import ArmState
     from salver.driver.preflight import Check
@@ -92,7 +93,7 @@ class RealRobot(Robot, Protocol):
     @classmethod
     def connect(cls, address: str, scenario: Scenario, arm: ArmModel, realtime: bool) -> Robot:
         """The robot at an address, with the scenario's tray configured. realtime: refuse a machine that cannot keep the
-        period. A robot with options of its own takes them after that.
+        period. A robot with options of its own takes them after that, and has the usual ones as `standard`.
 
         Raises SalverError when it does not answer, MissingDependencyError without its library.
         """
@@ -110,3 +111,16 @@ def robot_class(name: str) -> Any:
         raise SalverError(f'There is no robot "{name}"; known are {", ".join(ROBOTS)}.')
     module, _, cls = ROBOTS[name].partition(":")
     return getattr(import_module(module), cls)
+
+
+def robot_options(name: str, values: Mapping[str, float]) -> Any:
+    """The options of a robot with some numbers changed. Raises SalverError for one that it does not have."""
+    standard: Any = getattr(robot_class(name), "standard", None)
+    kinds = {key: type(x) for key, x in (vars(standard) if standard else {}).items() if isinstance(x, (int, float))}
+    for key, value in values.items():
+        if key not in kinds:
+            raise SalverError(f'The robot "{name}" has no option {key}; it has {", ".join(kinds) or "none"}.')
+        if not 0 < value < float("inf") or kinds[key](value) != value:
+            sort = "whole number" if kinds[key] is int else "number"
+            raise SalverError(f"{key} is {value:g}; it must be a {sort} above 0.")
+    return replace(standard, **{key: kinds[key](value) for key, value in values.items()}) if values else standard
