@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field, SerializerFunctionWrapHandler, model_serializer
+from pydantic import BaseModel, ConfigDict, Field
 
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Whole = Annotated[int, Field(strict=True)]
@@ -26,13 +26,3 @@ File = Annotated[str, Field(max_length=4096, pattern=r"^[^\x00]+$", description=
 
 class Model(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, strict=False)
-
-
-def leaving_out(*names: str) -> Any:
-    """A serializer that leaves out some keys while they are None, so that plans made before they existed keep their
-    digest."""
-
-    def stated(self: Model, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        return {key: value for key, value in dump(self).items() if key not in names or value is not None}
-
-    return model_serializer(mode="wrap")(stated)

@@ -274,14 +274,6 @@ def test_rim_that_is_lower_than_an_object_on_another_does_not_concern_it() -> No
         beside(box(), wide, height=0.16)
 
 
-def test_scenario_without_a_rim_keeps_its_digest_and_its_words() -> None:
-    """A plan that was made before rims existed is still of its scenario."""
-    dumped = scenario([box()]).model_dump(mode="json")
-    assert "rim" not in dumped["tray"]
-    assert "against" not in dumped["objects"][0]
-    assert "friction_rim" not in dumped["uncertainty"]
-
-
 def test_turned_start_presses_it_against_the_wall() -> None:
     """On a tray that leans towards the wall the box stays up to the angle at which it tips over the rim."""
     payload = beside(box(against="-x", friction=0.05), height=0.03).payload

@@ -451,7 +451,7 @@ def test_a_cup_whose_waves_move_the_arm_is_planned_far_beyond_its_first_loose_op
 @pytest.mark.slow
 def test_three_cups_whose_waves_rule_out_the_first_motion_are_planned() -> None:
     """Three cups past a post: from motions that ignore the waves no safe one was found, within minutes."""
-    post = {"name": "post", "type": "cylinder", "radius": 0.04, "length": 0.4, "position": [0.55, -0.05, 0.2]}
+    post = {"name": "post", "type": "cylinder", "radius": 0.04, "height": 0.4, "position": [0.55, -0.05, 0.2]}
     cups = cups_on_a_ur5e([0.0, -0.05], [-0.05, 0.045], [0.05, 0.045]).with_changes(obstacles=[post])
     found = fastest(transport_problem(cups, passing=True))
     assert found.status.ok

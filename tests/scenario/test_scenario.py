@@ -102,27 +102,10 @@ def test_digest_survives_being_written_out(name):
     assert again.digest == item.digest
 
 
-@pytest.mark.parametrize(
-    ("name", "digest"),
-    [
-        ("panda-cube", "c2cf9444c153"),
-        ("panda-coffee", "d93d8843dd0d"),
-        ("waiters-round", "299f93aaa58f"),
-        ("upright-cups", "bc57a6b0d223"),
-    ],
-)
-def test_a_key_that_is_new_and_not_given_leaves_the_digest_so_that_older_run_directories_are_read(name, digest):
-    assert scenario.load(name).digest == digest
-
-
-def test_a_cylinder_in_the_world_has_a_height_which_was_called_length():
-    """And the digest that it had then."""
-    post = {"type": "cylinder", "radius": 0.03, "position": (0.5, 0.0, 0.3)}
-    old, new = (scenario.load("panda-cube").with_changes(obstacles=[post | {key: 0.4}]) for key in ("length", "height"))
-    shapes = [obstacle_shapes(one.obstacles[0])[0][0] for one in (old, new)]
-    assert [(shape.radius, 2 * shape.halfLength) for shape in shapes] == 2 * [(0.03, 0.4)]
-    assert (old.digest, new.digest) == ("bfbf3602b9e1", "bfbf3602b9e1")
-    assert '"height": 0.4' in new.model_dump_json(indent=1, exclude_none=True)
+def test_a_cylinder_in_the_world_has_a_height():
+    post = {"type": "cylinder", "radius": 0.03, "height": 0.4, "position": (0.5, 0.0, 0.3)}
+    ((shape, _),) = obstacle_shapes(scenario.load("panda-cube").with_changes(obstacles=[post]).obstacles[0])
+    assert (shape.radius, 2 * shape.halfLength) == (0.03, 0.4)
 
 
 def test_changes_make_a_checked_copy():

@@ -281,6 +281,11 @@ BAD = [
     ),
     (
         "obstacles",
+        [{"type": "sphere", "position": [0, 0, 0], "radius": 0.1, "size": [0.1, 0.1, 0.1]}],
+        "obstacles[0]: a sphere has radius; leave out size.",
+    ),
+    (
+        "obstacles",
         [{"type": "sphere", "position": [0, 0, 0], "radius": "big"}],
         f'obstacles[0].radius = "big": {NUMBER} at least 0.0001 and at most 5.',
     ),

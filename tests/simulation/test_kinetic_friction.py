@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from salver.geometry import exp
-from salver.scenario import Scenario, load, parse
+from salver.scenario import Scenario, load
 from salver.simulation.physics import simulate_tray
 from salver.simulation.scene.engine import mujoco
 from salver.simulation.scene.sliding import Sliding
@@ -87,9 +87,3 @@ def test_a_box_that_turns_about_one_corner_slides_at_the_others(corner: tuple[fl
     assert data.ncon == 4
     Sliding.of(model, 0.6).apply(model, data)
     assert model.pair_friction[0, 0] == pytest.approx(0.3)
-
-
-def test_plans_made_before_the_key_existed_keep_their_digest() -> None:
-    assert "kinetic_friction" not in load("panda-cube").model_dump()["physics"]
-    assert load("panda-cube").digest == cube(1.0).with_changes(physics__settle_after=0.5).digest
-    assert parse(cube(0.8).model_dump(mode="json", exclude_none=True), "cube").physics.kinetic_friction == 0.8

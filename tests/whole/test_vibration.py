@@ -194,9 +194,8 @@ def test_bounds_and_derivatives_know_of_it(load: Any) -> None:
         assert_allclose(some.worst(w), exact[:, [3, 1]], atol=1e-12)
 
 
-def test_a_scenario_that_says_nothing_of_it_is_what_it_was_and_its_plans_stay_readable() -> None:
+def test_a_vibration_is_part_of_the_scenarios_digest() -> None:
     made = sv.load_scenario("panda-cube")
-    assert set(made.model_dump(mode="json")["uncertainty"]) == {"set", "tilt_deg", "correlation"}
     told = shaking(made, SHAKE)
     assert told.model_dump(mode="json")["uncertainty"]["shake"] == {**SHAKE, "tilt_deg": 0.0}
     assert shaking(told, None).digest == made.digest != told.digest

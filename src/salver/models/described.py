@@ -8,7 +8,7 @@ from typing import Annotated, ClassVar, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from salver.fields import File, Inertia, Metres, Model, Name, Number, Place, Point, Scale, Turns, leaving_out
+from salver.fields import File, Inertia, Metres, Model, Name, Number, Place, Point, Scale, Turns
 from salver.geometry import Array, matrix_from_rpy
 
 RoomEdge = Annotated[Number, Field(ge=1e-4, le=20)]  # m: a base drives between places from -10 to 10 m
@@ -44,8 +44,6 @@ class Tray(Model):
     mass: Annotated[Number, Field(ge=0, le=100)] = 0.150
     inertia: tuple[Inertia, Inertia, Inertia] = (1.25e-4, 1.25e-4, 1.25e-4)
     rim: Rim | None = None
-
-    _stated = leaving_out("rim")
 
     @model_validator(mode="after")
     def _physical(self) -> Tray:
@@ -101,7 +99,7 @@ class Tray(Model):
 
 class Obstacle(Model):
     """A keep-out region in the world S. A mesh is replaced by the convex hulls of its separate pieces. length: m, of a
-    capsule, between the centres of its round ends; once also the height of a cylinder, which is read."""
+    capsule, between the centres of its round ends."""
 
     type: Literal["box", "sphere", "capsule", "cylinder", "mesh"]
     name: Name = "obstacle"
@@ -114,24 +112,21 @@ class Obstacle(Model):
     file: File | None = None
     scale: Scale = 1.0
 
-    _stated = leaving_out("height")
-
     @model_validator(mode="after")
     def _sized(self) -> Obstacle:
         needed = {
             "box": ("size",),
             "sphere": ("radius",),
             "capsule": ("radius", "length"),
-            "cylinder": ("radius", "height" if self.length is None else "length"),
+            "cylinder": ("radius", "height"),
             "mesh": ("file",),
         }[self.type]
-        for key in needed:
-            if getattr(self, key) is None:
+        for key in ("size", "radius", "length", "height", "file"):
+            given = getattr(self, key) is not None
+            if key in needed and not given:
                 raise ValueError(f"a {self.type} needs {' and '.join(needed)}")
-        if self.type == "cylinder" and None not in (self.length, self.height):
-            raise ValueError("a cylinder has radius and height; leave out length")
-        if self.type != "cylinder" and self.height is not None:
-            raise ValueError(f"a {self.type} has {' and '.join(needed)}; leave out height")
+            if given and key not in needed:
+                raise ValueError(f"a {self.type} has {' and '.join(needed)}; leave out {key}")
         return self
 
 

@@ -29,7 +29,7 @@ def certificate(scenario: Scenario, arrays: Mapping[str, np.ndarray], record: Ma
     scenario: the resolved scenario. arrays: the arrays of the plan's .npz file, by name. record: the plan's .json file
     as it is read back.
     """
-    resolved = scenario.resolved
+    resolved = scenario.model_dump(mode="json")
     return {
         "scenario": {key: digest_of(value) for key, value in resolved.items()},
         "files": {str(path): hashlib.sha256(path.read_bytes()).hexdigest() for path in _files(resolved)},

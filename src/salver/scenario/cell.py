@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field, SerializerFunctionWrapHandler, model_serializer
+from pydantic import Field
 
-from salver.fields import Model, Number, Place, Whole, leaving_out
+from salver.fields import Model, Number, Place, Whole
 from salver.models.arm.tables import EachJoint
 from salver.models.arm.urdf import MOST_JOINTS
 from salver.models.described import KeepIn
@@ -26,8 +26,6 @@ class Surroundings(Model):
         default="base", description='a finite number at least -10 and at most 10, "base" or "none"'
     )
     keep_in: KeepIn | None = None
-
-    _stated = leaving_out("keep_in")
 
 
 Settling = Annotated[Number, Field(ge=0, le=60)]  # s
@@ -85,12 +83,6 @@ class Physics(Model):
     kinetic_friction: Annotated[Number, Field(gt=0, le=1)] = 1.0
     robot: RobotBehaviour = RobotBehaviour()
     feedback: Literal["joints", "object"] = "joints"
-
-    @model_serializer(mode="wrap")
-    def _stated(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Leave out kinetic friction that is the static one, so that plans made before keep their digest."""
-        found: dict[str, Any] = dump(self)
-        return {key: value for key, value in found.items() if key != "kinetic_friction" or value != 1.0}
 
     def steps(self, duration: float | None, usual: float = 5.0) -> float:
         """Number of steps of the engine, or of the controller, in a run of a motion; `usual`: its duration if that is

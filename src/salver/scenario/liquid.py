@@ -9,7 +9,7 @@ from pydantic import Field, model_validator
 
 from salver.dynamics.liquid.interiors import LEANING_WALL, Interior, Rectangle, Round
 from salver.dynamics.liquid.liquid import FLUIDS, SHALLOWEST, damping_of, damping_range
-from salver.fields import Metres, Number, leaving_out
+from salver.fields import Metres, Number
 from salver.models.load_dynamics import THICKEST
 from salver.scenario.inner import InnerDynamics
 
@@ -44,8 +44,6 @@ class LiquidIn(InnerDynamics):
     settled_wave: Annotated[Number, Field(gt=0, le=1)] | None = None
     settled_within: Annotated[Number, Field(ge=0, le=600)] = 0.0
     sealed: Annotated[bool, Field(description="true or false")] = False
-
-    _stated = leaving_out("brim_radius")
 
     @model_validator(mode="after")
     def _possible(self) -> LiquidIn:

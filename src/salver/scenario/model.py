@@ -318,20 +318,9 @@ class Scenario(Shown, Model):
         return copy
 
     @property
-    def resolved(self) -> dict[str, Any]:
-        """All keys with their values, for digests. A base that is upright has base_yaw_deg, and a cylinder in the world
-        a length, so that plans from before there were base_rpy_deg and height keep theirs."""
-        found = self.model_dump(mode="json")
-        for obstacle in found["obstacles"]:
-            obstacle["length"] = obstacle.pop("height", obstacle["length"])
-        if self.arm is not None and self.arm.base_rpy_deg[:2] == (0.0, 0.0):
-            found["arm"]["base_yaw_deg"] = found["arm"].pop("base_rpy_deg")[2]
-        return found
-
-    @property
     def digest(self) -> str:
         """Content hash: 12 hexadecimal digits of the resolved scenario."""
-        return digest_of(self.resolved)[:12]
+        return digest_of(self.model_dump(mode="json"))[:12]
 
     def with_changes(self, **changes: Any) -> Scenario:
         """A validated copy with keys replaced, named by paths with `__` for the dots: `motion__duration=1.5`."""

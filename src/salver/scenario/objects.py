@@ -22,7 +22,6 @@ from salver.fields import (
     Point,
     Scale,
     Whole,
-    leaving_out,
 )  # fmt: skip
 from salver.models.bodies import LooseObject, check
 from salver.models.described import Tray
@@ -307,8 +306,6 @@ class CarriedObject(Model):
         description=f'a table with the keys {", ".join(Uncertainty.model_fields)}, or "none"',
     )
 
-    _stated = leaving_out("against")
-
     @model_validator(mode="after")
     def _physical(self) -> CarriedObject:
         self._check_inner()
@@ -447,8 +444,6 @@ class UncertaintySet(Model):
     correlation: dict[str, Annotated[Number, Field(gt=-1, lt=1)]] = Field(
         default={}, max_length=1000, description='numbers between -1 and 1 under keys such as "mass,com_x"'
     )
-
-    _stated = leaving_out("shake", "friction_rim")
 
     def around(self, objects: list[CarriedObject], loose: list[LooseObject], tray: Tray) -> UncertainSet:
         """All uncertain parameters, in the order of the objects and then of the tray: eq (8).

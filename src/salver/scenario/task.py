@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import ConfigDict, Field, field_validator, model_validator
 
-from salver.fields import Degrees, Model, Number, Point, Turns, Whole, leaving_out
+from salver.fields import Degrees, Model, Number, Point, Turns, Whole
 from salver.geometry import matrix_from_quat_wxyz, matrix_from_rpy
 
 
@@ -49,8 +49,6 @@ class Motion(Model):
     """
 
     model_config = ConfigDict(json_schema_extra=lambda schema: schema["required"].remove("goal"))
-    _stated = leaving_out("start_yaw")
-
     start: Pose
     goal: Pose
     through: list[Pose] = Field(default=[], max_length=10)

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
 
-from salver.fields import Degrees, File, Metres, Model, Name, Number, Place, Point, Share, Turns, leaving_out
+from salver.fields import Degrees, File, Metres, Model, Name, Number, Place, Point, Share, Turns
 from salver.geometry import Array, matrix_from_rpy
 from salver.models.arm.arm_limits import PLANNING_SHARES
 from salver.models.arm.urdf import MOST_JOINTS
@@ -101,17 +101,6 @@ class Arm(Model):
     acceleration_scale: Share = PLANNING_SHARES["acceleration"]
     jerk_scale: Share = PLANNING_SHARES["jerk"]
     torque_scale: Share = PLANNING_SHARES["torque"]
-
-    _stated = leaving_out("base")
-
-    @model_validator(mode="before")
-    @classmethod
-    def _turned_about_the_vertical(cls, data: Any) -> Any:
-        """Read base_yaw_deg, of run directories from before there was base_rpy_deg."""
-        if not isinstance(data, dict) or "base_yaw_deg" not in data or "base_rpy_deg" in data:
-            return data
-        kept = {key: value for key, value in data.items() if key != "base_yaw_deg"}
-        return {**kept, "base_rpy_deg": [0.0, 0.0, data["base_yaw_deg"]]}
 
     @property
     def R_base(self) -> Array:
