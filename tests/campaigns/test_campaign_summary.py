@@ -11,8 +11,7 @@ from salver import scenario as scenarios
 from salver.campaigns.runners import round_scalars, run_scalars
 from salver.campaigns.summary import read_table, summarise, table, write_table
 from salver.errors import FileFormatError
-from salver.files import sealed, write_json
-from salver.reports.run import _column, read_campaign
+from salver.reports.run import _column
 from salver.simulation.closed_loop import tube_scalars
 
 
@@ -220,15 +219,3 @@ def test_numbers_that_are_missing_are_no_numbers_to_a_report():
     assert _column([True, None]).tolist() == [True, None]
     assert _column(["tips", None]).tolist() == ["tips", None]
     assert _column([3, 4]).dtype.kind == "i"
-
-
-def test_older_runs_without_contact_are_named_and_not_reported_as_runs_in_the_engine(tmp_path):
-    definition = {"scenario": "baf32a530cfa", "plans": {"plan": "1"}, "n": 4, "seed": 0, "method": "uniform"}
-    summary = {"complete": True, "plans": {}, "definition": {**definition, "engine": "closed-loop", "stops": False}}
-    (tmp_path / "campaign").mkdir()
-    (tmp_path / "campaign" / "runs.parquet").touch()
-    write_json(tmp_path / "campaign" / "campaign.json", sealed(summary))
-    notes = []
-    assert read_campaign(tmp_path, notes) == (None, {})
-    assert len(notes) == 1
-    assert "campaign.json is of runs without contact" in notes[0]

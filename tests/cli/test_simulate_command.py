@@ -118,7 +118,6 @@ def test_sentences_for_what_happened(run_directory):
         (["--set", "mass=heavy"], ["mass=heavy"]),
         (["--set", "weight=1"], ['"weight"', "mass"]),
         (["--plan", "other"], ["baseline, nominal or both"]),
-        (["--stem=other"], ['--plan = "other"']),  # its former name
         (["--run", "0"], ["campaign"]),
         (["--seed", "-1"], ["--seed", "0"]),
     ],
@@ -136,10 +135,6 @@ def test_a_directory_without_a_plan(tmp_path, which):
     result = salver("simulate", tmp_path, "--plan", which)
     assert result.exit_code == 2
     assert "salver plan" in result.stderr
-
-
-def test_a_command_without_plan_names_the_option_that_was_given():
-    assert "No such option: --stem" in salver("plan", "panda-cube", "--stem", "plan").stderr
 
 
 def test_a_file_where_a_run_directory_is_wanted_and_the_other_way_round(tmp_path):

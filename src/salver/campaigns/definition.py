@@ -122,10 +122,6 @@ def definition_in(summary: Any, path: Path) -> Definition:
     """The definition in the content of a campaign.json. Raises FileFormatError when there is none."""
     found = summary.get("definition") if isinstance(summary, dict) else None
     kinds = {"scenario": str, "plans": dict, "n": int, "seed": int, "method": str, "stops": bool}
-    if isinstance(found, dict):  # campaigns of older versions
-        found = {"stops": False, **found}
-        if found.pop("engine", "physics") != "physics":
-            raise FileFormatError(f"{path} is of runs without contact, which salver makes no more; move it away.")
     if not isinstance(found, dict) or {key: type(value) for key, value in found.items()} != kinds:
         raise FileFormatError(f"{path} has no definition of a campaign; move it away, or use another --folder.")
     return Definition(**found)

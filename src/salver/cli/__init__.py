@@ -7,15 +7,13 @@ Modules of commands import what is heavy (CasADi, MuJoCo, Pinocchio, plotting) i
 from __future__ import annotations
 
 import os
-import re
 import sys
 from collections.abc import Iterable
 from functools import lru_cache
 from importlib import import_module
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
-from typer.core import TyperCommand
 
 from salver import __version__
 from salver.cli.common import ExitCode, handled
@@ -57,15 +55,6 @@ def _options(
     pass
 
 
-class _Command(TyperCommand):
-    """A command whose --plan may be called --stem, its former name."""
-
-    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        if any("--plan" in each.opts for each in self.params):
-            args = [re.sub("^--stem(?==|$)", "--plan", word) for word in args]
-        return super().parse_args(ctx, args)
-
-
 def _gathered(names: Iterable[str]) -> typer.Typer:
     """The app with the commands `names`."""
     gathered = typer.Typer(
@@ -78,9 +67,7 @@ def _gathered(names: Iterable[str]) -> typer.Typer:
     )
     gathered.callback()(_options)
     for name in names:
-        gathered.command(name, cls=_Command)(
-            handled(getattr(import_module(f"salver.cli.{COMMANDS[name]}.{name}"), name))
-        )
+        gathered.command(name)(handled(getattr(import_module(f"salver.cli.{COMMANDS[name]}.{name}"), name)))
     return gathered
 
 
