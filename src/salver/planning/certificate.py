@@ -49,7 +49,7 @@ def check(
     again = f"plan again with `salver plan {quote(f'{directory}/scenario.toml')}{asked} -o ANOTHER_DIRECTORY`"
     if not isinstance(certified, dict):
         raise FileFormatError(
-            f"{directory / stem}.json has no certificate, so {stem}.npz may differ from what was judged; {again}."
+            f"{directory / stem}.json has no certificate: {stem}.npz may differ from what was judged; {again}."
         )
     found = certificate(scenario, arrays, record)
     where = {
