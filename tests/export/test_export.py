@@ -373,5 +373,5 @@ def test_mistakes_get_a_sentence(directory: Path, tmp_path: Path) -> None:
         with pytest.raises(FileFormatError, match="not a run directory"):
             write_export(tmp_path, file_format, tmp_path / "out")
         assert not (tmp_path / "out").exists()
-    with pytest.raises(FileFormatError, match=r"nowhere\.npz cannot be read"):
+    with pytest.raises(FileFormatError, match=r'has no motion "nowhere"; it has plan'):
         write_export(directory, "csv", tmp_path / "x.csv", stem="nowhere")

@@ -24,7 +24,6 @@ from salver.geometry import Array
 from salver.models.arm.arm import ArmModel
 from salver.models.bodies import Body
 from salver.planning.plan import Plan, load_plan
-from salver.run_directory import file_stem, known_stems
 from salver.trajectory import JointMotion, smooth_step
 
 APPROACH_SHARE = 0.1  # of the velocity limits on the way to the start posture
@@ -135,9 +134,6 @@ def seen_in_the_engine(
 
 
 def _prepared(directory: str | Path, stem: str) -> tuple[Plan, ArmModel, Sequence[Body]]:
-    known = known_stems(Path(directory))
-    if known and file_stem(Path(directory), stem) not in known:
-        raise SalverError(f'{directory} has no motion "{stem}"; it has {", ".join(known)}.')
     plan = load_plan(directory, stem)
     arm = plan.scenario.load_arm()
     if plan.joint is None:

@@ -148,7 +148,9 @@ def read_files(directory: str | Path, stem: str = "plan", required: tuple[str, .
 
     directory = Path(directory)
     scenario = load(scenario_of(directory))
-    stem = file_stem(directory, stem)
+    stem, known = file_stem(directory, stem), known_stems(directory)
+    if known and stem not in known:
+        raise FileFormatError(f'{directory} has no motion "{stem}"; it has {", ".join(known)}.')
     if scenario.legs:
         required = tuple(f"leg{k + 1}.{name}" for k in range(len(scenario.legs)) for name in required)
     arrays = load_npz(directory / f"{stem}.npz", required)
