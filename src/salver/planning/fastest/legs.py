@@ -1,13 +1,13 @@
 """Fastest plans of several legs: each from rest to rest with its own load, one after the other.
 
-Each leg begins in the posture in which the one before it ended, and its end posture is free. If no safe leg goes on
-from there, the branches of the inverse kinematics are chosen for all legs together (`chains`), and each leg is planned
-between the two postures found.
+Each leg begins in the posture in which the one before it ended, and its end posture is free. A leg alone would choose
+the branch of the inverse kinematics that is nearest to it, from which a later leg may have to turn the arm over, or
+cannot go on. So the branches are chosen for all legs together first (`chains`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
 
@@ -15,18 +15,16 @@ import numpy as np
 
 from salver.errors import ScenarioError, Status, UnreachableError
 from salver.geometry import Array, quat_wxyz_from_matrix
-from salver.planning.fastest.optimum import few_pieces, refitted
 from salver.planning.fastest.options import FastestOptions
 from salver.planning.fastest.planned import plan_problem
 from salver.planning.fastest.search import possible_ends
 from salver.planning.plan import Plan
 from salver.planning.plan_files import begun_at
 from salver.planning.round import MultiLegPlan
-from salver.planning.seeds.starts import Ends, Start, between, ends
+from salver.planning.seeds.starts import Ends, ends
 from salver.planning.trajopt.ends import AtPosture
 from salver.planning.trajopt.found import object_motion
 from salver.planning.trajopt.problem import TransportProblem, transport_problem
-from salver.planning.trajopt.spline import SplineMotion
 from salver.planning.trajopt.watch import WHY, Watch
 from salver.scenario import Scenario
 
@@ -48,40 +46,21 @@ def plan_legs(scenario: Scenario, *, options: FastestOptions | None = None, watc
     options = options or FastestOptions()
     watch = watch or Watch(options.time_limit)
     problems = [transport_problem(leg, passing=True) for leg in scenario.each_leg]
-    for before, later in pairwise(problems):  # known at once; planning the legs before may take minutes
-        _, blocked = possible_ends(replace(later, start=before.goal), options, np.random.default_rng(options.seed))
+    later = [replace(after, start=before.goal) for before, after in pairwise(problems)]
+    for problem in (problems[0], *later):  # known at once; planning the legs before may take minutes
+        _, blocked = possible_ends(problem, options, np.random.default_rng(options.seed))
         if blocked is not None:
-            raise UnreachableError(f"{later.scenario.name}: {blocked.sentence}")
+            raise UnreachableError(f"{problem.scenario.name}: {blocked.sentence}")
     legs: list[Plan] = []
-    unreached: UnreachableError | None = None
-    for begin in _begins(problems, options):
-        try:
-            found = in_turn(problems, begin, options, watch)
-        except UnreachableError as error:
-            if legs:
-                break
-            unreached = unreached or error
-            continue  # `chains` says which stop is out of reach
-        if not legs or _merit(found, problems) < _merit(legs, problems):
-            legs = found
-        if watch.over() or not _merit(legs, problems)[0]:
+    for chain in chains(problems, np.random.default_rng(options.seed))[: options.pairs]:
+        found = in_turn(problems, chain, options, watch)
+        legs = min(legs or found, found, key=_merit)
+        if watch.over() or all(leg.ok for leg in legs):
             break
-    if unreached is not None and (not legs or _merit(legs, problems)[0]):
-        raise unreached
     exact = scenario.with_changes(contact__condition="exact")
     seconds = sum(float(leg.solver["seconds"]) for leg in legs)
     record = {"name": legs[0].solver["name"], "seconds": seconds, "robust": True}
     return MultiLegPlan(exact, tuple(legs), _status(legs, watch), record)
-
-
-def _begins(problems: Sequence[TransportProblem], options: FastestOptions) -> Iterator[list[SplineMotion] | None]:
-    """Yield None first, so that each leg chooses its own end posture; then yield initial motions of all legs along the
-    most promising chains of postures."""
-    yield None
-    few = few_pieces(options)
-    for chain in chains(problems, np.random.default_rng(options.seed))[: options.pairs]:
-        each = [between(p, Ends(q[0], q[-1], 0.0, True)) for p, q in zip(problems, chain, strict=True)]
-        yield [Start("straight", q).motion(problem, few) for problem, q in zip(each, chain, strict=True)]
 
 
 def chains(problems: Sequence[TransportProblem], rng: np.random.Generator) -> list[list[Array]]:
@@ -110,34 +89,25 @@ def chains(problems: Sequence[TransportProblem], rng: np.random.Generator) -> li
 
 
 def in_turn(
-    problems: Sequence[TransportProblem],
-    begin: list[SplineMotion] | None,
-    options: FastestOptions,
-    watch: Watch,
+    problems: Sequence[TransportProblem], chain: Sequence[Array], options: FastestOptions, watch: Watch
 ) -> list[Plan]:
-    """Plans of the legs, each from the end posture of the one before it. With initial motions `begin` their end
-    postures are kept, and planning ends at the first leg that is not safe."""
+    """Plans of the legs, each from the end posture of the one before it and with a first guess between the postures of
+    a chain (`chains`)."""
     legs: list[Plan] = []
-    for k, problem in enumerate(problems):
-        near = None if begin is None else refitted(begin[k], options.spans)
-        q_start = None if k == 0 else begin[k].coefficients[0] if begin is not None else _end_of(legs[-1])
-        if q_start is not None:
-            problem = _from(problem, q_start)
-        if near is not None:
-            q = near.coefficients
-            problem = between(replace(problem, goal=AtPosture(q[-1])), Ends(q[0], q[-1], 0.0, True))
-            problem = replace(problem, start=AtPosture(q[0]))
+    for k, (problem, postures) in enumerate(zip(problems, chain, strict=True)):
+        start = postures[0]
+        if legs:
+            start = _end_of(legs[-1])
+            problem = _from(problem, start)
         watch.begin(k, len(problems))
-        legs.append(plan_problem(problem, options=options, watch=watch, near=near))
-        if begin is not None and not legs[-1].ok and not watch.ended:
-            break
+        pair = Ends(start, postures[-1], 0.0, True)
+        legs.append(plan_problem(problem, options=options, watch=watch, pair=pair))
     return legs
 
 
-def _merit(legs: Sequence[Plan], problems: Sequence[TransportProblem]) -> tuple[bool, int, float]:
+def _merit(legs: Sequence[Plan]) -> tuple[int, float]:
     """Sort key of a plan of several legs; smaller is better."""
-    lacking = len(problems) - len(legs)
-    return lacking > 0 or not all(leg.ok for leg in legs), lacking, sum(leg.duration for leg in legs)
+    return sum(not leg.ok for leg in legs), sum(leg.duration for leg in legs)
 
 
 def _end_of(plan: Plan) -> Array:

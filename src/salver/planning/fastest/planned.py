@@ -15,12 +15,12 @@ from salver.planning.fastest.options import FastestOptions
 from salver.planning.fastest.search import fastest
 from salver.planning.fastest.speeds import at_every_speed
 from salver.planning.follow.limits import LIMIT_EXCEEDED
+from salver.planning.seeds.starts import Ends
 from salver.planning.trajopt.bound import least_by_friction, least_duration
 from salver.planning.trajopt.constraints.constraints import LEVEL_TOLERANCE, ContactConstraint
 from salver.planning.trajopt.exchange import SHORTEST, reached
 from salver.planning.trajopt.found import FastestMotion, object_motion
 from salver.planning.trajopt.problem import TransportProblem, transport_problem, with_failing_cases
-from salver.planning.trajopt.spline import SplineMotion
 from salver.planning.trajopt.watch import Watch
 from salver.planning.verdict.judged import PLANNED
 from salver.planning.verdict.verify import verify
@@ -57,10 +57,10 @@ def plan_problem(
     robust: bool = True,
     options: FastestOptions | None = None,
     watch: Watch | None = None,
-    near: SplineMotion | None = None,
+    pair: Ends | None = None,
 ) -> Plan:
-    """The plan of a problem, as `plan_fastest` makes it; `near`, a motion of a similar problem, is tried first."""
-    found, plan = _found(problem, robust, options, watch, near)
+    """The plan of a problem, as `plan_fastest` makes it; pair: end postures between which the search begins."""
+    found, plan = _found(problem, robust, options, watch, pair=pair)
     if not robust:
         return plan
     return at_every_speed(found, plan, lambda known: _found(known.problem, robust, options, watch, known))[1]
@@ -71,11 +71,12 @@ def _found(
     robust: bool,
     options: FastestOptions | None,
     watch: Watch | None,
-    near: FastestMotion | SplineMotion | None,
+    near: FastestMotion | None = None,
+    pair: Ends | None = None,
 ) -> tuple[FastestMotion, Plan]:
     """The motion found and its plan. Limits of load dynamics are met at the speed factors that the problem lists."""
     scenario = problem.scenario
-    found = fastest(problem, options, near, watch)
+    found = fastest(problem, options, near, watch, pair)
     if not np.isfinite(found.duration):
         raise UnreachableError(f"{scenario.name}: {found.status.sentence}")
     plan = _planned(scenario, found, robust)

@@ -41,27 +41,27 @@ from salver.planning.trajopt.watch import WHY, Watch
 def fastest(
     problem: TransportProblem,
     options: FastestOptions | None = None,
-    near: FastestMotion | SplineMotion | None = None,
+    near: FastestMotion | None = None,
     watch: Watch | None = None,
+    pair: Ends | None = None,
 ) -> FastestMotion:
     """Find the shortest safe motion of a problem (`transport_problem`). Never raises for numerical reasons: see
     `status`.
 
     problem: what to solve. options: of the search. near: a motion of a similar problem, which is tried first. watch:
-    may end the search early, with the best motion so far.
+    may end the search early, with the best motion so far. pair: possible end postures between which it begins.
     """
     options = options or FastestOptions()
     watch = watch or Watch(options.time_limit)
     begun = time.perf_counter()
     if near is not None:
-        # From a motion that was found, it is completed even when the search is ended: all else is slower by far.
-        watched = Watch() if isinstance(near, FastestMotion) else watch
-        found = optimum(problem, options, near, watched, options.near)
+        # It is completed even when the search is ended: all else is slower by far.
+        found = optimum(problem, options, near, Watch(), options.near)
         if found.status.ok:
             return found
     watch.trying = "postures at both ends"
     rng = np.random.default_rng(options.seed)
-    pairs, blocked = possible_ends(problem, options, rng)
+    pairs, blocked = possible_ends(problem, options, rng) if pair is None else ([pair], None)
     if blocked is not None:
         spline, wall = RestSpline(DEGREE, options.spans), time.perf_counter() - begun
         none = np.zeros((spline.size, problem.n))
