@@ -1,5 +1,6 @@
 """What would take hours or gigabytes is refused with a sentence before it begins."""
 
+import functools
 import io
 import resource
 import time
@@ -98,6 +99,7 @@ def test_the_samples_of_an_export_are_bounded(tmp_path):
         write_export(tmp_path, "csv", rate=1e5)
 
 
+@functools.cache
 def bomb(size):
     """A zip file that unfolds to `size` zeros, its name that of a mesh."""
     content = io.BytesIO()
