@@ -142,6 +142,10 @@ def _children(node: ast.AST) -> Iterator[ast.AST]:
                 continue
             if isinstance(child, ast.Assign) and ast.unparse(child.targets[0]) == "__all__":
                 continue
+            if isinstance(child, ast.Subscript) and ast.unparse(child.value) == "Callable":  # a type with a name
+                continue
+            if getattr(getattr(node, "func", None), "attr", "") == "reshape" and ast.unparse(child) == "-1":
+                continue  # NumPy takes -2 for the same
             if isinstance(child, ast.AST) and getattr(child, "arg", None) not in PRECAUTIONS:
                 yield child
 

@@ -5,7 +5,7 @@ import pytest
 
 from recorded_motions import GOAL, HEADER, JOINTS, START, joint_motion, line, write_csv
 from salver import scenario as scenarios
-from salver.auditing.motion import tray_motion
+from salver.auditing.motion import _slowest, tray_motion
 from salver.auditing.options import DEFAULT, AuditOptions
 from salver.auditing.recorded import LEVER, read_motion, sensor_of
 from salver.auditing.spline import fit
@@ -170,6 +170,19 @@ def test_the_bandwidths_that_are_told_are_the_least_and_the_most():
     bandwidth = tray_motion(seen, None, AuditOptions(noise=1e-6)).recording.bandwidth
     least, most = bandwidth.min(), bandwidth.max()
     assert least < 30 < 55 < most
+
+
+@pytest.mark.parametrize(
+    ("speed", "least"),
+    [
+        ([1.0, 0.2, 0.97, 0.5, 0.05, 0.31], (0.2, 0.05)),
+        ([1.0, 0.5, 0.2], (1.0, 0.2)),
+        ([0.3, 0.1, 0.6, 0.4, 0.5], (0.1, 0.4)),
+    ],
+)
+def test_the_least_speed_is_looked_for_between_an_end_and_where_it_is_last_as_fast(speed, least):
+    assert _slowest(np.array(speed)) == least
+    assert _slowest(np.array(speed[::-1])) == least[::-1]
 
 
 def test_quaternions_of_nearly_unit_norm_are_made_unit_and_others_refused():

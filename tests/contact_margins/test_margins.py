@@ -210,3 +210,19 @@ def test_inertia_matters_only_where_the_tray_turns() -> None:
         *(getattr(still, k) for k in ("t", "p_SB", "v_S", "a_S", "R_SB", "omega_B")), np.array([[0, 5.0, 0]])
     )
     assert margins(made, turning).exact_worst[0] < margins(made, turning).exact[0] - 1e-3
+
+
+@pytest.mark.parametrize("known", [("mass", "10%"), ("friction", "10%"), ("fill", "30%")])
+def test_what_a_parameter_of_a_liquids_cup_costs_is_what_it_costs_where_it_alone_is_uncertain(
+    coffee: Scenario, known: tuple[str, str]
+) -> None:
+    """For the whole motion, and for some of its instants."""
+    exact = coffee.with_changes(arm=None, objects__0__liquid__damping=[0.01, 0.01])
+    every, alone = (moved(case, 1.2, 61) for case in (exact, exact.with_changes(objects__0__uncertainty=dict([known]))))
+    assert every.costs()[known[0]] == pytest.approx(alone.costs()[known[0]], abs=1e-12)
+    (parameter,) = (p for p in every.model.uncertain.parameters if p.kind == known[0])
+    payload, some = every.model.with_only(parameter).payload, np.array([10, 30, 31])
+    assert every.loads is not None
+    both = every.loads.at(some).only(payload), every.loads.only(payload).at(some)
+    for one, other in zip(*(x.worst["cup"] for x in both), strict=True):
+        assert_allclose(one.wrench, other.wrench)

@@ -218,6 +218,10 @@ def test_the_surface_that_is_drawn_is_a_plane_that_keeps_the_volume(coffee, slop
         held.append(np.sum(a * np.cross(b, c)) / 6)
     assert held[0] == pytest.approx(shapes.cone(0.029, 0.029 + 0.06 * slope, 0.06).volume, rel=0.01)  # 32 corners
     assert held[1] == pytest.approx(held[0], rel=2e-4)
+    # It cuts the axis lower, by the volume of a cone's part below a plane as in the test above.
+    lean = slope * np.linalg.norm(surface.slope[1])
+    lower = (surface.level_B - surface.centre_B(1))[2]
+    assert lower == pytest.approx((1 - np.sqrt(1 - lean**2)) / surface.widening)
     ring = surface.ring_B(1) - surface.centre_B(1)
     np.testing.assert_allclose(ring[:, 2], ring[:, :2] @ surface.slope[1], atol=1e-12)
     height = ring[:, 2] + surface.centre_B(1)[2] - surface.bottom_B[0, 2]

@@ -18,6 +18,7 @@ from salver.dynamics.modal_changes import changed
 from salver.dynamics.modal_motion import ModalMotion
 from salver.dynamics.modal_state import ModalState
 from salver.dynamics.motion_gradients import Unknowns, wrench_by
+from salver.geometry import exp
 from salver.models.tray_motion import at_rest
 from shaken_loads import BOX, BOX_IN, shaken
 
@@ -165,19 +166,38 @@ def test_changes_are_first_order_differences(coffee, shape, monkeypatch):
     dw = np.random.default_rng(2).normal(size=12) * np.cos(3 * t)[:, None]
     dw = np.stack([dw, dw * np.sin(np.pi * t / 0.9)[:, None]], axis=2)
     change = changed(here, dw[None])
-    eta, free, _ = here.changed(change, dw[None])
-    by = {"eta": eta, "free": free, "wrench": change.wrench}
+    eta, free, thrown = here.changed(change, dw[None])
+    by = {"eta": eta, "free": free, "thrown": thrown, "wrench": change.wrench}
+
+    def values(waves):
+        linear = waves.cases.highest(waves.eta)
+        curved = (waves.cases.peaking[:, None] / waves.cases.half[:, None] * waves.free**2).sum(axis=-1)
+        return {"eta": waves.eta, "free": waves.free, "thrown": waves.crest - linear - curved, "wrench": waves.wrench}
+
     for k in range(2):
         more, less = (SurfaceMotion.along((case,), t, shaken(t) + sign * step * dw[:, :, k]) for sign in (1, -1))
-        for name in ("eta", "free", "wrench"):
-            difference = (getattr(more, name) - getattr(less, name)) / (2 * step)
+        more, less = values(more), values(less)
+        for name in by:
+            difference = (more[name] - less[name]) / (2 * step)
             found = by[name][..., k]
             np.testing.assert_allclose(found, difference, atol=1e-4 * np.abs(difference).max(), err_msg=name)
             if k == 1:  # begins with the motion
-                shifted = getattr(here.shifted(step * dw[None, :, :, k]), name) - getattr(here, name)
+                shifted = values(here.shifted(step * dw[None, :, :, k]))[name] - values(here)[name]
                 atol = 1e-3 * np.abs(difference).max()
                 np.testing.assert_allclose(shifted / step, difference, atol=atol, err_msg=name)
     assert (here.raised(np.abs(step * eta).sum(axis=(2, 3)), 0.0) >= here.crest).all()
+
+
+def test_where_waves_come_to_rest_changes_with_what_the_tray_feels_last(coffee):
+    """On a tray that leans and rests, by central differences."""
+    case, t = LoadCase(coffee.payload.first, 0.05, 0.01), np.linspace(0, 0.9, 101)
+    w = np.tile(at_rest(exp(np.array([0.1, -0.07, 0.0]))), (len(t), 1))
+    dw, step = np.random.default_rng(4).normal(size=12) * np.cos(3 * t)[:, None], 1e-5
+    here = SurfaceMotion.along((case,), t, w)
+    found = here.equilibrium_by(dw[None, :, :, None], here.spun(dw[None, :, :, None]))[..., 0]
+    more, less = (SurfaceMotion.along((case,), t, w + sign * step * dw).equilibrium for sign in (1, -1))
+    difference = (more - less) / (2 * step)
+    np.testing.assert_allclose(found, difference, atol=1e-6 * np.abs(difference).max())  # as the step squared
 
 
 @pytest.mark.parametrize(

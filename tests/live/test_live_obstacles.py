@@ -415,7 +415,7 @@ def test_looking_out_finds_what_a_fine_scan_of_time_finds(cube, monkeypatch):
         else:
             assert free.min() > 0.0
     assert min(counts) > 5
-    assert 30 < len(looks) < 30 * 100
+    assert 30 < len(looks) < 30 * 30
 
 
 def test_an_obstacle_is_where_it_was_seen_when_it_was_seen(cube):

@@ -106,6 +106,9 @@ def test_a_hold_brings_the_arm_to_rest_and_what_was_requested_is_gone_on_with(cu
     assert str(live.state).endswith("Held by the operator.")
     assert np.abs(where(live) - FIRST).max() > 0.01
     after = drive(live, 2.5, [(0.0, release)], begins=1.5)
+    body = live.problem.items[0]
+    passed = np.array([live.problem.arm.object_pose(q, body.p_EB, body.R_EB)[0] for q in after.q[::10]])
+    assert np.abs(passed - FIRST).max(axis=1).min() < 1e-4  # before what was queued
     np.testing.assert_allclose(where(live), SECOND, atol=1e-4)
     assert live.state.speed == ""
     assert live.settled

@@ -49,6 +49,7 @@ def test_what_cannot_be_is_refused_in_a_sentence(cube):
         (lambda: live.goto(np.array([0.5, 0, 0.5 + 1j])), "the position is not an array of numbers"),
         (lambda: live.goto(np.ma.masked_array([0.5, 0, 0.5], [0, 1, 0])), "the position is not an array of numbers"),
         (lambda: live.goto([[[0.5]], [0], [0.5]]), "the position is not an array of numbers"),
+        (lambda: live.goto([[0.5], [0.0], [0.5]]), "the position is not an array of numbers"),
         (lambda: live.twist([0.1, 0, None]), "v is not an array of numbers"),
         (lambda: live.chunk("12", [(0.5, 0, 0.5)] * 2), "times is not an array of numbers"),
         (lambda: live.chunk(0.5, [(0.5, 0, 0.5)]), "times"),

@@ -63,6 +63,8 @@ KNOWN = signatures(["def run(a, b, c=1): ...", "class Thing:\n    x: int\n    y:
         ("x.f(a)", {"pass"}),
         # texts, annotations, precautions and what words an error are left alone
         ("y: Literal[3] = x", set()),
+        ("Check = Callable[[A, B], C]", set()),
+        ("y = x.reshape(-1)", set()),
         ('y = f"{x + 1:.3f}"', set()),
         ("y = list(zip(a, b, strict=True))", set()),
         ('raise ValueError("at most", 3)', {"pass"}),

@@ -179,7 +179,7 @@ def test_default_step_errs_by_less_than_a_millionth_and_the_order_is_eight():
     def error(step):
         return float((np.abs(run(step) - fine).max(axis=(0, 1)) / size).max())
 
-    assert error(None) < 1e-6
+    assert 1e-9 < error(None) < 1e-6  # a finer one would cost time and gain nothing
     assert np.log2(error(0.04) / error(0.01)) / 2 > 7
 
 

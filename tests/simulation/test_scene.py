@@ -290,11 +290,14 @@ def test_place_puts_objects_where_the_parameters_say():
     np.testing.assert_allclose(matrix_from_quat_wxyz(data.qpos[10:14]), R, atol=1e-9)
 
 
-def test_feet_are_at_the_base():
-    scene = build(paper(), true_world(paper()))
+@pytest.mark.parametrize("com_z", [0.0, 0.005])
+def test_feet_are_at_the_base(com_z):
+    """Wherever the centre of mass is, from which they are told."""
+    case = paper(objects__0__com=[0.0, 0.0, com_z])
+    scene = build(case, true_world(case))
     feet = scene.foot_object >= 0
     assert feet.sum() == 4
-    np.testing.assert_allclose(scene.model.geom_pos[feet][:, 2], -0.02 + FOOT_RADIUS)
+    np.testing.assert_allclose(scene.model.geom_pos[feet][:, 2], -0.02 - com_z + FOOT_RADIUS)
     np.testing.assert_array_equal(scene.foot_number[feet], range(4))
 
 

@@ -244,7 +244,7 @@ class Movable:
         self.names = [parts.names[k] for k in self.index]
         self._geometry = [parts.model.geometryObjects[k] for k in self.index]
         shapes = [one.geometry for one in self._geometry]
-        self._centres = [np.array(x.aabb_center) for x in shapes]  # of bounding spheres, in each part's own frame
+        self._centres = [x.aabb_center for x in shapes]  # of bounding spheres, in each part's own frame
         self.radii = np.array([float(x.aabb_radius) for x in shapes])
         # (M, n) at most how far a part moves when a joint moves by 1.
         self.levers = np.zeros((len(shapes), arm.n))
