@@ -22,7 +22,7 @@ from salver.planning.fastest import evaluate, transport_problem
 from salver.planning.trajopt.constraints.constraints import strayed
 from salver.planning.trajopt.constraints.obstacles import CLEARANCE
 from salver.planning.verdict import verify
-from salver.planning.verdict.judged import STANDARD, Judged, subsample
+from salver.planning.verdict.judged import STANDARD, Judged
 from salver.trajectory import JointMotion
 
 G = (0.0, 0.0, -9.81)
@@ -134,19 +134,6 @@ def test_at_rest_what_the_arm_strays_before_it_has_settled_counts(bottle):
     free = movable.distances(q[1:], seen, at[None])[0] - CLEARANCE.safety - off.max()
     assert np.any(free < 0.1)
     assert -0.1 * rest.values[0][free < 0.1] == pytest.approx(free[free < 0.1], abs=1e-9)
-
-
-def test_between_the_postures_that_are_looked_at_no_pair_moves_unseen(problem):
-    """Whichever way the joints turn."""
-    parts, turn = problem.keep_out.parts, np.array([1, -1, 1, -1, 1, -1, 1.0])
-    for span in (1e-3, 0.1, 0.4, 2.0):
-        q = problem.start.q + np.linspace(0, span, 65)[:, None] * turn
-        looked = subsample(parts, q)
-        steps = np.abs(np.diff(looked, axis=0)) @ parts.levers(q).T
-        assert steps.max() < CLEARANCE.near or len(looked) == len(q)
-        assert np.array_equal(subsample(parts, q[::-1]), looked[::-1])
-        assert np.array_equal(looked[[0, -1]], q[[0, -1]])
-    assert len(subsample(parts, problem.start.q + np.zeros((65, 1)))) == 9
 
 
 @pytest.mark.parametrize(("there", "touch"), [(0.01, False), (0.05, True)])

@@ -10,7 +10,6 @@ from typing import Self, TypeVar
 import numpy as np
 
 from salver.geometry import Array, Indices
-from salver.models.arm.arm_geometry import ArmGeometry
 from salver.models.arm.arm_limits import LIMITS, JointLimits
 from salver.planning.trajopt.constraints.constraints import (
     FINEST,
@@ -23,7 +22,6 @@ from salver.planning.trajopt.constraints.constraints import (
     strayed,
 )
 from salver.planning.trajopt.constraints.load_limits import LoadConstraint
-from salver.planning.trajopt.constraints.obstacles import CLEARANCE
 from salver.planning.trajopt.evaluation import MotionEvaluation
 from salver.planning.trajopt.problem import TransportProblem
 from salver.sensitivity.arm.terms import MotionTerms
@@ -278,13 +276,3 @@ def peaks(t: Array, values: Array) -> Array:
 
 def no_gradient(node: Indices, row: Indices) -> Array:
     raise NotImplementedError("a verdict needs no derivatives")
-
-
-def subsample(parts: ArmGeometry, q: Array) -> Array:
-    """A subset of postures (N, n) along a motion, dense enough to find all pairs within `ClearanceOptions.near`:
-    between two of them distances shrink by at most half of that."""
-    for every in (8, 4, 2):
-        some = q[np.unique(np.append(np.arange(0, len(q), every), len(q) - 1))]
-        if (np.abs(np.diff(some, axis=0)) @ parts.levers(q).T).max(initial=0.0) < CLEARANCE.near:
-            return some
-    return q

@@ -29,7 +29,7 @@ from salver.planning.trajopt.constraints.constraints import (
 )
 from salver.planning.trajopt.constraints.load_limits import AtRest, LoadConstraint
 from salver.planning.trajopt.problem import TransportProblem
-from salver.planning.verdict.judged import STANDARD, Judged, VerdictOptions, no_gradient, subsample
+from salver.planning.verdict.judged import STANDARD, Judged, VerdictOptions, no_gradient
 from salver.planning.verdict.margins import ConstraintMargins
 from salver.trajectory import JointMotion, ways
 
@@ -153,7 +153,7 @@ def clearance(judged: Judged) -> Iterator[Block]:
     end, with the largest deviation while the arm settles there."""
     out = judged.problem.keep_out
     if out is not None:
-        for block in judged.rows(Clearance(out.near(subsample(out.parts, judged.along.at_nodes[0])))):
+        for block in judged.rows(Clearance(out.near(judged.along.at_nodes[0]))):
             block.values[judged.last] += PER_METRE * judged.settling
             yield block
 
