@@ -447,6 +447,19 @@ def test_evasion_begins_as_soon_as_a_tick_can_be_planned_and_goes_on_tick_by_tic
     assert live._lead.of("motion") == 0.25
 
 
+@pytest.mark.parametrize("come_from", [(1.2, 0.0, 0.0), (0.0, -1.2, 0.2), (-0.9, 0.9, 0.4)])
+def test_the_first_tick_of_an_evasion_passes_the_verdict(cube, come_from):
+    """Of an arm that rests: a large first increment violates constraints by which it is shortened too late."""
+    live = Live(cube, lead=0.1)
+    live.command(0.0)
+    tray = live.problem.arm.tray_pose(live.problem.start.q)[0]
+    assert live.obstacles([thrown(tray, 0.5, come_from)]).ok
+    job = Job(Evade(), live.committed, 0.02, 1.0, live._sighting.obstacles, live._running.outlook.near)
+    found = live._planner.answer(job).found
+    assert found is not None
+    assert not found.at_rest
+
+
 @pytest.mark.parametrize("aside", [(0.0, -0.13, 0.0), (0.0, 0.0, 0.08)])
 def test_what_comes_is_evaded_to_the_nearer_side(cube, aside):
     """A ball that comes along x, to one side of the tray's middle or above it: the other way is the shorter one,

@@ -34,6 +34,8 @@ class EvasionOptions:
     """How moving obstacles are evaded.
 
     Attributes:
+        damping: of the first increment of an evasion, as in `SteeringOptions`. At the least, the verdict refuses the
+            first two or three ticks: of 29 near misses and hits 18 instead of 16 hit, with 1 cm less clearance.
         speed: m/s at which the tray is to leave the path of an obstacle, as far as load and limits allow.
         window: s after each hand-over during which the tray is to move at this speed.
         passes: s in which an obstacle is assumed to pass, from the first instant at which it is too near.
@@ -42,6 +44,7 @@ class EvasionOptions:
             when it is seen again; the same threat is evaded in the direction chosen before.
     """
 
+    damping: float = 100.0
     speed: float = 1.0
     window: float = 0.3
     passes: float = 0.3
@@ -209,7 +212,8 @@ class Planner:
             or abs(self._aside.t - near.t) > self.evasion.another
         ):
             self._aside = Aside(near.obstacle, near.t, self._shortest_aside(job, near))
-            self._evasive = replace(self._steering, control=StepControl.of(self.options.steering))
+            control = StepControl(self.options.steering, self.evasion.damping)
+            self._evasive = replace(self._steering, control=control)
         twist = np.append(self.evasion.speed * self._aside.way, np.zeros(3))
         wanted = TwistWanted(twist, np.zeros(6), job.begins, window=self.evasion.window)
         found, status = self._evasive.tick(wanted, job.base, job.begins)

@@ -109,10 +109,6 @@ class StepControl:
     damping: float
     tightened: dict[str, float] = field(default_factory=dict)
 
-    @classmethod
-    def of(cls, options: SteeringOptions) -> StepControl:
-        return cls(options, options.least_damping)
-
     def damped(self, factor: float) -> None:
         options = self.options
         self.damping = float(np.clip(factor * self.damping, options.least_damping, options.most_damping))
@@ -166,7 +162,8 @@ class Steering:
         norm = horizon * ((q.T * grid.weights) @ q + options.acceleration * (ddq.T * grid.weights) @ ddq)
         jerk = weights.jerk * horizon * dddq.T * grid.weights
         norm, hessian = np.kron(norm, each), np.kron(jerk @ dddq, each)
-        return cls(problem, sought, spline, grid, norm, jerk, hessian, StepControl.of(options), options, weights)
+        control = StepControl(options, options.least_damping)
+        return cls(problem, sought, spline, grid, norm, jerk, hessian, control, options, weights)
 
     def tick(self, wanted: Wanted, base: Committed, begins: float) -> tuple[Committed | None, Status]:
         """Change the committed motion towards the request, from live time `begins`, s, on."""
