@@ -309,28 +309,23 @@ class Live(Requested):
         if not self._planning.acquire(blocking=False):
             return False
         try:
-            return self._prepare(budget, answer or self._planner.answer)
+            running, base = self._running, self.committed
+            begins = self._hand_over(base, "motion", max(self._now + self.lead, self._ready.due(base)))
+            over = begins >= base.ends - self._ready.options.every
+            if over or self._offer is not None or isinstance(self._asked, Follow | Halt):
+                return False
+            self._ready.looked_at(begins)
+            job = Job(Halt(), base, begins, budget, self._sighting.obstacles)
+            found = (answer or self._planner.answer)(job).found
+            if found is not None and sealed(found, base, self._problem) and not self._denied(found):
+                stop = running.then(found, Halt(), self._now, self._problem)
+                self._look(stop)
+                self._ready.add(stop, base)
+            return True
         except Exception:  # a stop less; what is committed does not depend on it
             return False
         finally:
             self._planning.release()
-
-    def _prepare(self, budget: float, answer: Callable[[Job], Answer]) -> bool:
-        running, base = self._running, self.committed
-        begins = self._hand_over(base, "motion", max(self._now + self.lead, self._ready.due(base)))
-        if (
-            self._offer is not None
-            or isinstance(self._asked, Follow | Halt)
-            or begins >= base.ends - self._ready.options.every
-        ):
-            return False
-        self._ready.looked_at(begins)
-        found = answer(Job(Halt(), base, begins, budget, self._sighting.obstacles)).found
-        if found is not None and sealed(found, base, self._problem) and not self._denied(found):
-            stop = running.then(found, Halt(), self._now, self._problem)
-            self._look(stop)
-            self._ready.add(stop, base)
-        return True
 
     def _denied(self, found: Committed) -> str:
         """Why a motion is not to be done though it was verified; nothing when it is."""
@@ -363,7 +358,6 @@ class Live(Requested):
             else "following"
         )
         passing = self._running.outlook.sentence(now)
-        stopped = "" if self._stopped is None else str(self._stopped)
         slow = "" if self._factor == 1.0 else f"Goals are gone to at {100 * self._factor:.3g} % of full speed."
         speed = " ".join(filter(None, ("" if self._held is None else str(self._held), slow)))
         granted, withheld = self._granted, ""
@@ -372,8 +366,8 @@ class Live(Requested):
             why = near if self._held is None and not passing else str(self._held or passing).rstrip(".")
             withheld = f"{100 * granted:.0f} % of the requested velocity: {why}."
         return State(
-            doing, rests_in, limit, margin, self._refused, self._clock, self.lead, passing, stopped, self._refusals,
-            speed, self._requests.each, granted, withheld,
+            doing, rests_in, limit, margin, self._refused, self._clock, self.lead, passing, self.stopped,
+            self._refusals, speed, self._requests.each, granted, withheld,
         )  # fmt: skip
 
     @property

@@ -19,10 +19,7 @@ class Pieces:
         self.knots: list[float] = (begins + motion.t).tolist()
         pieces = Quintics.through(motion.t, np.stack([motion.q, motion.dq, motion.ddq]))
         self.coefficients = _powers(pieces.coefficients, np.diff(motion.t)[:, None])
-        self.still = np.zeros_like(self.coefficients[:1])[0]
-        self.rest = self.still.copy()
-        self.rest[5] = motion.q[-1]
-        self.still[5] = motion.q[0]
+        self.first, self.last = motion.q[0], motion.q[-1]
 
 
 class Reader:
@@ -48,7 +45,7 @@ class Reader:
         knots, powers = self.pieces.knots, self._powers
         if now >= knots[-1] or now < knots[0]:
             self._out.fill(0.0)
-            np.copyto(self.q, self.pieces.rest[5] if now >= knots[0] else self.pieces.still[5])
+            np.copyto(self.q, self.pieces.last if now >= knots[0] else self.pieces.first)
         else:
             k = self._piece
             while now >= knots[k + 1]:

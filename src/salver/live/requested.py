@@ -28,7 +28,6 @@ from salver.live.replanning.wishes import (
     ACCEPTED,
     OPERATOR,
     PRIORITY,
-    Evade,
     Follow,
     Frame,
     Goal,
@@ -36,6 +35,7 @@ from salver.live.replanning.wishes import (
     Pose,
     Refused,
     Source,
+    UserWish,
     Wish,
     chunk_wish,
     factor_of,
@@ -87,7 +87,7 @@ class Requested(Commanded):
         self._astray = ""  # why the arm is not where it was commanded to be, as it was measured last
         self._unknown = False  # whether how it moves inside is not known any more
         self._refused, self._refusals = "", 0
-        self._wish: Wish | None = None
+        self._wish: UserWish | None = None
         self._queue: deque[Goal] = deque()
         self._heard: deque[tuple[float, Array]] = deque(maxlen=200)
         # Written by whoever plans.
@@ -101,13 +101,12 @@ class Requested(Commanded):
         """The liquid or pendulum in the load, in words."""
 
     def _wanted(self, running: Running) -> bool:
-        wish = running.wish
+        wish, now = running.wish, self._wish
         if isinstance(wish, Halt):
             return True
         if self._stopped is not None or self._held is not None:
             return False
-        now = self._wish
-        if wish is None or now is None or isinstance(wish, Evade):
+        if now is None or not isinstance(wish, Goal | Follow):
             return True
         return not isinstance(now, Halt) and PRIORITY[wish.source] >= PRIORITY[now.source]
 
@@ -122,7 +121,7 @@ class Requested(Commanded):
         if stopped is not None:
             why = f" ({stopped.reason.rstrip('.')})" if stopped.reason else ""
             raise Refused(f"the arm was stopped by the {stopped.source}{why}; call resume() first")
-        pending: list[Wish] = list(self._queue)
+        pending: list[UserWish] = list(self._queue)
         if wish is not None and not (wish is self._done and self._now >= self.committed.ends):
             pending.append(wish)
         for one in pending:
@@ -177,7 +176,7 @@ class Requested(Commanded):
         reason = reason if isinstance(reason, str) else shown(reason)
         stopped, halt = self._stopped, Halt(source)
         if stopped is None:
-            self._stopped = Stopped(reason, source, self._now, halt)
+            self._stopped = Stopped(reason, source, halt)
         else:
             pending = stopped.halt is not self._done
             self._stopped = stopped.again(reason, source, stopped.halt if pending else halt)

@@ -37,7 +37,7 @@ from salver.errors import SalverError, Status
 from salver.geometry import matrix_from_quat_wxyz
 from salver.live.live import Live
 from salver.live.replanning.obstacles import Moving
-from salver.live.replanning.wishes import OPERATOR, PRIORITY, Refused, is_flag, numbers
+from salver.live.replanning.wishes import OPERATOR, PRIORITY, Refused, is_flag, is_source, numbers
 
 # What may stand beside each request, with "t" and "source".
 KEYS = {
@@ -189,7 +189,7 @@ def understood(text: str, line: int, source: str, last: float, options: ScriptOp
         raise wrong(f"queued is {shown(words['queued'])}; it must be true or false")
     if not isinstance(words.get("reason", ""), str):
         raise wrong(f"reason is {shown(words['reason'])}; it must be a text")
-    if not (isinstance(by := words.get("source", OPERATOR), str) and by in PRIORITY):
+    if not is_source(by := words.get("source", OPERATOR)):
         raise wrong(f"source is {shown(by)}; it must be one of {', '.join(PRIORITY)}")
     twist = words.get("twist", [])
     if not (isinstance(twist, list) and len(twist) in (0, 3, 4, 6) and ("twist" not in words or twist)):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 from itertools import islice
 
@@ -41,31 +42,23 @@ def standing(
     Raises ScenarioError when the load is not safe there, UnreachableError when no posture reaches the pose.
     """
     name = problem.scenario.name
-    begin = problem.start.q if q is None and isinstance(problem.start, AtPosture) else q
+    begin, out, reasons = q, problem.keep_out, []
+    if q is None and isinstance(problem.start, AtPosture):
+        begin = problem.start.q
+    postures: Iterable[Array] = islice(standing_at(problem, problem.start, np.random.default_rng(0)), LOOKS)
     if begin is not None:
         try:
-            posture = numbers(begin, (problem.n,), "q")
+            postures = [numbers(begin, (problem.n,), "q")]
         except Refused as reason:
             raise ScenarioError(f"{name}: {reason}.") from None
-        here = _from(problem, posture)
-        found = verified(here, resting(posture), begins, None)
-        if found.committed is None:
-            raise ScenarioError(f"{name}: the load is not safe at rest at q: {found.sentence}.")
-        return here, found.committed
-    reasons: list[str] = []
-    for posture in islice(standing_at(problem, problem.start, np.random.default_rng(0)), LOOKS):
-        here = _from(problem, posture)
+    for posture in postures:
+        here = problem if out is None else replace(problem, keep_out=KeepOut.of(out.parts, posture[None]))
         found = verified(here, resting(posture), begins, None)
         if found.committed is not None:
             return here, found.committed
         reasons.append(found.sentence)
     if not reasons:
         raise UnreachableError(f"{name}: no posture reaches motion.start.")
-    tried = f"in any of {len(reasons)} postures at motion.start" if len(reasons) > 1 else "at motion.start"
-    raise ScenarioError(f"{name}: the load is not safe at rest {tried}; in the first, {reasons[0]}.")
-
-
-def _from(problem: TransportProblem, q: Array) -> TransportProblem:
-    """Beginning at q (n,)."""
-    out = problem.keep_out
-    return problem if out is None else replace(problem, keep_out=KeepOut.of(out.parts, q[None]))
+    any_of = f"in any of {len(reasons)} postures " if len(reasons) > 1 else ""
+    where = f"{any_of}at motion.start; in the first," if begin is None else "at q:"
+    raise ScenarioError(f"{name}: the load is not safe at rest {where} {reasons[0]}.")

@@ -2,31 +2,37 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from salver.live.replanning.wishes import PRIORITY, Halt, Source
 
 
+@dataclass(frozen=True)
 class Hold:
     """A hold until it is released. halt: the planner's request because of it. at: live time, s."""
 
-    def __init__(self, halt: Halt, at: float) -> None:
-        self.halt, self.at = halt, at
+    halt: Halt
+    at: float
 
     def __str__(self) -> str:
         return f"Held by the {self.halt.source}."
 
 
+@dataclass
 class Stopped:
-    """A latched stop. halt: the planner's request because of it. refused: number of requests refused since."""
+    """A latched stop. reason: in words, or nothing. halt: the planner's request because of it. refused: number of
+    requests refused since."""
 
-    def __init__(self, reason: str, source: Source, at: float, halt: Halt, refused: int = 0) -> None:
-        """reason: in words, or nothing. at: live time, s."""
-        self.reason, self.source, self.at, self.halt, self.refused = reason, source, at, halt, refused
+    reason: str
+    source: Source
+    halt: Halt
+    refused: int = 0
 
     def again(self, reason: str, source: Source, halt: Halt) -> Stopped:
         """The stop after another request to stop: it has the reason and source with the higher priority."""
         if PRIORITY[source] < PRIORITY[self.source]:
             reason, source = self.reason, self.source
-        return Stopped(reason, source, self.at, halt, self.refused)
+        return Stopped(reason, source, halt, self.refused)
 
     def __str__(self) -> str:
         why = f": {self.reason.rstrip('.')}" if self.reason else ""

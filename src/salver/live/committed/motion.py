@@ -12,14 +12,13 @@ import numpy as np
 
 from salver.dynamics.modal_history import Past
 from salver.geometry import Array
-from salver.live.committed.profile import SpeedProfile
+from salver.live.committed.profile import SAME, SpeedProfile
 from salver.planning.fastest import TransportProblem
 from salver.planning.trajopt.evaluation import MotionEvaluation
 from salver.planning.verdict.margins import ConstraintMargins
 from salver.trajectory import JointMotion
 
 SHORTEST = 1e-3  # s that the motion of an arm at rest is written to last
-SAME = 1e-9  # s; instants nearer than this are one
 
 
 # Of an arm that rests for long:

@@ -189,9 +189,10 @@ class Lookout:
         gone: (N,) m, the way that both go until live times t (N,)."""
 
         def free(at: float) -> float:
-            kept = CLEARANCE.safety + obstacle.uncertainty + obstacle.growth * max(at - obstacle.t0, 0.0)
-            kept += float(np.interp(at, path.t, path.off))
-            return movable.distance(path.posture(at, self._options.finest), part, obstacle, obstacle.place(at)) - kept
+            t = np.array([at])
+            kept = CLEARANCE.safety + obstacle.around(t)[0] + path.off_at(t)[0]
+            q, p = path.posture(at, self._options.finest), obstacle.at(t)[0][0]
+            return movable.distance(q, part, obstacle, p) - float(kept)
 
         def between(a: float, free_a: float, b: float, free_b: float) -> float | None:
             if free_a + free_b > float(np.interp(b, t, gone) - np.interp(a, t, gone)):

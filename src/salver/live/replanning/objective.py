@@ -89,18 +89,30 @@ class JointsWanted:
 
     def residuals(self, motion: MotionEvaluation, t: Array, dt: Array, weights: Weights) -> Residuals:
         within = np.flatnonzero(t <= t[0] + self.window)
-        value = motion.at_nodes[1, within] - self.at(t[within])
         weight = np.outer(dt[within], self._weight(weights)).ravel()
-        return _joints(value, 1, motion.nodes[within], weight)
+        return self._against(motion, within, self.at(t[within]), weight)
+
+    def _against(self, motion: MotionEvaluation, nodes: Indices, wanted: Array, weight: Array) -> Residuals:
+        """Residuals of the velocities at nodes (N,) against requested ones (N, m)."""
+        return _joints(motion.at_nodes[1, nodes] - wanted, 1, motion.nodes[nodes], weight)
 
 
 class TwistWanted(JointsWanted):
     """The tray's velocity and angular velocity in S, m = 6."""
 
-    def residuals(self, motion: MotionEvaluation, t: Array, dt: Array, weights: Weights) -> Residuals:
-        within = np.flatnonzero(t <= t[0] + self.window)
-        weight = np.outer(dt[within], self._weight(weights)).ravel()
-        return _velocity(motion, within, self.at(t[within]), weight)
+    def _against(self, motion: MotionEvaluation, nodes: Indices, wanted: Array, weight: Array) -> Residuals:
+        terms, n = motion.terms, motion.n
+        R = terms.R_SE[nodes]
+        both = np.zeros((len(nodes), 6, 6))
+        both[:, :3, :3] = both[:, 3:, 3:] = R
+        twist_S = np.einsum("kij,kj->ki", both, terms.twist[nodes])
+        parts = np.zeros((len(nodes), 6, 4, n))
+        # d(R v) = R (dv + dtheta x v), dtheta = J_omega dq.
+        turned = np.concatenate([hat(terms.twist[nodes, :3]), hat(terms.twist[nodes, 3:])], axis=1)
+        parts[:, :, 0] = both @ (terms.twist_q[nodes] - turned @ terms.jacobian[nodes, 3:])
+        parts[:, :, 1] = both @ terms.jacobian[nodes]
+        point = np.repeat(motion.nodes[nodes], 6)
+        return Residuals((twist_S - wanted).ravel(), parts.reshape(-1, 4, n), point, weight)
 
     def _weight(self, weights: Weights) -> Array:
         return np.repeat([weights.velocity, weights.angular_velocity], 3)
@@ -136,22 +148,6 @@ class ChunkWanted:
         turned = R @ exp((k - first)[:, None] * log(np.swapaxes(R, 1, 2) @ after))
         each = np.repeat([weights.position, weights.rotation], 3)
         return _pose(motion, p, turned, np.outer(dt, each).ravel())
-
-
-def _velocity(motion: MotionEvaluation, nodes: Indices, wanted_S: Array, weight: Array) -> Residuals:
-    """Twist of the tray against one in S (N, 6)."""
-    terms, n = motion.terms, motion.n
-    R = terms.R_SE[nodes]
-    both = np.zeros((len(nodes), 6, 6))
-    both[:, :3, :3] = both[:, 3:, 3:] = R
-    twist_S = np.einsum("kij,kj->ki", both, terms.twist[nodes])
-    parts = np.zeros((len(nodes), 6, 4, n))
-    # d(R v) = R (dv + dtheta x v), dtheta = J_omega dq.
-    turned = np.concatenate([hat(terms.twist[nodes, :3]), hat(terms.twist[nodes, 3:])], axis=1)
-    parts[:, :, 0] = both @ (terms.twist_q[nodes] - turned @ terms.jacobian[nodes, 3:])
-    parts[:, :, 1] = both @ terms.jacobian[nodes]
-    point = np.repeat(motion.nodes[nodes], 6)
-    return Residuals((twist_S - wanted_S).ravel(), parts.reshape(-1, 4, n), point, weight)
 
 
 def _pose(motion: MotionEvaluation, p_SE: Array, R_SE: Array, weight: Array) -> Residuals:

@@ -178,13 +178,6 @@ class Predicted:
         slope[(t < times[0]) | (t > times[-1])] = 0.0
         return where, slope
 
-    def place(self, t: float) -> Array:
-        """Predicted position (3,), m in S, at one live time, s."""
-        if self.samples is not None:
-            return self.at(np.array([t]))[0][0]
-        u, (p, v, a) = t - self.t0, self.powers
-        return np.asarray(p + u * v + u * u * a)
-
     def around(self, t: Array) -> Array:
         """Uncertainty (N,) of the predicted position at live times, m."""
         return self.uncertainty + self.growth * np.maximum(t - self.t0, 0.0)

@@ -71,9 +71,7 @@ class Follow:
 
 @dataclass(frozen=True, eq=False)
 class Evade:
-    """A request to keep clear of predicted obstacles: by the committed motion if it does, else by resting elsewhere."""
-
-    source: Source = "monitor"
+    """A request to keep clear of predicted obstacles."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,10 +79,10 @@ class Retime:
     """A request to continue along the same path at another share of full speed."""
 
     factor: float
-    source: Source = "monitor"
 
 
-Wish = Goal | Halt | Follow | Evade | Retime
+UserWish = Goal | Halt | Follow
+Wish = UserWish | Evade | Retime
 
 
 def id_of(wish: Wish | None) -> int:
