@@ -284,6 +284,7 @@ def going(cube, **given):
     return live, thrown(at, 0.6, (1.5, 0.3, 0.2))
 
 
+@pytest.mark.slow
 def test_the_rest_of_a_chunk_is_followed_after_an_evasion(cube):
     """It ended with the evasion, in silence."""
     live = Live(cube, lead=2 * TICK)

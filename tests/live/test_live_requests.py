@@ -280,8 +280,10 @@ def test_the_file_of_a_session_is_audited(session, tmp_path):
     assert page.stat().st_size > 1000
 
 
-def test_what_cannot_be_written_is_refused_in_a_sentence(session, tmp_path):
-    live, _ = session
+def test_what_cannot_be_written_is_refused_in_a_sentence(cube, tmp_path):
+    live = Live(cube)
+    for now in (0.0, 0.01):
+        live.command(now)
     with pytest.raises(SalverError, match="rate is 0; it must be from 1 to 10000 samples a second"):
         live.save(tmp_path / "a.csv", rate=0)
     with pytest.raises(SalverError, match="since is 99; nothing was commanded after it"):
