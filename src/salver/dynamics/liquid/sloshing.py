@@ -121,7 +121,7 @@ class SloshingResponse(LoadResponse):
         return self.modes.left(seconds, self.more_left)
 
     # Derivatives (m, c) of rows (m,), each for one case and node, by unknowns of the motion (c,). Changes of the arm's
-    # response are neglected. Where loads are uncertain they were up to half of a derivative.
+    # response are neglected. Where loads are uncertain, some derivatives were off by more than half.
 
     def crest_by(self, case: Indices, node: Indices, unknowns: Unknowns) -> Array:
         """Derivatives of the crest."""
