@@ -65,18 +65,6 @@ def test_help_of_every_command_has_an_example(name, here):
     assert "--json" in said
 
 
-@pytest.mark.slow
-def test_help_answers_at_once():
-    """Half a second on a free machine: the fastest of five, in processor time, which other processes do not stretch."""
-    used = []
-    for _ in range(5):
-        before = os.times()
-        salver("--help")
-        after = os.times()
-        used.append(after.children_user + after.children_system - before.children_user - before.children_system)
-    assert min(used) < 0.5
-
-
 def test_no_command_shows_the_help(here):
     code, said, wrong = here()
     assert code == 2

@@ -237,15 +237,15 @@ def test_a_motion_that_is_a_little_too_quick_between_the_nodes_is_made_longer_on
         return finding
 
     monkeypatch.setattr(Replanner, "_judged", seen)
-    mended = []
+    mended, how = [], ReplanOptions()
     for wait in 10 * (0.2, 0.3):
         goal = rng.uniform([0.40, -0.40, 0.35], [0.55, 0.15, 0.60])
         looks.clear()
         drive(live, wait, [(0.0, lambda live, goal=goal: live.goto(goal))], begins=live.now)
-        if len(looks) > 1 and looks[0][1].slower < ReplanOptions().stretched:
-            (first, _), (second, finding) = looks[:2]
+        if len(looks) > 1 and looks[0][1].slower < how.stretched:
+            (first, refused), (second, finding) = looks[:2]
             mended.append(finding.committed is not None)
-            assert second < 1.01 * first
+            assert second == pytest.approx(first * (1.0 + how.amply * refused.slower + how.a_little))
     assert len(mended) > 3
     assert np.mean(mended) > 0.7
 

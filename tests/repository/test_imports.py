@@ -48,6 +48,22 @@ def test_importing_loads_nothing_heavy(module):
 
 
 @pytest.mark.slow
+def test_help_loads_nothing_heavy():
+    """It reads every command's module."""
+    code = """
+import contextlib, io, json, sys
+from salver.cli import main
+sys.argv = ["salver", "--help"]
+with contextlib.redirect_stdout(io.StringIO()), contextlib.suppress(SystemExit):
+    main()
+print(json.dumps(sorted(sys.modules)))
+"""
+    loaded = _run(code)
+    assert "salver.cli.learning.track" in loaded
+    assert not set(HEAVY) & set(loaded)
+
+
+@pytest.mark.slow
 def test_planning_needs_no_physics_engine_and_no_plotting():
     code = """
 import json, sys

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
 import typer
 
 from salver.cli.checks.audit import Topic
@@ -83,10 +83,10 @@ def shake_table(shake: Vibration, more: float = 1.1) -> dict[str, float]:
 
     more: share of the measured displacement that is stated, because the next log may show a tenth more.
     """
-    amounts = {"amplitude": more * shake.amplitude, "tilt_deg": more * np.rad2deg(shake.tilt)}
+    amounts = {"amplitude": more * shake.amplitude, "tilt_deg": more * math.degrees(shake.tilt)}
     amounts["frequency"] = shake.frequency
-    size = {key: 10.0 ** np.floor(np.log10(value) - 1) for key, value in amounts.items() if value}
-    return {key: float(f"{unit * np.ceil(amounts[key] / unit - 1e-6):.2g}") for key, unit in size.items()}
+    size = {key: 10.0 ** math.floor(math.log10(value) - 1) for key, value in amounts.items() if value}
+    return {key: float(f"{unit * math.ceil(amounts[key] / unit - 1e-6):.2g}") for key, unit in size.items()}
 
 
 def vibration(found: Tracking) -> str:
