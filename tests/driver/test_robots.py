@@ -32,6 +32,8 @@ NAN = float("nan")
         ("simulated", {"lag": 0.05}, 'The robot "simulated" has no option lag; it has none.'),
         ("franka", {"contact": 30.0}, 'The robot "franka" has no option contact; it has rate_share, longest_step.'),
         ("ur", {"patience": 90.5}, "patience is 90.5; it must be a whole number above 0."),
+        ("ur", {"lookahead": 0.3}, "lookahead of servoj is 0.3; it must be from 0.03 to 0.2."),
+        ("ur", {"gain": 50.0}, "gain of servoj is 50; it must be from 100 to 2000."),
         ("ur", {"gain": NAN}, "gain is nan; it must be a number above 0."),
         ("reachy", {}, 'There is no robot "reachy"; known are simulated, franka, ur, xarm.'),
     ],

@@ -39,6 +39,7 @@ STOPPED = {
     3: "a protective stop", 4: "recovery", 5: "a safeguard stop", 6: "an emergency stop of the system",
     7: "its emergency stop", 8: "a safety violation", 9: "a fault",
 }  # fmt: skip
+SERVOJ = {"lookahead": (0.03, 0.2), "gain": (100, 2000)}  # s, 1: what it takes
 STATUS = f"output_int_register_{FIRST}"  # the number that a program began with, while it runs
 OUTPUTS = {
     "timestamp": "d", "actual_q": "6d", "actual_qd": "6d", "speed_scaling": "d", "target_speed_fraction": "d",
@@ -61,6 +62,11 @@ class UROptions(PositionOptions):
     gain: float = 300.0
     patience: int = 100
     timeout: float = 2.0
+
+    def __post_init__(self) -> None:
+        for name, (low, high) in SERVOJ.items():
+            if not low <= (value := getattr(self, name)) <= high:
+                raise SalverError(f"{name} of servoj is {value:g}; it must be from {low:g} to {high:g}.")
 
 
 PROGRAM = """\
