@@ -89,7 +89,7 @@ def run_plan(
     if kind is SimulatedRobot:
         driven = kind.of(plan, arm, realtime)
     else:
-        driven = kind.connect(address, plan.scenario, arm, realtime, *([] if options is None else [options]))
+        driven = kind.connect(address, plan.scenario, arm, realtime, options)
     if why := driven.permit(_motion(plan)):
         raise SalverError(f"Not moved. {why}")
     watchdog = watchdog or Watchdog()

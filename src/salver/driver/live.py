@@ -291,7 +291,7 @@ def _real(
 ) -> _Standing:
     arm = scenario.load_arm()
     demand(kind.check(scenario, arm))
-    robot: Robot = kind.connect(address, scenario, arm, realtime, *([] if robot_options is None else [robot_options]))
+    robot: Robot = kind.connect(address, scenario, arm, realtime, robot_options)
     if robot.limits is not None:
         scenario = scenario.with_changes(arm__limits=slower(arm.limits, robot.limits))
     live = Live(scenario, robot.look().q, permit=robot.permit, options=options.kept)

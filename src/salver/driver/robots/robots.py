@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, Literal, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol
 
 from salver.errors import SalverError
 
@@ -88,12 +88,14 @@ class Robot(Protocol):
 
 
 class RealRobot(Robot, Protocol):
-    """A robot at an address."""
+    """A robot at an address. standard: its default options, a frozen dataclass, or None."""
+
+    standard: ClassVar[Any] = None
 
     @classmethod
-    def connect(cls, address: str, scenario: Scenario, arm: ArmModel, realtime: bool) -> Robot:
+    def connect(cls, address: str, scenario: Scenario, arm: ArmModel, realtime: bool, options: Any = None) -> Robot:
         """The robot at an address, with the scenario's tray configured. realtime: refuse a machine that cannot keep the
-        period. A robot with options of its own takes them after that, and has the usual ones as `standard`.
+        period. options: instead of `standard`.
 
         Raises SalverError when it does not answer, MissingDependencyError without its library.
         """
