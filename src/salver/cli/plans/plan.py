@@ -230,7 +230,7 @@ def checked(plan: Plan) -> list[str]:
 
 
 def _solved(plan: Plan | MultiLegPlan) -> str:
-    return f"Solved in {float(plan.solver['seconds']):.3g} s by {plan.solver['name']}."
+    return f"Solved in {float(plan.solver['seconds']):.3f} s by {plan.solver['name']}."
 
 
 def _print_columns(plans: dict[str, Plan]) -> None:
